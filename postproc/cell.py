@@ -1,0 +1,136 @@
+"""The cell: which robot, where `$BASE` and `$TOOL` are, where the program starts, how strict to be.
+
+`cell.toml` is described in the README; `Cell` is its content in SI units, checked.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from postproc import files
+from postproc.errors import CellError
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, pose_from_xyzabc
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+ToolAxis = Literal["+Z", "-Z", "+X", "-X"]
+
+
+class Frame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A KUKA frame as it stands in a file: mm and degrees."""
+
+    X: float = 0.0
+    Y: float = 0.0
+    Z: float = 0.0
+    A: float = 0.0
+    B: float = 0.0
+    C: float = 0.0
+
+    def pose(self) -> Array:
+        """Return the frame as a (4, 4) pose [m]."""
+        return pose_from_xyzabc([self.X, self.Y, self.Z, self.A, self.B, self.C])
+
+
+class Tool(Frame, frozen=True):
+    """`$TOOL` in the flange frame, and which of its axes points from the spindle to the tip."""
+
+    axis: ToolAxis = "+Z"
+
+
+class Start(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Where the program starts: A1…A6 [deg]."""
+
+    joints: tuple[float, float, float, float, float, float]
+
+
+class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Carried in addition to the state the model was calibrated in: kg, and mm in the flange frame."""
+
+    mass_kg: NotNegative = 0.0
+    X: float = 0.0
+    Y: float = 0.0
+    Z: float = 0.0
+
+
+class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How strict to be and how to write; mm."""
+
+    tolerance_mm: Positive = 0.01
+    max_correction_mm: Positive = 8.0
+    force_ramp_mm: Positive = 1.0
+    controller: Literal["KRC4", "KRC2"] = "KRC4"
+
+
+class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How G-code becomes KRL. Each list holds KRL lines; {S} is the spindle speed in rpm, {T} the tool number."""
+
+    redundancy_deg: float = 0.0
+    rapid_m_per_s: Positive = 0.5
+    approximation_mm: NotNegative = 0.5
+    spindle_on: list[str] = []
+    spindle_ccw: list[str] = []
+    spindle_off: list[str] = []
+    coolant_on: list[str] = []
+    coolant_off: list[str] = []
+    tool_change: list[str] = []
+
+
+class Cell(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of a `cell.toml`, in the units of the file; `folder` is where it stands."""
+
+    robot: str
+    base: Frame
+    tool: Tool
+    start: Start
+    payload: Payload = Payload()
+    output: Output = Output()
+    gcode: GCode = GCode()
+    work_offsets: dict[str, Frame] = {}
+    base_data: dict[str, Frame] = {}
+    tool_data: dict[str, Tool] = {}
+    config_dat: str | None = None
+    folder: str = "."
+
+    @property
+    def start_joints(self) -> Array:
+        """A1…A6 at the start of the program, (6,) [rad]."""
+        return np.array(self.start.joints) * RAD_PER_DEG
+
+    @property
+    def tolerance(self) -> float:
+        """What the predicted path may leave the nominal one by [m]."""
+        return self.output.tolerance_mm * M_PER_MM
+
+    def tool_pose_in_program(self) -> Array:
+        """Return the (3, 3) orientation of the tool frame in the program frame of 3-axis G-code.
+
+        The tool axis points along −Z of the program frame; `redundancy_deg` turns the tool about program Z.
+        """
+        abc = {"+Z": (0, 0, 180), "-Z": (0, 0, 0), "+X": (0, 90, 0), "-X": (0, -90, 0)}[self.tool.axis]
+        turn = pose_from_xyzabc([0, 0, 0, self.gcode.redundancy_deg, 0, 0])
+        orientation: Array = (turn @ pose_from_xyzabc([0, 0, 0, *abc]))[:3, :3]
+        return orientation
+
+
+def load(path: str | Path) -> Cell:
+    """Read and check a cell file.
+
+    :raises CellError: it cannot be read, has unknown keys, wrong types or values out of range; the message
+        names the key and what is valid.
+    """
+    path = Path(path)
+    cell = files.read_toml(path, Cell, CellError)
+    for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data")):
+        for key in table:
+            if not key.isdigit():
+                raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=str(path))
+    for key in cell.work_offsets:
+        if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
+            raise CellError(
+                f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3."
+            )
+    return msgspec.structs.replace(cell, folder=str(path.parent))

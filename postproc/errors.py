@@ -1,0 +1,117 @@
+"""Exceptions for unusable input, and `Issue` for what is wrong at one move.
+
+Everything the library raises on purpose derives from `PostprocError`. An exception carries its
+data (file, line, text, advice), so that a caller need not parse the message. What is wrong at single
+moves is collected as `Issue`s; one of level ``"error"`` means that no program is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+Level = Literal["error", "warning", "info"]
+
+
+class PostprocError(Exception):
+    """Root of all exceptions of this package."""
+
+
+class InputError(PostprocError):
+    """A file, a line or a value cannot be used.
+
+    The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too.
+
+    :param problem: what is wrong, without a full stop.
+    :param file: name of the file as the user knows it.
+    :param line: 1-based line in that file.
+    :param text: the text found there.
+    :param advice: what the user can do.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        file: str | None = None,
+        line: int | None = None,
+        text: str | None = None,
+        advice: str | None = None,
+    ) -> None:
+        self.problem, self.file, self.line, self.text, self.advice = problem, file, line, text, advice
+        where = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
+        if file is None and line is not None:
+            where = f"line {line}: "
+        quoted = "" if text is None else f" Text: {text.strip()[:160]!r}."
+        super().__init__(f"{where}{problem}.{quoted}{'' if advice is None else ' ' + advice}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle by attributes, so that the exception survives a process pool."""
+        return _rebuild, (type(self), self.problem, self.file, self.line, self.text, self.advice)
+
+
+def _rebuild(
+    kind: type[InputError],
+    problem: str,
+    file: str | None,
+    line: int | None,
+    text: str | None,
+    advice: str | None,
+) -> InputError:
+    return kind(problem, file=file, line=line, text=text, advice=advice)
+
+
+class ProgramError(InputError):
+    """A program cannot be read: not understood, incomplete, or not what its extension says."""
+
+
+class CellError(InputError):
+    """A cell file is unusable."""
+
+
+class ForceError(InputError):
+    """A force file or a force comment is unusable."""
+
+
+class ModelError(InputError):
+    """A robot model folder is unusable."""
+
+
+class NotConvergedError(PostprocError):
+    """An iteration did not reach its tolerance; `rows` are the samples concerned."""
+
+    def __init__(self, message: str, rows: Iterable[int]) -> None:
+        super().__init__(message)
+        self.rows = tuple(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Issue:
+    """What is wrong, or worth knowing, at one move.
+
+    :param level: ``"error"`` (no program is written), ``"warning"`` or ``"info"``.
+    :param kind: short stable name, e.g. ``"joint-limit"``; issues of one kind are grouped.
+    :param message: one sentence for the user.
+    :param source_line: 1-based line of the input program, if there is one.
+    :param output_line: 1-based line of the written program, if there is one.
+    :param count: number of places this issue stands for after grouping.
+    """
+
+    level: Level
+    kind: str
+    message: str
+    source_line: int | None = None
+    output_line: int | None = None
+    count: int = 1
+
+
+def group_issues(issues: Iterable[Issue]) -> tuple[Issue, ...]:
+    """Return one issue per (level, kind), the first found, counting the others; errors first."""
+    grouped: dict[tuple[str, str], Issue] = {}
+    for issue in issues:
+        key = (issue.level, issue.kind)
+        known = grouped.get(key)
+        grouped[key] = issue if known is None else replace(known, count=known.count + issue.count)
+    order = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(grouped.values(), key=lambda issue: order[issue.level]))

@@ -1,0 +1,131 @@
+"""SE(3), KUKA frames {X, Y, Z, A, B, C}, and the only conversion of units in the package.
+
+Inside the package: metres, radians, newtons. A pose is a homogeneous 4×4 matrix; its name tells the
+direction: ``pose_tcp_in_base`` maps coordinates in the TCP frame to coordinates in the base frame.
+A KUKA frame is R = Rz(A)·Ry(B)·Rx(C) with mm and degrees (KUKA System Software manual, "A, B, C").
+All functions take any number of leading axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+M_PER_MM = 1e-3
+RAD_PER_DEG = np.pi / 180.0
+MM_PER_M = 1e3
+DEG_PER_RAD = 180.0 / np.pi
+_TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
+
+
+def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
+    """Return the poses of KUKA frames.
+
+    :param xyzabc: (..., 6) X, Y, Z [mm], A, B, C [deg].
+    :returns: (..., 4, 4), translation in metres.
+
+    >>> pose_from_xyzabc([0, 0, 1000, 0, 90, 0]).round(6).tolist()[0]
+    [0.0, 0.0, 1.0, 0.0]
+    """
+    values = np.asarray(xyzabc, dtype=float) * _TO_SI
+    sin, cos = np.sin(values[..., 3:]), np.cos(values[..., 3:])
+    (sa, sb, sc), (ca, cb, cc) = np.moveaxis(sin, -1, 0), np.moveaxis(cos, -1, 0)
+    pose = np.zeros((*values.shape[:-1], 4, 4))
+    pose[..., 0, 0], pose[..., 0, 1], pose[..., 0, 2] = ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc
+    pose[..., 1, 0], pose[..., 1, 1], pose[..., 1, 2] = sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc
+    pose[..., 2, 0], pose[..., 2, 1], pose[..., 2, 2] = -sb, cb * sc, cb * cc
+    pose[..., :3, 3] = values[..., :3]
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def xyzabc_from_pose(pose: Array) -> Array:
+    """Return KUKA frames (..., 6) [mm, deg] of poses (..., 4, 4) [m]; A, B, C in (−180, 180].
+
+    At B = ±90°, where A and C are not unique, the returned three still compose to the given rotation:
+    C is taken from what remains after A and B, not from entries that vanish there.
+    """
+    r = pose[..., :3, :3]
+    a = np.arctan2(r[..., 1, 0], r[..., 0, 0])
+    sa, ca = np.sin(a), np.cos(a)
+    b = np.arctan2(-r[..., 2, 0], ca * r[..., 0, 0] + sa * r[..., 1, 0])
+    c = np.arctan2(
+        sa * r[..., 0, 2] - ca * r[..., 1, 2],
+        ca * r[..., 1, 1] - sa * r[..., 0, 1],
+    )
+    return np.concatenate([pose[..., :3, 3], np.stack([a, b, c], axis=-1)], axis=-1) / _TO_SI
+
+
+def inverse(pose: Array) -> Array:
+    """Return the inverse of rigid poses (..., 4, 4)."""
+    out = np.zeros_like(pose)
+    rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
+    out[..., :3, :3] = rotation
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, pose[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3); angle ≤ π."""
+    from scipy.spatial.transform import Rotation
+
+    small = np.stack(
+        [
+            rotation[..., 2, 1] - rotation[..., 1, 2],
+            rotation[..., 0, 2] - rotation[..., 2, 0],
+            rotation[..., 1, 0] - rotation[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    small = 0.5 * small  # sin(angle)·axis
+    sine = np.linalg.norm(small, axis=-1)
+    cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
+    angle = np.arctan2(sine, cosine)
+    safe = np.where(sine > 0.0, sine, 1.0)
+    vector = small * np.where(sine > 0.0, angle / safe, 1.0)[..., None]
+    hard = np.atleast_1d(cosine < -0.99)
+    if hard.any():  # near π the sine vanishes: scipy picks the well-conditioned quaternion component
+        flat = np.atleast_2d(vector)
+        flat[hard] = Rotation.from_matrix(rotation.reshape(*hard.shape, 3, 3)[hard]).as_rotvec()
+        vector = flat.reshape(vector.shape)
+    return vector
+
+
+def rotation_from_vector(vector: Array) -> Array:
+    """Return rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    o = np.zeros_like(x)
+    hat = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vector.shape[:-1], 3, 3)
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    rotation: Array = np.eye(3) + a * hat + b * (hat @ hat)
+    return rotation
+
+
+def twist_between(pose_from: Array, pose_to: Array) -> Array:
+    """Return (..., 6) the displacement that carries one pose to another: translation [m] of the origin and
+    rotation vector [rad], both in the axes of the frame in which the poses are given."""
+    out = np.empty((*np.broadcast_shapes(pose_from.shape, pose_to.shape)[:-2], 6))
+    out[..., :3] = pose_to[..., :3, 3] - pose_from[..., :3, 3]
+    relative = pose_to[..., :3, :3] @ np.swapaxes(pose_from[..., :3, :3], -1, -2)
+    out[..., 3:] = rotation_vector(relative)
+    return out
+
+
+def displaced(pose: Array, twist: Array) -> Array:
+    """Return the poses moved by twists (inverse of `twist_between`): (..., 4, 4) and (..., 6)."""
+    out = np.zeros((*np.broadcast_shapes(pose.shape[:-2], twist.shape[:-1]), 4, 4))
+    out[..., :3, 3] = pose[..., :3, 3] + twist[..., :3]
+    out[..., :3, :3] = rotation_from_vector(twist[..., 3:]) @ pose[..., :3, :3]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def interpolated(pose_from: Array, pose_to: Array, t: Array) -> Array:
+    """Return poses on the straight run from one pose to another, t in [0, 1]: position linear, orientation
+    by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``)."""
+    return displaced(pose_from, twist_between(pose_from, pose_to) * np.asarray(t)[..., None])

@@ -1,0 +1,168 @@
+"""A program as it was read: every line kept, its motions as arrays.
+
+A `Program` is what a dialect's reader makes and what the rest of the package works on. It owns no
+physics. The text stays in `Document`s to the byte; `Motions` says what the lines mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.errors import Issue
+from postproc.frames import Array
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+LIN, CIRC, PTP = 0, 1, 2
+"""Values of `Motions.kind`: straight line of the TCP, circular arc (or helix) of the TCP, joint interpolation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """One file of a program, lossless: ``text`` encoded with ``encoding`` (BOM first if it had one) is the file.
+
+    :param name: file name with extension, e.g. ``part.src``.
+    :param text: content with its own line ends (never translated), without the BOM.
+    :param encoding: Python codec that was used to decode, e.g. ``utf-8`` or ``cp1252``.
+    :param bom: bytes of the byte order mark, or empty.
+    """
+
+    name: str
+    text: str
+    encoding: str = "utf-8"
+    bom: bytes = b""
+
+    def to_bytes(self) -> bytes:
+        """Return the content of the file."""
+        return self.bom + self.text.encode(self.encoding)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """M motions in the order of execution, one end point each. Lengths m, angles rad, speeds m/s.
+
+    :param kind: (M,) `LIN`, `CIRC` or `PTP`.
+    :param rapid: (M,) True for G0 and PTP: moves that never carry force.
+    :param line: (M,) 1-based line of the (first) document that makes the motion.
+    :param target: (M, 4, 4) pose of the tool frame in `$BASE` at the end; NaN where `joints` is given.
+    :param joints: (M, 6) end in joint angles, KUKA signs, for axis targets (PTP {A1 …}); NaN elsewhere.
+    :param centre: (M, 3) centre of the arc at the start's height, `$BASE`; NaN unless CIRC.
+    :param normal: (M, 3) unit axis of the arc, `$BASE`; NaN unless CIRC.
+    :param sweep: (M,) angle turned about `normal` (right hand, > 0); NaN unless CIRC. A helix rises along
+        `normal` linearly with the angle; its rise is the component of end − start along `normal`.
+    :param feed: (M,) speed of the TCP [m/s]; NaN for PTP (the controller's joint interpolation).
+    :param base: (M,) row of `Program.bases` in force.
+    :param tool: (M,) row of `Program.tools` in force.
+    :param blend: (M,) approximation distance [m] before the target (C_DIS with $APO.CDIS); 0 = exact stop.
+    :param status: (M,) KUKA S of a PTP target; −1 where none is given.
+    :param turn: (M,) KUKA T of a PTP target; −1 where none is given.
+    """
+
+    kind: Ints
+    rapid: Bools
+    line: Ints
+    target: Array
+    joints: Array
+    centre: Array
+    normal: Array
+    sweep: Array
+    feed: Array
+    base: Ints
+    tool: Ints
+    blend: Array
+    status: Ints
+    turn: Ints
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+
+@dataclass(frozen=True, slots=True)
+class ForceNote:
+    """A force comment of the program: modal from its line on.
+
+    :param line: 1-based line of the comment; applies to motions on this line (if the comment precedes or shares
+        it) and on later lines, until the next note.
+    :param wrench: Fx, Fy, Fz [N], Mx, My, Mz [N·m]; all zero for ``FORCE OFF``.
+    :param frame: axes of the wrench: BASE, TOOL or FEED.
+    """
+
+    line: int
+    wrench: tuple[float, float, float, float, float, float]
+    frame: Literal["BASE", "TOOL", "FEED"] = "BASE"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Program:
+    """A program: its documents to the byte, its motions as arrays.
+
+    :param name: name of the program (stem of its file); the written program gets the same.
+    :param dialect: ``"gcode"`` or ``"krl"``.
+    :param documents: the main file first (`.src`, `.nc`), then `.dat` where there is one.
+    :param motions: what moves, in order.
+    :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, row `motions.base[i]` for motion i [m].
+    :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
+    :param notes: force comments in order of their lines.
+    :param issues: what the reader wants to tell; none of level error (a reader raises instead).
+    :param layout: what only the dialect that read the program understands: where its numbers stand
+        (KRL), or spindle, coolant and dwell events between motions (G-code).
+    """
+
+    name: str
+    dialect: Literal["gcode", "krl"]
+    documents: tuple[Document, ...]
+    motions: Motions
+    bases: Array
+    tools: Array
+    notes: tuple[ForceNote, ...] = ()
+    issues: tuple[Issue, ...] = ()
+    layout: object = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """K Cartesian targets to be written, in order: at least the end of each motion, and inserted ones before it.
+
+    Motions with axis targets (`Motions.joints`) have no row: they are written as they stand.
+
+    :param motion: (K,) row of `Motions` that the target belongs to, never decreasing.
+    :param t: (K,) in (0, 1], where on that motion the target lies; the last one of each motion has 1.
+    :param kind: (K,) `LIN`, `CIRC` or `PTP`; a CIRC motion may be written as several CIRC or LIN targets.
+    :param pose: (K, 4, 4) pose of the tool frame in `$BASE` to be commanded [m].
+    :param via: (K, 3) auxiliary point of a CIRC target, `$BASE` [m]; NaN elsewhere.
+    :param keep: (K,) True where the text of the motion already commands this pose: it is left to the byte.
+    :param status: (K,) KUKA S for PTP targets; −1 = as it stands (or none).
+    :param turn: (K,) KUKA T for PTP targets; −1 = as it stands (or none).
+    """
+
+    motion: Ints
+    t: Array
+    kind: Ints
+    pose: Array
+    via: Array
+    keep: Bools
+    status: Ints
+    turn: Ints
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Written:
+    """A program as text, before it is released.
+
+    :param documents: files to write, the main one (`NAME.src`) first.
+    :param output_line: (K,) 1-based line of the main document on which each row of `Targets` stands
+        (the motion statement; for a named point the statement that uses it).
+    :param issues: what the writer wants to tell.
+    """
+
+    documents: tuple[Document, ...]
+    output_line: Ints
+    issues: tuple[Issue, ...] = ()
