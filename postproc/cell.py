@@ -130,7 +130,5 @@ def load(path: str | Path) -> Cell:
                 raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=str(path))
     for key in cell.work_offsets:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
-            raise CellError(
-                f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3."
-            )
+            raise CellError(f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3.")
     return msgspec.structs.replace(cell, folder=str(path.parent))

@@ -62,21 +62,19 @@ def _digits(numbers: NDArray[np.int64], *, stripped: bool, width: int = 1) -> By
         rest = higher
         if 4 * len(groups) >= width and not rest.any():
             break
-    joined = np.concatenate(groups, axis=1)
+    joined: Bytes = np.concatenate(groups, axis=1)
     return joined if stripped else joined[:, joined.shape[1] - width :]
 
 
-def lines(parts: Sequence[Bytes | bytes]) -> Bytes:
-    """Join parts side by side and return the text of all rows as one flat array of bytes.
+def lines(parts: Sequence[Bytes | bytes]) -> bytes:
+    """Join parts side by side and return the text of all rows.
 
-    :param parts: arrays (n, w) from `fixed` (or any bytes with 0 for "nothing"), and constant texts.
+    :param parts: arrays (n, w) from `fixed` (or any bytes with 0 for "nothing"), and constant texts; at least one
+        array.
     """
     count = next(len(part) for part in parts if not isinstance(part, bytes))
     columns = [
-        np.broadcast_to(np.frombuffer(part, dtype=np.uint8), (count, len(part)))
-        if isinstance(part, bytes)
-        else part
+        np.broadcast_to(np.frombuffer(part, dtype=np.uint8), (count, len(part))) if isinstance(part, bytes) else part
         for part in parts
     ]
-    joined = np.concatenate(columns, axis=1).ravel()
-    return joined[joined != _ABSENT]
+    return np.concatenate(columns, axis=1).tobytes().translate(None, b"\0")

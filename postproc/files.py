@@ -30,9 +30,7 @@ def read_text(path: Path, error: type[InputError]) -> str:
     except OSError as cause:
         raise error(f"cannot be read ({cause.strerror})", file=str(path)) from cause
     except UnicodeDecodeError as cause:
-        raise error(
-            f"not UTF-8 text (byte {cause.start})", file=str(path), advice="Save the file as UTF-8."
-        ) from cause
+        raise error(f"not UTF-8 text (byte {cause.start})", file=str(path), advice="Save the file as UTF-8.") from cause
 
 
 def read_toml(path: Path, structure: type[T], error: type[InputError]) -> T:
@@ -139,17 +137,13 @@ def read_csv(
     columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
     line = np.array(lines, dtype=float)
     numeric = {
-        name: _numeric(values, name, path, lines, error)
-        for name, values in columns.items()
-        if name not in text_columns
+        name: _numeric(values, name, path, lines, error) for name, values in columns.items() if name not in text_columns
     }
     texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
     return numeric, texts, line
 
 
-def _numeric(
-    values: Sequence[str], name: str, path: Path, lines: Sequence[int], error: type[InputError]
-) -> Array:
+def _numeric(values: Sequence[str], name: str, path: Path, lines: Sequence[int], error: type[InputError]) -> Array:
     try:
         column = np.array(values, dtype=float)
     except ValueError:

@@ -29,7 +29,7 @@ def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
     >>> pose_from_xyzabc([0, 0, 1000, 0, 90, 0]).round(6).tolist()[0]
     [0.0, 0.0, 1.0, 0.0]
     """
-    values = np.asarray(xyzabc, dtype=float) * _TO_SI
+    values: Array = np.asarray(xyzabc, dtype=float) * _TO_SI
     sin, cos = np.sin(values[..., 3:]), np.cos(values[..., 3:])
     (sa, sb, sc), (ca, cb, cc) = np.moveaxis(sin, -1, 0), np.moveaxis(cos, -1, 0)
     pose = np.zeros((*values.shape[:-1], 4, 4))
@@ -55,7 +55,8 @@ def xyzabc_from_pose(pose: Array) -> Array:
         sa * r[..., 0, 2] - ca * r[..., 1, 2],
         ca * r[..., 1, 1] - sa * r[..., 0, 1],
     )
-    return np.concatenate([pose[..., :3, 3], np.stack([a, b, c], axis=-1)], axis=-1) / _TO_SI
+    xyzabc: Array = np.concatenate([pose[..., :3, 3], np.stack([a, b, c], axis=-1)], axis=-1) / _TO_SI
+    return xyzabc
 
 
 def inverse(pose: Array) -> Array:
@@ -108,7 +109,8 @@ def rotation_from_vector(vector: Array) -> Array:
 
 def twist_between(pose_from: Array, pose_to: Array) -> Array:
     """Return (..., 6) the displacement that carries one pose to another: translation [m] of the origin and
-    rotation vector [rad], both in the axes of the frame in which the poses are given."""
+    rotation vector [rad], both in the axes of the frame in which the poses are given.
+    """
     out = np.empty((*np.broadcast_shapes(pose_from.shape, pose_to.shape)[:-2], 6))
     out[..., :3] = pose_to[..., :3, 3] - pose_from[..., :3, 3]
     relative = pose_to[..., :3, :3] @ np.swapaxes(pose_from[..., :3, :3], -1, -2)
@@ -127,5 +129,6 @@ def displaced(pose: Array, twist: Array) -> Array:
 
 def interpolated(pose_from: Array, pose_to: Array, t: Array) -> Array:
     """Return poses on the straight run from one pose to another, t in [0, 1]: position linear, orientation
-    by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``)."""
+    by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``).
+    """
     return displaced(pose_from, twist_between(pose_from, pose_to) * np.asarray(t)[..., None])
