@@ -1,0 +1,1 @@
+"""Deflection compensation for robot milling."""

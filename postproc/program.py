@@ -6,13 +6,15 @@ physics. The text stays in `Document`s to the byte; `Motions` says what the line
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.errors import Issue
+from postproc.errors import ForceError, Issue
 from postproc.frames import Array
 
 Ints = NDArray[np.int64]
@@ -49,7 +51,8 @@ class Motions:
     :param kind: (M,) `LIN`, `CIRC` or `PTP`.
     :param rapid: (M,) True for G0 and PTP: moves that never carry force.
     :param line: (M,) 1-based line of the (first) document that makes the motion.
-    :param target: (M, 4, 4) pose of the tool frame in `$BASE` at the end; NaN where `joints` is given.
+    :param target: (M, 4, 4) pose of the tool frame in `$BASE` at the end (for axis targets: by the controller's
+        forward kinematics).
     :param joints: (M, 6) end in joint angles, KUKA signs, for axis targets (PTP {A1 …}); NaN elsewhere.
     :param centre: (M, 3) centre of the arc at the start's height, `$BASE`; NaN unless CIRC.
     :param normal: (M, 3) unit axis of the arc, `$BASE`; NaN unless CIRC.
@@ -82,19 +85,98 @@ class Motions:
         return len(self.line)
 
 
+ForceFrame = Literal["BASE", "TOOL", "FEED"]
+FORCE_FRAMES: tuple[ForceFrame, ...] = ("BASE", "TOOL", "FEED")
+
+
 @dataclass(frozen=True, slots=True)
 class ForceNote:
-    """A force comment of the program: modal from its line on.
+    """A force comment of the program: modal from its line on, until the next note.
 
-    :param line: 1-based line of the comment; applies to motions on this line (if the comment precedes or shares
-        it) and on later lines, until the next note.
+    :param line: 1-based line of the comment; motions on this line and on later ones get the force.
     :param wrench: Fx, Fy, Fz [N], Mx, My, Mz [N·m]; all zero for ``FORCE OFF``.
     :param frame: axes of the wrench: BASE, TOOL or FEED.
     """
 
     line: int
     wrench: tuple[float, float, float, float, float, float]
-    frame: Literal["BASE", "TOOL", "FEED"] = "BASE"
+    frame: ForceFrame = "BASE"
+
+
+_FORCE = re.compile(r"\s*FORCE\b(?=\s*(?:OFF\b|[FM][XYZ]\s*=|FRAME\s*=|$))", re.IGNORECASE)
+_FORCE_PART = re.compile(r"\s*(?:(F[XYZ]|M[XYZ])\s*=\s*([^\s=]+)|FRAME\s*=\s*(\w+))", re.IGNORECASE)
+
+
+def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
+    """Read ``FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=TOOL]`` or ``FORCE OFF`` from a comment.
+
+    :param comment: text of the comment without its brackets or semicolon.
+    :returns: the note, or None if the comment is not about forces (it does not begin with the word FORCE
+        followed by a component, FRAME= or OFF).
+    :raises ForceError: it begins so, but cannot be read to its end or a value is not finite.
+    """
+    begin = _FORCE.match(comment)
+    if begin is None:
+        return None
+    rest = comment[begin.end() :]
+    if rest.strip().upper() == "OFF":
+        return ForceNote(line, (0.0,) * 6)
+    advice = "Write FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=BASE|TOOL|FEED], or FORCE OFF (N, N·m)."
+    wrench: dict[str, float] = {}
+    frame: ForceFrame = "BASE"
+    position = 0
+    while rest[position:].strip():
+        part = _FORCE_PART.match(rest, position)
+        try:
+            if part is None:
+                raise ValueError  # noqa: TRY301
+            if part[3]:
+                frame = FORCE_FRAMES[FORCE_FRAMES.index(part[3].upper())]  # type: ignore[arg-type]
+            else:
+                value = float(part[2])
+                if not math.isfinite(value) or part[1].upper() in wrench:
+                    raise ValueError  # noqa: TRY301
+                wrench[part[1].upper()] = value
+        except ValueError:
+            raise ForceError(
+                "force comment cannot be read", file=file, line=line, text=comment, advice=advice
+            ) from None
+        position = part.end()
+    if not wrench:
+        raise ForceError("force comment without a component", file=file, line=line, text=comment, advice=advice)
+    fx, fy, fz, mx, my, mz = (wrench.get(name, 0.0) for name in ("FX", "FY", "FZ", "MX", "MY", "MZ"))
+    return ForceNote(line, (fx, fy, fz, mx, my, mz), frame)
+
+
+EventKind = Literal[
+    "spindle_on",
+    "spindle_ccw",
+    "spindle_off",
+    "coolant_on",
+    "coolant_off",
+    "tool_change",
+    "dwell",
+    "stop",
+    "comment",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What a G-code program does besides moving, in order; it becomes lines of KRL.
+
+    :param before: row of the motion before which it takes place (number of motions = after the last).
+    :param kind: see `EventKind`; ``dwell`` is G4, ``stop`` M0/M1.
+    :param line: 1-based source line.
+    :param value: spindle speed [rpm], tool number, dwell [s]; 0 where there is none.
+    :param text: text of a comment.
+    """
+
+    before: int
+    kind: EventKind
+    line: int
+    value: float = 0.0
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,9 +190,9 @@ class Program:
     :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, row `motions.base[i]` for motion i [m].
     :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
     :param notes: force comments in order of their lines.
+    :param events: what a G-code program does besides moving, in order (KRL keeps its text instead).
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
-    :param layout: what only the dialect that read the program understands: where its numbers stand
-        (KRL), or spindle, coolant and dwell events between motions (G-code).
+    :param layout: what only the dialect that read the program understands (KRL: where its numbers stand).
     """
 
     name: str
@@ -120,6 +202,7 @@ class Program:
     bases: Array
     tools: Array
     notes: tuple[ForceNote, ...] = ()
+    events: tuple[Event, ...] = ()
     issues: tuple[Issue, ...] = ()
     layout: object = field(default=None, repr=False)
 

@@ -1,0 +1,1 @@
+"""Command line: options in, one call, output."""

@@ -1,0 +1,1 @@
+"""Cutting forces: one wrench for each sample of a tool path."""
