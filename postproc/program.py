@@ -103,7 +103,7 @@ class ForceNote:
     frame: ForceFrame = "BASE"
 
 
-_FORCE = re.compile(r"\s*FORCE\b(?=\s*(?:OFF\b|[FM][XYZ]\s*=|FRAME\s*=|$))", re.IGNORECASE)
+_FORCE = re.compile(r"\s*FORCE\b(?=\s*(?:OFF\b|$)|.*[=\d])", re.IGNORECASE)
 _FORCE_PART = re.compile(r"\s*(?:(F[XYZ]|M[XYZ])\s*=\s*([^\s=]+)|FRAME\s*=\s*(\w+))", re.IGNORECASE)
 
 
@@ -112,7 +112,7 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
 
     :param comment: text of the comment without its brackets or semicolon.
     :returns: the note, or None if the comment is not about forces (it does not begin with the word FORCE
-        followed by a component, FRAME= or OFF).
+        and goes on with OFF or anything that holds a number or `=`).
     :raises ForceError: it begins so, but cannot be read to its end or a value is not finite.
     """
     begin = _FORCE.match(comment)
@@ -131,7 +131,7 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
             if part is None:
                 raise ValueError  # noqa: TRY301
             if part[3]:
-                frame = FORCE_FRAMES[FORCE_FRAMES.index(part[3].upper())]  # type: ignore[arg-type]
+                frame = FORCE_FRAMES[FORCE_FRAMES.index(part[3].upper())]
             else:
                 value = float(part[2])
                 if not math.isfinite(value) or part[1].upper() in wrench:
