@@ -1,0 +1,62 @@
+"""Gravity compensator: a spring between P0 (on link 1) and P1 (on link 2) beside joint 2.
+
+Source: Klimchik et al., "Accuracy improvement of robot-based milling using an enhanced manipulator model",
+Eq. (3), (4). All angles are joint 2's, KUKA sign [rad]; lengths m, stiffness N/m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.errors import ModelError
+from postproc.frames import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Compensator:
+    """Spring of stiffness `stiffness` [N/m] and free length `free_length` [m]; |P2P1| = `L`, P0 at (`ax`, `ay`) [m].
+
+    >>> law = Compensator(stiffness=1.2e5, free_length=0.458, L=0.18472, ax=0.68593, ay=0.1233)
+    >>> float(law.length(np.array(0.0)).round(4))
+    0.8793
+    """
+
+    stiffness: float
+    free_length: float
+    L: float
+    ax: float
+    ay: float
+
+    def __post_init__(self) -> None:
+        if not (self.L > 0 and np.hypot(self.ax, self.ay) > self.L and self.free_length >= 0 and self.stiffness >= 0):
+            raise ModelError(
+                "compensator geometry is impossible",
+                text=str(self),
+                advice="L must be positive and shorter than |P0P2|; stiffness and free length must not be negative.",
+            )
+
+    def _parts(self, q2: Array) -> tuple[float, Array, Array, Array]:
+        a_l = float(np.hypot(self.ax, self.ay)) * self.L
+        angle = np.arctan2(self.ay, self.ax) - q2
+        s = np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * a_l * np.cos(angle))
+        return a_l, np.sin(angle), np.cos(angle), s
+
+    def length(self, q2: Array) -> Array:
+        """Return s = |P0P1| [m], Eq. (3)."""
+        return self._parts(q2)[3]
+
+    def energy(self, q2: Array) -> Array:
+        """Return the spring energy U_c = ½·K_c·(s − s₀)² [J]."""
+        return 0.5 * self.stiffness * (self.length(q2) - self.free_length) ** 2
+
+    def gradient(self, q2: Array) -> Array:
+        """Return U_c′ [N·m]; the spring's torque about joint 2 is −U_c′."""
+        a_l, sin, _, s = self._parts(q2)
+        return self.stiffness * a_l * (1.0 - self.free_length / s) * sin
+
+    def stiffness_about_joint(self, q2: Array) -> Array:
+        """Return U_c″ [N·m/rad]: what Eq. (4) adds to K⁰_θ2."""
+        a_l, sin, cos, s = self._parts(q2)
+        return self.stiffness * a_l * (self.free_length / s * (a_l / s**2 * sin**2 + cos) - cos)
