@@ -309,7 +309,9 @@ def _provenance(content: ModelFile, nominal: pin.Model) -> Iterator[Provenance]:
         value = f"K_c {spring_law.stiffness_N_per_m:g} N/m, s_0 {spring_law.free_length_mm:g} mm"
         yield Provenance("compensator spring", value, spring_law.source, spring_law.assumed)
     for name, entry in content.geometry.items():
-        value = f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
+        value = (
+            f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
+        )
         yield Provenance(f"calibrated {name}", value, entry.source, entry.assumed)
     masses = ", ".join(f"{inertia.mass:g}" for inertia in list(nominal.inertias)[1:])
     for label, value, entry_source in (

@@ -1,0 +1,1 @@
+"""Identification of a robot from measurements: compensator geometry, base and tool, compliances, intervals."""

@@ -1,0 +1,75 @@
+"""Forward kinematics and its derivatives for N configurations at once, by Pinocchio.
+
+Jacobians are those of (TCP position, rotation) in root axes: Pinocchio's LOCAL_WORLD_ALIGNED. They are made from the
+WORLD Jacobian, which Pinocchio returns in one call, by moving its reference point to the TCP.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from postproc.frames import Array
+from postproc.robot import FLANGE
+
+
+def tcp(model: pin.Model, q: Array, tool: Array) -> tuple[Array, Array]:
+    """Return pose and Jacobian of the tool frame.
+
+    :param model: of `RobotModel`: `nominal`, `actual` or `loaded`.
+    :param q: (N, nv) coordinates [rad, m].
+    :param tool: (4, 4) or (N, 4, 4) tool frame in the flange frame [m].
+    :returns: pose in the root frame (N, 4, 4) [m]; Jacobian (N, 6, nv), rows: position [m], rotation [rad], root axes.
+    """
+    data = model.createData()
+    jacobian = np.empty((len(q), 6, model.nv))
+    last = np.empty((len(q), 4, 4))
+    compute = pin.computeJointJacobians
+    flange = model.frames[model.getFrameId(FLANGE)]
+    placement = data.oMi[flange.parentJoint]
+    for row, coordinates in enumerate(np.ascontiguousarray(q, dtype=float)):
+        jacobian[row] = compute(model, data, coordinates)
+        last[row] = placement.homogeneous
+    pose = last @ (flange.placement.homogeneous @ tool)
+    jacobian[:, :3] += np.swapaxes(np.cross(np.swapaxes(jacobian[:, 3:], 1, 2), pose[:, None, :3, 3]), 1, 2)
+    return pose, jacobian
+
+
+def load_stiffness(jacobian: Array, wrench: Array) -> Array:
+    """Return H = ∂(JᵀF)/∂q with F fixed: how a dead load stiffens or softens the chain.
+
+    For a chain of revolute joints in LOCAL_WORLD_ALIGNED axes, column i of J being (v_i, ω_i):
+    ∂v_j/∂q_i = ω_min(i,j) × v_max(i,j), and ∂ω_j/∂q_i = ω_i × ω_j for i < j, else 0 (Hourtash, "The kinematic Hessian
+    and higher derivatives", 2005). The moment part is not symmetric.
+
+    :param jacobian: (N, 6, nv) of the TCP.
+    :param wrench: (N, 6) force [N] and moment [N·m] at the TCP, root axes.
+    :returns: (N, nv, nv); row j, column i: ∂(JᵀF)_j/∂q_i.
+    """
+    linear, angular = np.swapaxes(jacobian[:, :3], 1, 2), np.swapaxes(jacobian[:, 3:], 1, 2)
+    force, moment = wrench[:, None, :3], wrench[:, None, 3:]
+    # (ω_i × v_j)·F = ω_i·(v_j × F), i ≤ j
+    upper = np.triu(angular @ np.swapaxes(np.cross(linear, force), 1, 2))
+    symmetric = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    # row j, column i < j: (ω_i × ω_j)·M = ω_i·(ω_j × M)
+    lower = np.tril(np.cross(angular, moment) @ np.swapaxes(angular, 1, 2), -1)
+    return np.asarray(symmetric + lower)
+
+
+def gravity_torque(model: pin.Model, q: Array) -> Array:
+    """Return ∇U_g (N, nv): torques that hold the weights of the links at configurations q (N, nv)."""
+    pool = pin.ModelPool(model, 1)
+    columns = np.asfortranarray(q.T)
+    zero = np.zeros_like(columns)
+    torque: Array = pin.rneaInParallel(1, pool, columns, zero, zero)
+    return np.ascontiguousarray(torque.T)
+
+
+def gravity_stiffness(model: pin.Model, q: Array) -> Array:
+    """Return ∂²U_g/∂q² (N, nv, nv) at configurations q (N, nv): how the torques of the weights change."""
+    data = model.createData()
+    compute = pin.computeGeneralizedGravityDerivatives
+    out = np.empty((len(q), model.nv, model.nv))
+    for row, coordinates in enumerate(np.ascontiguousarray(q, dtype=float)):
+        out[row] = compute(model, data, coordinates)
+    return out

@@ -1,0 +1,290 @@
+"""Inverse kinematics of six-axis arms with parallel axes 2 and 3 and a spherical wrist.
+
+The closed form (all eight branches) comes from py-opw-kinematics; its parameters are read off the URDF and checked
+against Pinocchio. A calibrated geometry, which has no closed form, is reached from there by Newton steps (`refine`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from py_opw_kinematics import KinematicModel, Robot
+from scipy.spatial.transform import RigidTransform
+
+from postproc.errors import ModelError, PostprocError
+from postproc.frames import Array, inverse, twist_between
+from postproc.kinematics.chain import tcp
+from postproc.program import Bools, Ints
+from postproc.robot import RobotModel
+
+_TURN = 2.0 * np.pi
+_SAME = 1e-6
+
+
+class UnreachableError(PostprocError):
+    """Poses have no solution on their branch; `rows` are the samples concerned."""
+
+    def __init__(self, rows: Sequence[int]) -> None:
+        super().__init__(f"{len(rows)} poses out of reach")
+        self.rows = tuple(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointPath:
+    """Joint angles of every sample of a path; exists only if every sample was solved.
+
+    :param q: (N, 6) A1…A6 [rad], KUKA signs, continuous along the path (turns included).
+    :param branch: (N,) branch 0…7 of the closed form.
+    """
+
+    q: Array
+    branch: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedForm:
+    """Closed-form inverse kinematics of the nominal geometry.
+
+    :param arm: the solver.
+    :param flange_in_wrist: (4, 4) constant between the solver's end frame and the flange.
+    :param elbow_stretched: A3 [rad] at which the wrist centre lies on the line through axes 2 and 3.
+    """
+
+    arm: Robot
+    flange_in_wrist: Array
+    elbow_stretched: float
+
+    def branches(self, pose_flange_in_root: Array) -> Array:
+        """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""
+        wrist = RigidTransform.from_matrix(pose_flange_in_root @ inverse(self.flange_in_wrist))
+        # limits that nothing meets: the solver then skips the singular values, which are not used here
+        nothing = [(10.0, 11.0)] * 6
+        return np.asarray(self.arm.reach(wrist, joint_limits=nothing, threads=0).joints)
+
+
+@lru_cache(maxsize=16)
+def closed_form(robot: RobotModel) -> ClosedForm:
+    """Read the parameters of the closed form off the robot's nominal geometry.
+
+    :raises ModelError: the arm has no vertical A1, no parallel A2 and A3, or no spherical wrist: the closed form and
+        Pinocchio disagree.
+    """
+    model = robot.nominal
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(6))
+    origins = np.array([data.oMi[i].translation for i in range(1, 7)])
+    jacobian = pin.computeJointJacobians(model, data, np.zeros(6))
+    axes = jacobian[3:].T
+    up = np.array([0.0, 0.0, 1.0])
+    side = axes[1]
+    if abs(side @ up) > _SAME or abs(abs(axes[0] @ up) - 1.0) > _SAME:
+        raise _no_closed_form(robot)
+    ahead = np.cross(side, up)
+    shoulder = origins[1] - origins[0]
+    if shoulder @ ahead < 0.0:
+        side, ahead = -side, -ahead
+    wrist = _crossing(origins[3], axes[3], origins[4], axes[4])
+    along = axes[3] * np.sign((wrist - origins[2]) @ axes[3])
+    arm = origins[2] - origins[1]
+    out = _flange(model, data)[:3, 3] - wrist
+    hand = axes[5] * (np.sign(out @ axes[5]) or 1.0)
+
+    def tilt(direction: Array) -> float:
+        return float(np.arctan2(direction @ ahead, direction @ up))
+
+    upper_arm, forearm = tilt(arm), tilt(along)
+    across = np.cross(side, along)
+    turned = float(np.arctan2(np.cross(side, axes[4]) @ along, side @ axes[4]))
+    flips = np.array([axes[0] @ up, axes[1] @ side, axes[2] @ side, axes[3] @ along, 1.0, axes[5] @ hand]) < 0.0
+    bend = float(np.arctan2(np.cross(along, hand) @ axes[4], along @ hand))
+    parameters = {
+        "a1": shoulder @ ahead,
+        "a2": (wrist - origins[2]) @ across,
+        "b": (wrist - origins[0]) @ side,
+        "c1": origins[1] @ up,
+        "c2": float(np.hypot(arm @ ahead, arm @ up)),
+        "c3": (wrist - origins[2]) @ along,
+        "c4": out @ hand,
+    }
+    zero = np.array([np.arctan2(ahead[1], ahead[0]), upper_arm, forearm - upper_arm, turned, bend, 0.0])
+    sample = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 6))
+    expected, _ = tcp(model, sample, np.eye(4))
+    elbow = float(np.arctan2(parameters["a2"], parameters["c3"]))
+    for sign in (1.0, -1.0):  # the sign convention of the solver's offsets is not documented: the check decides
+        solver = Robot(
+            KinematicModel(**parameters, offsets=tuple(sign * zero), flip_axes=tuple(map(bool, flips))), degrees=False
+        )
+        poses = solver.batch_forward(np.vstack([np.zeros(6), sample])).as_matrix()
+        constant = inverse(poses[0]) @ _flange(model, data)
+        if np.abs(poses[1:] @ constant - expected).max() < _SAME:
+            factor = -1.0 if flips[2] else 1.0
+            stretched = factor * (-elbow - (forearm - upper_arm))
+            return ClosedForm(solver, constant, float((stretched + np.pi) % _TURN - np.pi))
+    raise _no_closed_form(robot)
+
+
+def _no_closed_form(robot: RobotModel) -> ModelError:
+    return ModelError(
+        f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
+        advice="Only such arms (all common KUKA six-axis robots) are supported.",
+    )
+
+
+def _flange(model: pin.Model, data: pin.Data) -> Array:
+    pin.updateFramePlacements(model, data)
+    pose: Array = data.oMf[model.getFrameId("flange")].homogeneous
+    return pose
+
+
+def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
+    """Return the point of the first line (p, u) nearest to the second (r, v)."""
+    normal = np.cross(u, v)
+    if normal @ normal < _SAME:
+        return r
+    along: Array = p + u * (np.cross(r - p, v) @ normal) / (normal @ normal)
+    return along
+
+
+def branch_of(robot: RobotModel, q: Array) -> int:
+    """Return the branch 0…7 on which a configuration (6,) lies."""
+    pose, _ = tcp(robot.nominal, q[None], np.eye(4))
+    candidates = closed_form(robot).branches(pose)[0]
+    distance = np.abs(_wrapped(candidates - q)).max(axis=1)
+    return int(np.nanargmin(distance))
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray((angle + np.pi) % _TURN - np.pi)
+
+
+def status_of(robot: RobotModel, q: Array) -> Ints:
+    """Return KUKA S (N,) of configurations (N, 6).
+
+    Bit 0: wrist centre behind A1; bit 1: A3 at or beyond the stretched position; bit 2: A5 < 0.
+    """
+    form = closed_form(robot)
+    wrist_model = robot.nominal
+    data = wrist_model.createData()
+    behind = np.empty(len(q), dtype=bool)
+    joint = wrist_model.getJointId("A5")
+    for row, angles in enumerate(np.ascontiguousarray(q)):
+        pin.forwardKinematics(wrist_model, data, angles)
+        behind[row] = data.oMi[1].actInv(data.oMi[joint].translation)[0] < 0.0
+    beyond = _wrapped(q[:, 2] - form.elbow_stretched) >= 0.0
+    return np.asarray(behind * 1 + beyond * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)
+
+
+def turn_of(q: Array) -> Ints:
+    """Return KUKA T (N,) of configurations (N, 6): bit n − 1 is set when axis n is negative."""
+    return np.asarray((q < 0.0) @ (1 << np.arange(6)), dtype=np.int64)
+
+
+def follow(
+    robot: RobotModel,
+    pose_flange_in_root: Array,
+    start: Array,
+    free: Bools,
+    axis_target: Array,
+    status: Ints,
+    turn: Ints,
+) -> JointPath:
+    """Solve a path by the controller's geometry, continuous from the start.
+
+    A run of linear and circular moves stays on one branch. A PTP move may change it: to the status S and turn T it
+    gives, else it keeps the branch and takes the nearest turn.
+
+    :param robot: the robot.
+    :param pose_flange_in_root: (N, 4, 4) [m].
+    :param start: (6,) joint angles before the first sample [rad].
+    :param free: (N,) True where the sample is the target of a PTP move.
+    :param axis_target: (N, 6) joint angles of PTP moves to an axis target [rad], NaN elsewhere.
+    :param status: (N,) S of PTP targets, −1 where none.
+    :param turn: (N,) T of PTP targets, −1 where none.
+    :raises UnreachableError: a pose has no solution on its branch.
+    """
+    candidates = closed_form(robot).branches(pose_flange_in_root)
+    count = len(pose_flange_in_root)
+    q = np.empty((count, 6))
+    branch = np.empty(count, dtype=np.int64)
+    jumps = np.flatnonzero(free)
+    bounds = np.unique(np.concatenate([[0], jumps, jumps + 1, [count]]))
+    last, slot = np.asarray(start, dtype=float), branch_of(robot, start)
+    for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+        if free[begin]:
+            if np.isfinite(axis_target[begin, 0]):
+                last = axis_target[begin]
+                slot = branch_of(robot, last)
+            else:
+                slot = _slot(robot, candidates[begin], slot, int(status[begin]))
+                last = _turned(robot, candidates[begin, slot], last, int(turn[begin]))
+            q[begin], branch[begin] = last, slot
+        else:
+            path = np.unwrap(np.vstack([last, candidates[begin:end, slot]]), axis=0)
+            q[begin:end] = path[1:]
+            branch[begin:end] = slot
+            last = path[-1]
+        if not np.isfinite(last).all():
+            bad = np.flatnonzero(~np.isfinite(q[begin:end]).all(axis=1)) + begin
+            missing = np.isnan(candidates[begin:end, slot]).any(axis=1)
+            raise UnreachableError(tuple(int(row) for row in (np.flatnonzero(missing) + begin)) or tuple(map(int, bad)))
+    return JointPath(q, branch)
+
+
+def _slot(robot: RobotModel, candidates: Array, slot: int, status: int) -> int:
+    if status < 0:
+        return slot
+    exists = np.flatnonzero(np.isfinite(candidates).all(axis=1))
+    if len(exists) == 0:
+        return slot
+    matching = exists[status_of(robot, candidates[exists]) == status & 7]
+    return int(matching[0]) if len(matching) else slot
+
+
+def _turned(robot: RobotModel, angles: Array, last: Array, turn: int) -> Array:
+    """Return angles with whole turns added: nearest to `last`, or with the signs that T asks for."""
+    if turn < 0:
+        return np.asarray(angles + _TURN * np.round((last - angles) / _TURN))
+    out = angles.copy()
+    for axis in range(6):
+        options = angles[axis] + _TURN * np.arange(-2, 3)
+        inside = (options >= robot.lower[axis] - _SAME) & (options <= robot.upper[axis] + _SAME)
+        signed = inside & ((options < 0.0) == bool(turn >> axis & 1))
+        pool = options[signed] if signed.any() else options[inside] if inside.any() else options
+        out[axis] = pool[np.argmin(np.abs(pool))]
+    return out
+
+
+def refine(
+    model: pin.Model, q: Array, actuated: Sequence[int], tool: Array, target: Array, steps: int = 20
+) -> tuple[Array, Array, Array]:
+    """Move the actuated coordinates until the tool frame stands at the target (Newton).
+
+    :param model: geometry to be used.
+    :param q: (N, nv) start.
+    :param actuated: coordinates that may move (six of them).
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame.
+    :param target: (N, 4, 4) tool frame in the root frame.
+    :returns: q (N, nv), pose (N, 4, 4) and Jacobian (N, 6, nv) there. Rows that do not converge keep an error: the
+        caller checks the poses.
+    """
+    q = np.array(q, dtype=float)
+    pose, jacobian = tcp(model, q, tool)
+    columns = list(actuated)
+    for _ in range(steps):
+        error = twist_between(pose, target)
+        rows = np.flatnonzero((np.abs(error[:, :3]).max(axis=1) > 1e-10) | (np.abs(error[:, 3:]).max(axis=1) > 1e-11))
+        if len(rows) == 0:
+            break
+        square = jacobian[np.ix_(rows, range(6), columns)]
+        solvable = np.abs(np.linalg.det(square)) > 1e-12
+        rows = rows[solvable]
+        if len(rows) == 0:
+            break
+        step = np.linalg.solve(square[solvable], error[rows, :, None])[..., 0]
+        q[np.ix_(rows, columns)] += np.clip(step, -0.2, 0.2)
+        pose[rows], jacobian[rows] = tcp(model, q[rows], tool if tool.ndim == 2 else tool[rows])
+    return q, pose, jacobian
