@@ -106,13 +106,12 @@ def deflect(
     reference = _reference_torque(robot, x0)
     theta = np.zeros_like(x0) if guess is None else np.array(guess)
     pose = np.empty((count, 4, 4))
+    rest = kinematics.tcp(robot.loaded, x0, tool)[0] if unloaded is None else unloaded
     rows = np.arange(count)
     previous = np.full(count, np.nan)
     for iteration in range(_MAX_ITERATIONS):
         x = x0[rows] + theta[rows]
         here, jacobian = kinematics.tcp(robot.loaded, x, tool if tool.ndim == 2 else tool[rows])
-        if unloaded is None and iteration == 0:
-            unloaded = here.copy() if guess is None else kinematics.tcp(robot.loaded, x0, tool)[0]
         force = wrench[rows]
         residual = _spring_torque(robot, x, theta[rows]) - reference[rows]
         residual -= np.einsum("nij,ni->nj", jacobian, force)
@@ -129,7 +128,7 @@ def deflect(
         previous[rows] = size
         rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _POSITION_TOLERANCE)]
         if len(rows) == 0:
-            return Deflection(theta, pose, twist_between(unloaded, pose))
+            return Deflection(theta, pose, twist_between(rest, pose))
     raise NotConvergedError("equilibrium not found", rows)
 
 

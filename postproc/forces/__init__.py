@@ -1,1 +1,6 @@
 """Cutting forces: one wrench for each sample of a tool path."""
+
+from postproc.forces.per_motion import MotionForces, per_motion, read_force_csv
+from postproc.forces.wrench import kinks, wrench
+
+__all__ = ["MotionForces", "kinks", "per_motion", "read_force_csv", "wrench"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -99,7 +100,11 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     upper_arm, forearm = tilt(arm), tilt(along)
     across = np.cross(side, along)
     turned = float(np.arctan2(np.cross(side, axes[4]) @ along, side @ axes[4]))
-    flips = np.array([axes[0] @ up, axes[1] @ side, axes[2] @ side, axes[3] @ along, 1.0, axes[5] @ hand]) < 0.0
+    f = [
+        bool(cosine < 0.0)
+        for cosine in (axes[0] @ up, axes[1] @ side, axes[2] @ side, axes[3] @ along, 1.0, axes[5] @ hand)
+    ]
+    flips = (f[0], f[1], f[2], f[3], f[4], f[5])
     bend = float(np.arctan2(np.cross(along, hand) @ axes[4], along @ hand))
     parameters = {
         "a1": shoulder @ ahead,
@@ -110,14 +115,13 @@ def closed_form(robot: RobotModel) -> ClosedForm:
         "c3": (wrist - origins[2]) @ along,
         "c4": out @ hand,
     }
-    zero = np.array([np.arctan2(ahead[1], ahead[0]), upper_arm, forearm - upper_arm, turned, bend, 0.0])
+    heading = float(np.arctan2(ahead[1], ahead[0]))
     sample = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 6))
     expected, _ = tcp(model, sample, np.eye(4))
     elbow = float(np.arctan2(parameters["a2"], parameters["c3"]))
     for sign in (1.0, -1.0):  # the sign convention of the solver's offsets is not documented: the check decides
-        solver = Robot(
-            KinematicModel(**parameters, offsets=tuple(sign * zero), flip_axes=tuple(map(bool, flips))), degrees=False
-        )
+        zero = (sign * heading, sign * upper_arm, sign * (forearm - upper_arm), sign * turned, sign * bend, 0.0)
+        solver = Robot(KinematicModel(**parameters, offsets=zero, flip_axes=flips), degrees=False)
         poses = solver.batch_forward(np.vstack([np.zeros(6), sample])).as_matrix()
         constant = inverse(poses[0]) @ _flange(model, data)
         if np.abs(poses[1:] @ constant - expected).max() < _SAME:
@@ -213,7 +217,7 @@ def follow(
     jumps = np.flatnonzero(free)
     bounds = np.unique(np.concatenate([[0], jumps, jumps + 1, [count]]))
     last, slot = np.asarray(start, dtype=float), branch_of(robot, start)
-    for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+    for begin, end in pairwise(bounds):
         if free[begin]:
             if np.isfinite(axis_target[begin, 0]):
                 last = axis_target[begin]
@@ -279,12 +283,12 @@ def refine(
         rows = np.flatnonzero((np.abs(error[:, :3]).max(axis=1) > 1e-10) | (np.abs(error[:, 3:]).max(axis=1) > 1e-11))
         if len(rows) == 0:
             break
-        square = jacobian[np.ix_(rows, range(6), columns)]
+        square = jacobian[rows][:, :, columns]
         solvable = np.abs(np.linalg.det(square)) > 1e-12
         rows = rows[solvable]
         if len(rows) == 0:
             break
         step = np.linalg.solve(square[solvable], error[rows, :, None])[..., 0]
-        q[np.ix_(rows, columns)] += np.clip(step, -0.2, 0.2)
+        q[rows[:, None], columns] += np.clip(step, -0.2, 0.2)
         pose[rows], jacobian[rows] = tcp(model, q[rows], tool if tool.ndim == 2 else tool[rows])
     return q, pose, jacobian

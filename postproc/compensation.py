@@ -1,0 +1,80 @@
+"""Corrected poses: where the controller must aim so that the deflected tool stands at its target.
+
+The controller turns a commanded pose into joint angles q by its nominal geometry; the tool then stands at
+g_actual(q + θ(q, F)). Off-line compensation (paper, Fig. 1) looks for the pose P that makes this the target, in
+position and orientation, to convergence.
+
+Because the actual coordinates x = q + θ at the target are known from inverse kinematics of the ACTUAL geometry, the load
+on each spring is known too, and with it θ (`elastostatics.springs_at`): with joint springs alone one evaluation solves
+the problem. Springs between the joints move x a little; the loop then repeats.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc import elastostatics, kinematics
+from postproc.errors import NotConvergedError
+from postproc.frames import Array, twist_between
+from postproc.robot import RobotModel
+
+POSITION_TOLERANCE = 1e-8
+"""What may be left between actual and target position [m]; 1e-7 is asked for."""
+ROTATION_TOLERANCE = 1e-9
+"""What may be left between actual and target orientation [rad]; 1e-8 is asked for."""
+_CHUNK = 8192
+_MAX_ITERATIONS = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compensation:
+    """Corrected commands of N targets, converged.
+
+    :param q: (N, 6) joint angles that the controller will hold [rad].
+    :param pose: (N, 4, 4) commanded tool frame in the robot root, by the nominal geometry [m].
+    """
+
+    q: Array
+    pose: Array
+
+
+def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
+    """Find the commands under which the loaded tool stands at its targets.
+
+    :param robot: the robot (with its payload).
+    :param target: (N, 4, 4) tool frame in the robot root [m].
+    :param q_nominal: (N, 6) joint angles of the uncorrected targets by the nominal geometry [rad]: they fix the branch.
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :raises NotConvergedError: some target cannot be held; `rows` says which.
+    """
+    q = np.empty_like(q_nominal)
+    pose = np.empty_like(target)
+    for begin in range(0, len(target), _CHUNK):
+        rows = slice(begin, begin + _CHUNK)
+        part = tool if tool.ndim == 2 else tool[rows]
+        try:
+            q[rows] = _solve(robot, target[rows], q_nominal[rows], part, wrench[rows])
+        except NotConvergedError as cause:
+            raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
+        pose[rows] = kinematics.tcp(robot.nominal, q[rows], part)[0]
+    return Compensation(q, pose)
+
+
+def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Array:
+    actuated = list(robot.actuated)
+    passive = [column for column in range(robot.actual.nv) if column not in actuated]
+    x = elastostatics.coordinates(robot, q_nominal)
+    for _ in range(_MAX_ITERATIONS):
+        x, pose, jacobian = kinematics.refine(robot.loaded, x, actuated, tool, target)
+        theta = elastostatics.springs_at(robot, x, jacobian, wrench)
+        # what the coordinates between the joints still have to move displaces the tool by as much
+        move = jacobian[:, :, passive] @ (theta - x)[:, passive, None]
+        left = np.abs(twist_between(pose, target)) + np.abs(move[..., 0])
+        bad = (left[:, :3].max(axis=1) > POSITION_TOLERANCE) | (left[:, 3:].max(axis=1) > ROTATION_TOLERANCE)
+        if not bad.any():
+            return np.asarray((x - theta)[:, actuated])
+        x[:, passive] = theta[:, passive]
+    raise NotConvergedError("no command found that holds the target", np.flatnonzero(bad).tolist())

@@ -1,0 +1,99 @@
+"""The wrench along the path: axes of each frame, and the ramp that keeps it continuous."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.errors import ForceError
+from postproc.forces.per_motion import FEED, TOOL, MotionForces
+from postproc.frames import MM_PER_M, Array
+from postproc.program import Ints, Program
+from postproc.toolpath import Segments, Toolpath, at
+
+_SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
+_PARALLEL = 1e-3
+"""Sine of the angle between travel and spindle below which FEED has no direction."""
+
+
+def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolpath, axis: str, ramp: float) -> Array:
+    """Return the wrench at each sample of the path.
+
+    Along a motion the wrench goes linearly from that at the end of the motion before to the motion's own over the
+    first `ramp` metres (at most the motion's length); at the end of each motion its own acts in full. It starts at
+    zero before the first motion.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :param ramp: [m].
+    :returns: (N, 6) force [N] and moment [N·m] on the tool at the TCP, `$BASE` axes of the motion.
+    :raises ForceError: a FEED force on a motion along the spindle.
+    """
+    own = _in_base(program, forces, sample, axis)
+    previous = _at_start(program, path, forces, axis)[sample.motion]
+    reach = np.minimum(ramp, path.length[sample.motion])
+    share = np.where(reach > 0.0, np.minimum(1.0, sample.distance / np.where(reach > 0.0, reach, 1.0)), sample.t)
+    share = np.where(sample.t == 1.0, 1.0, share)[:, None]
+    return np.asarray(previous + share * (own - previous))
+
+
+def kinks(program: Program, path: Segments, forces: MotionForces, axis: str, ramp: float) -> Array:
+    """Return where on each motion (M,) its force ramp ends: t in (0, 1); 1 where it has none or is all ramp."""
+    m = program.motions
+    rows = np.arange(len(m))
+    before = _at_start(program, path, forces, axis)
+    begin = _in_base(program, forces, at(program, path, rows, np.full(len(m), 1e-9)), axis)
+    changes = np.abs(begin - before).max(axis=1) > 1e-9
+    long = path.length > ramp
+    return np.where(changes & long, ramp / np.where(long, path.length, 1.0), 1.0)
+
+
+def _at_start(program: Program, path: Segments, forces: MotionForces, axis: str) -> Array:
+    """Return the wrench (M, 6) at the start of each motion: the own one of the motion before, in this one's axes."""
+    m = program.motions
+    ends = at(program, path, np.arange(len(m)), np.ones(len(m)))
+    out = np.zeros((len(m), 6))
+    out[1:] = _in_base(program, forces, ends, axis)[:-1]
+    changed = np.flatnonzero(np.diff(m.base) != 0) + 1
+    turn = np.swapaxes(program.bases[m.base[changed], :3, :3], 1, 2) @ program.bases[m.base[changed - 1], :3, :3]
+    for half in (slice(0, 3), slice(3, 6)):
+        out[changed, half] = np.einsum("nij,nj->ni", turn, out[changed, half])
+    return out
+
+
+def _in_base(program: Program, forces: MotionForces, sample: Toolpath, axis: str) -> Array:
+    """Return the full own wrench (N, 6) of each sample's motion in `$BASE` axes."""
+    local = forces.wrench[sample.motion]
+    frame = forces.frame[sample.motion]
+    active = np.any(local != 0.0, axis=1)
+    out = local.copy()
+    for code in (TOOL, FEED):
+        rows = np.flatnonzero(active & (frame == code))
+        if len(rows):
+            rotation = sample.pose[rows, :3, :3]
+            if code == FEED:
+                rotation = _feed_axes(program, sample, rows, axis)
+            for half in (slice(0, 3), slice(3, 6)):
+                out[rows, half] = np.einsum("nij,nj->ni", rotation, local[rows, half])
+    return out
+
+
+def _feed_axes(program: Program, sample: Toolpath, rows: Ints, axis: str) -> Array:
+    """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
+
+    z along the spindle from the tip to the spindle, x along the travel as far as it is square to z, y = z × x.
+    """
+    column, sign = _SPINDLE[axis]
+    z = -sign * sample.pose[rows, :3, column]
+    travel = sample.tangent[rows]
+    across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
+    sine = np.linalg.norm(across, axis=1)
+    bad = np.flatnonzero(sine < _PARALLEL)
+    if len(bad):
+        row = rows[bad[0]]
+        raise ForceError(
+            f"a FEED force on a move along the spindle, at {np.round(sample.pose[row, :3, 3] * MM_PER_M, 3).tolist()} mm",
+            file=program.documents[0].name,
+            line=int(program.motions.line[sample.motion[row]]),
+            advice="Such a move has no feed direction across the spindle: give its force in BASE or TOOL axes.",
+        )
+    x = across / sine[:, None]
+    return np.stack([x, np.cross(z, x), z], axis=-1)

@@ -1,0 +1,169 @@
+"""The nominal tool path: poses anywhere on the motions of a program, and where to look at them.
+
+A place on the path is (motion, t), t in (0, 1] along the motion. Row i of a `Toolpath` is one sample; the samples of a
+motion stand together in order, and its end (t = 1) is always among them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import RAD_PER_DEG, Array, displaced, inverse, twist_between
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program
+
+_STEP = 0.020
+"""Spacing of samples [m] for a tolerance of 0.01 mm; it grows with the root of the tolerance (a chord's sagitta)."""
+_REFERENCE_TOLERANCE = 1e-5
+_TURN = 3.0 * RAD_PER_DEG
+_ARC = 5.0 * RAD_PER_DEG
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
+
+    :param start: (M, 4, 4) tool frame where the motion starts.
+    :param length: (M,) path length of the TCP; 0 for PTP.
+    :param turn: (M,) angle between the orientations at start and end [rad].
+    """
+
+    start: Array
+    length: Array
+    turn: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Toolpath:
+    """N samples of the nominal path.
+
+    :param motion: (N,) row of `Motions`.
+    :param t: (N,) place on the motion, in (0, 1].
+    :param pose: (N, 4, 4) tool frame in the motion's `$BASE` [m].
+    :param tangent: (N, 3) unit direction of travel, `$BASE`; zero where the TCP does not travel, and for PTP.
+    :param distance: (N,) travelled from the start of the motion [m].
+    """
+
+    motion: Ints
+    t: Array
+    pose: Array
+    tangent: Array
+    distance: Array
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    @property
+    def ends(self) -> Bools:
+        """(N,) True at the ends of motions."""
+        return np.asarray(self.t == 1.0)
+
+
+def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array) -> Array:
+    """Return flange poses in the robot root (N, 4, 4) for tool frames in `$BASE` of the given motions."""
+    moved = program.motions
+    if len(program.bases) == len(program.tools) == 1:
+        return np.asarray(program.bases[0] @ pose_tcp_in_base @ inverse(program.tools[0]))
+    return np.asarray(program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]])
+
+
+def segments(program: Program, start_flange_in_root: Array) -> Segments:
+    """Return where each motion starts and how long it is.
+
+    :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+    """
+    m = program.motions
+    start = np.empty_like(m.target)
+    start[1:] = m.target[:-1]
+    first = np.array([0])
+    changed = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
+    for rows, flange in (
+        (first, start_flange_in_root[None]),
+        (changed, flange_from_tcp(program, changed - 1, start[changed])),
+    ):
+        start[rows] = inverse(program.bases[m.base[rows]]) @ flange @ program.tools[m.tool[rows]]
+    between = twist_between(start, m.target)
+    length = np.linalg.norm(between[:, :3], axis=1)
+    arcs = np.flatnonzero(m.kind == CIRC)
+    radius = np.linalg.norm(start[arcs, :3, 3] - m.centre[arcs], axis=1)
+    rise = np.einsum("ni,ni->n", between[arcs, :3], m.normal[arcs])
+    length[arcs] = np.hypot(radius * m.sweep[arcs], rise)
+    length[m.kind == PTP] = 0.0
+    return Segments(start, length, np.linalg.norm(between[:, 3:], axis=1))
+
+
+def places(
+    program: Program, path: Segments, tolerance: float, kinks: Array, linearize_arcs: bool = False
+) -> tuple[Ints, Array]:
+    """Choose where on the path to compute: every end, and enough places between.
+
+    Deflection changes along a straight run over lengths of the order of the arm, so that samples every 20 mm and 3°
+    catch its curvature to a fraction of 0.01 mm; arcs are sampled every 5°, or as their chords need.
+
+    :param tolerance: what the path may be left by [m].
+    :param kinks: (M,) place t on each motion where the force stops changing (end of its ramp), 1 where nowhere.
+    :param linearize_arcs: sample arcs so finely that their chords keep half the tolerance.
+    :returns: motion (N,) and t (N,), in order.
+    """
+    m = program.motions
+    factor = np.sqrt(tolerance / _REFERENCE_TOLERANCE)
+    count = np.ceil(np.maximum(path.length / (_STEP * factor), path.turn / _TURN) - 1e-9)
+    arcs = np.flatnonzero(m.kind == CIRC)
+    step = np.full(len(arcs), _ARC)
+    if linearize_arcs:
+        radius = np.linalg.norm(path.start[arcs, :3, 3] - m.centre[arcs], axis=1)
+        step = np.minimum(step, 2.0 * np.sqrt(tolerance / np.maximum(radius, tolerance)))
+    count[arcs] = np.maximum(count[arcs], 2.0 * np.ceil(m.sweep[arcs] / step / 2.0 - 1e-9))
+    count[m.kind == PTP] = 1.0
+    number = np.maximum(count, 1.0).astype(np.int64)
+    motion = np.repeat(np.arange(len(m)), number)
+    index = np.arange(len(motion)) - np.repeat(np.cumsum(number) - number, number) + 1
+    t = index / number[motion]
+    extra = np.flatnonzero(kinks < 1.0)
+    if len(extra):
+        motion = np.concatenate([motion, extra])
+        t = np.concatenate([t, kinks[extra]])
+        order = np.lexsort((t, motion))
+        motion, t = motion[order], t[order]
+        again = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))
+        motion, t = np.delete(motion, again), np.delete(t, again)
+    return motion, t
+
+
+def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
+    """Return the nominal path at places (motion, t).
+
+    LIN: position linear, orientation by one rotation. CIRC: rotation about the arc's axis with a linear rise, the
+    orientation as for LIN. PTP: only its end (t = 1) is known here.
+    """
+    m = program.motions
+    pose = m.target[motion]
+    tangent = np.zeros((len(motion), 3))
+    kind = m.kind[motion]
+    straight = kind == LIN
+    long = straight & (path.length[motion] > 0.0)
+    run = m.target[motion[long], :3, 3] - path.start[motion[long], :3, 3]
+    tangent[long] = run / path.length[motion[long], None]
+    inner = np.flatnonzero((t < 1.0) & (kind != PTP))
+    if len(inner):
+        rows = motion[inner]
+        twist = twist_between(path.start[rows], m.target[rows])
+        pose[inner] = displaced(path.start[rows], twist * t[inner, None])
+    arcs = np.flatnonzero(kind == CIRC)
+    if len(arcs):
+        rows = motion[arcs]
+        from_centre = path.start[rows, :3, 3] - m.centre[rows]
+        normal = m.normal[rows]
+        height = np.einsum("ni,ni->n", from_centre, normal)[:, None] * normal
+        radial = from_centre - height
+        across = np.cross(normal, radial)
+        rise = np.einsum("ni,ni->n", m.target[rows, :3, 3] - path.start[rows, :3, 3], normal)
+        angle = (m.sweep[rows] * t[arcs])[:, None]
+        along = (rise * t[arcs])[:, None] * normal
+        spot = m.centre[rows] + height + np.cos(angle) * radial + np.sin(angle) * across + along
+        middle = t[arcs] < 1.0
+        pose[arcs[middle], :3, 3] = spot[middle]
+        velocity = m.sweep[rows, None] * (np.cos(angle) * across - np.sin(angle) * radial) + rise[:, None] * normal
+        tangent[arcs] = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
+    return Toolpath(motion, t, pose, tangent, path.length[motion] * t)
