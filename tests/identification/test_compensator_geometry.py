@@ -1,0 +1,128 @@
+import tomllib
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from postproc.compensator import Compensator
+from postproc.identification import compensator_geometry as cg
+from postproc.identification.errors import MeasurementError
+
+TRUE = np.array([0.18472, 0.68593, 0.12330])
+PAPER_Q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0, -140.0])
+
+
+def readings(q2=PAPER_Q2, sigma=0.03e-3, repeats=3, markers=4, seed=0, true=TRUE):
+    """Mechanism built from Eq. (3)'s triangle; tracker tilted at random."""
+    rng = np.random.default_rng(seed)
+    L, ax, ay = true
+    p1 = L * np.c_[np.cos(q2), np.sin(q2), 0 * q2]
+    p0 = -np.array([ax, ay, 0.0])
+    spring = p1 - p0
+    np.testing.assert_allclose(np.linalg.norm(spring, axis=1), Compensator(1.0, 0.1, L, ax, ay).length(q2), rtol=1e-12)
+    turn = np.arctan2(spring[:, 1], spring[:, 0])
+    beta, radius = [0.5, 1.9, 0.5 + np.pi, 1.9 + np.pi], [0.15, 0.12, 0.15, 0.12]
+    bodies = [
+        p0 + np.c_[r * np.cos(b + turn), r * np.sin(b + turn), 0.03 * j + 0 * turn]
+        for j, (b, r) in enumerate(zip(beta, radius, strict=True))
+    ]
+    axes, shift = Rotation.random(random_state=rng).as_matrix(), rng.uniform(-3, 3, 3)
+    clean = np.array([p1, *bodies[:markers]]) @ axes.T + shift
+    raw = clean[:, :, None] + rng.normal(0.0, sigma, (*clean.shape[:2], repeats, 3))
+    mean = raw.mean(axis=2)
+    scatter = float(((raw - mean[:, :, None]) ** 2).sum())
+    names = tuple(f"P0{j + 1}" for j in range(markers))
+    count = np.full(mean.shape[:2], float(repeats))
+    dof = 3 * (repeats - 1) * count.size
+    return cg.MarkerReadings(q2, names, mean[0], mean[1:], count[0], count[1:], scatter, dof), raw
+
+
+def write(path, q2, raw, names):
+    rows = ["q2,marker,repeat,X,Y,Z"]
+    for name, marker in zip(names, raw, strict=True):
+        for angle, repeated in zip(np.degrees(q2), marker, strict=True):
+            for r, (x, y, z) in enumerate(repeated * 1e3):
+                rows.append(f"{angle:g},{name},{r + 1},{x:.4f},{y:.4f},{z:.4f}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("markers", [1, 2, 4])
+def test_noise_free_readings_give_the_true_geometry_in_any_tracker_frame(markers):
+    for seed in range(3):
+        exact, _ = readings(sigma=0.0, markers=markers, seed=seed)
+        np.testing.assert_allclose(cg.identify(exact).value, TRUE, atol=1e-9)
+
+
+@pytest.mark.parametrize(("markers", "repeats"), [(4, 3), (2, 1)])
+def test_95_percent_intervals_cover_the_truth_in_95_percent_of_300_runs(markers, repeats):
+    results = [cg.identify(readings(seed=s, markers=markers, repeats=repeats)[0]) for s in range(300)]
+    inside = np.array([np.abs(r.value - TRUE) <= r.ci95 for r in results]).mean(axis=0)
+    assert np.all((inside > 0.92) & (inside < 0.985)), inside  # 300 runs: ±2.5 %
+    assert np.mean([r.sigma for r in results]) == pytest.approx(0.03e-3, rel=0.03)
+
+
+def test_a_single_marker_still_gives_an_estimate_and_says_how_poor_it_is():
+    result = cg.identify(readings(markers=1, repeats=1)[0])
+    assert np.all(np.abs(result.value - TRUE) < 2.0 * result.ci95)
+    assert result.ci95[0] < 0.1e-3 < 2e-3 < result.ci95[1]
+
+
+def test_paper_q2_set_determines_a_ten_times_less_sharply_than_L():
+    result = cg.identify(readings()[0])
+    assert np.degrees(result.turn) == pytest.approx(13.2, abs=0.1)
+    assert result.ci95[1] / result.ci95[0] > 4.0
+
+
+def test_file_round_trip_writes_values_with_intervals(tmp_path):
+    exact, raw = readings()
+    path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))
+    result = cg.identify(cg.read(path))
+    np.testing.assert_allclose(result.value, cg.identify(exact).value, atol=1e-7)
+    cg.save(tmp_path / "out.toml", result, "c.csv")
+    content = tomllib.loads((tmp_path / "out.toml").read_text())
+    for key, value, ci in zip(("L_mm", "a_x_mm", "a_y_mm"), result.value, result.ci95, strict=True):
+        assert content[key]["value"] == pytest.approx(value * 1e3, abs=1e-5)
+        assert content[key]["ci95"] == pytest.approx(ci * 1e3, abs=1e-5)
+
+
+def test_an_outlier_among_repeats_is_left_out_and_named(tmp_path):
+    exact, raw = readings()
+    raw[2, 3, 1] += [0.0, 3e-3, 0.0]
+    result = cg.identify(cg.read(write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))))
+    assert np.all(np.abs(result.value - TRUE) < 2.5 * result.ci95)
+    assert any("P02 at q2 = -90°" in w and "left out" in w for w in result.warnings)
+
+
+def test_swapped_marker_names_are_an_error_that_names_the_marker(tmp_path):
+    exact, raw = readings()
+    raw[[1, 2], 4] = raw[[2, 1], 4]
+    with pytest.raises(MeasurementError, match=r"at q2 = -120° .*The names of P01 and P02 are swapped"):
+        cg.identify(cg.read(write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.replace("-120,P02", "-120,P09"), "no reading of marker P02 at q2 = -120"),
+        (lambda t: "\n".join(r for r in t.splitlines() if ",P1," not in r), "no readings of marker P1"),
+        (lambda t: t.replace("P03", "Q3"), "unknown marker 'Q3'"),
+        (lambda t: t.replace(",Z\n", ",Z,W\n", 1), "unknown column 'W'"),
+        (lambda t: t + "-30,P1,4,1,nan,3\n", "not a finite number"),
+        (lambda t: t + t.splitlines()[1] + "\n", "repeat stands twice"),
+        (lambda t: "\n".join(r for r in t.splitlines() if r[0] == "q" or r.startswith(("0,", "-30,"))), "2 angles q2"),
+    ],
+)
+def test_bad_marker_files_say_what_is_wrong(tmp_path, change, message):
+    exact, raw = readings()
+    path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))
+    path.write_text(change(path.read_text()))
+    with pytest.raises(MeasurementError, match=message):
+        cg.read(path)
+
+
+def test_angles_in_radians_are_recognised(tmp_path):
+    exact, raw = readings()
+    path = write(tmp_path / "c.csv", np.radians(PAPER_Q2), raw, ("P1", *exact.markers))
+    with pytest.raises(MeasurementError, match="look like radians"):
+        cg.read(path)
