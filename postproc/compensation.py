@@ -4,9 +4,9 @@ The controller turns a commanded pose into joint angles q by its nominal geometr
 g_actual(q + θ(q, F)). Off-line compensation (paper, Fig. 1) looks for the pose P that makes this the target, in
 position and orientation, to convergence.
 
-Because the actual coordinates x = q + θ at the target are known from inverse kinematics of the ACTUAL geometry, the load
-on each spring is known too, and with it θ (`elastostatics.springs_at`): with joint springs alone one evaluation solves
-the problem. Springs between the joints move x a little; the loop then repeats.
+Because the actual coordinates x = q + θ at the target are known from inverse kinematics of the ACTUAL geometry, the
+load on each spring is known too, and with it θ (`elastostatics.springs_at`): with joint springs alone one evaluation
+solves the problem. Springs between the joints move x a little; the loop then repeats.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ class Compensation:
 
     :param q: (N, 6) joint angles that the controller will hold [rad].
     :param pose: (N, 4, 4) commanded tool frame in the robot root, by the nominal geometry [m].
+    :param theta: (N, nv) deflections of the springs at the target [rad, m].
     """
 
     q: Array
     pose: Array
+    theta: Array
 
 
 def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
@@ -51,19 +53,20 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     :raises NotConvergedError: some target cannot be held; `rows` says which.
     """
     q = np.empty_like(q_nominal)
+    theta = np.empty((len(q), robot.actual.nv))
     pose = np.empty_like(target)
     for begin in range(0, len(target), _CHUNK):
         rows = slice(begin, begin + _CHUNK)
         part = tool if tool.ndim == 2 else tool[rows]
         try:
-            q[rows] = _solve(robot, target[rows], q_nominal[rows], part, wrench[rows])
+            q[rows], theta[rows] = _solve(robot, target[rows], q_nominal[rows], part, wrench[rows])
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
         pose[rows] = kinematics.tcp(robot.nominal, q[rows], part)[0]
-    return Compensation(q, pose)
+    return Compensation(q, pose, theta)
 
 
-def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Array:
+def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
     actuated = list(robot.actuated)
     passive = [column for column in range(robot.actual.nv) if column not in actuated]
     x = elastostatics.coordinates(robot, q_nominal)
@@ -75,6 +78,6 @@ def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wren
         left = np.abs(twist_between(pose, target)) + np.abs(move[..., 0])
         bad = (left[:, :3].max(axis=1) > POSITION_TOLERANCE) | (left[:, 3:].max(axis=1) > ROTATION_TOLERANCE)
         if not bad.any():
-            return np.asarray((x - theta)[:, actuated])
+            return (x - theta)[:, actuated], theta
         x[:, passive] = theta[:, passive]
     raise NotConvergedError("no command found that holds the target", np.flatnonzero(bad).tolist())

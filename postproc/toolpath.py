@@ -68,14 +68,15 @@ def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array) -> 
     return np.asarray(program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]])
 
 
-def segments(program: Program, start_flange_in_root: Array) -> Segments:
-    """Return where each motion starts and how long it is.
+def starts(program: Program, end: Array, start_flange_in_root: Array) -> Array:
+    """Return the tool frame (M, 4, 4) where each motion starts, in its own `$BASE`, from where each one ends.
 
+    :param end: (M, 4, 4) tool frame at the end of each motion, `$BASE` of that motion [m].
     :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
     """
     m = program.motions
-    start = np.empty_like(m.target)
-    start[1:] = m.target[:-1]
+    start = np.empty_like(end)
+    start[1:] = end[:-1]
     first = np.array([0])
     changed = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
     for rows, flange in (
@@ -83,6 +84,16 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         (changed, flange_from_tcp(program, changed - 1, start[changed])),
     ):
         start[rows] = inverse(program.bases[m.base[rows]]) @ flange @ program.tools[m.tool[rows]]
+    return start
+
+
+def segments(program: Program, start_flange_in_root: Array) -> Segments:
+    """Return where each motion starts and how long it is.
+
+    :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+    """
+    m = program.motions
+    start = starts(program, m.target, start_flange_in_root)
     between = twist_between(start, m.target)
     length = np.linalg.norm(between[:, :3], axis=1)
     arcs = np.flatnonzero(m.kind == CIRC)
@@ -122,8 +133,9 @@ def places(
     t = index / number[motion]
     extra = np.flatnonzero(kinks < 1.0)
     if len(extra):
-        motion = np.concatenate([motion, extra])
-        t = np.concatenate([t, kinks[extra]])
+        half = extra[m.kind[extra] == CIRC]  # the ramp of an arc is an arc too: it needs a middle
+        motion = np.concatenate([motion, extra, half])
+        t = np.concatenate([t, kinks[extra], 0.5 * kinks[half]])
         order = np.lexsort((t, motion))
         motion, t = motion[order], t[order]
         again = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))

@@ -56,10 +56,10 @@ def read_force_csv(path: Path) -> ForceRows:
     row = at.astype(np.int64)
     first = numbers["line"]
     last = numbers.get("line_end", first)
-    for name, column in (("line", first), ("line_end", last)):
+    for label, column in (("line", first), ("line_end", last)):
         bad = np.flatnonzero((column != np.floor(column)) | (column < 1))
         if len(bad):
-            raise ForceError(f"{name} is {column[bad[0]]:g}", file=str(path), line=int(row[bad[0]]))
+            raise ForceError(f"{label} is {column[bad[0]]:g}", file=str(path), line=int(row[bad[0]]))
     reversed_rows = np.flatnonzero(last < first)
     if len(reversed_rows):
         raise ForceError("line_end is before line", file=str(path), line=int(row[reversed_rows[0]]))
@@ -73,9 +73,9 @@ def read_force_csv(path: Path) -> ForceRows:
                 advice=f"Valid frames: {', '.join(FORCE_FRAMES)}.",
             )
     wrench = np.zeros((len(first), 6))
-    for column, name in enumerate((*_COLUMNS, *_MOMENTS)):
+    for index, name in enumerate((*_COLUMNS, *_MOMENTS)):
         if name in numbers:
-            wrench[:, column] = numbers[name]
+            wrench[:, index] = numbers[name]
     code: dict[str, int] = {name: place for place, name in enumerate(FORCE_FRAMES)}
     frame = np.array([code[name] for name in names], dtype=np.int64)
     order = np.argsort(first, kind="stable")

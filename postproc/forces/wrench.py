@@ -89,8 +89,9 @@ def _feed_axes(program: Program, sample: Toolpath, rows: Ints, axis: str) -> Arr
     bad = np.flatnonzero(sine < _PARALLEL)
     if len(bad):
         row = rows[bad[0]]
+        spot = np.round(sample.pose[row, :3, 3] * MM_PER_M, 3).tolist()
         raise ForceError(
-            f"a FEED force on a move along the spindle, at {np.round(sample.pose[row, :3, 3] * MM_PER_M, 3).tolist()} mm",
+            f"a FEED force on a move along the spindle, at {spot} mm",
             file=program.documents[0].name,
             line=int(program.motions.line[sample.motion[row]]),
             advice="Such a move has no feed direction across the spindle: give its force in BASE or TOOL axes.",

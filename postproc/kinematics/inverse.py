@@ -17,7 +17,7 @@ from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
 from postproc.errors import ModelError, PostprocError
-from postproc.frames import Array, inverse, twist_between
+from postproc.frames import Array, inverse, rotation_from_vector, twist_between
 from postproc.kinematics.chain import tcp
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
@@ -53,11 +53,26 @@ class ClosedForm:
     :param arm: the solver.
     :param flange_in_wrist: (4, 4) constant between the solver's end frame and the flange.
     :param elbow_stretched: A3 [rad] at which the wrist centre lies on the line through axes 2 and 3.
+    :param wrist_in_flange: (3,) the wrist centre, a fixed point of the flange frame [m].
+    :param ahead: (3,) horizontal direction of the arm at A1 = 0, root axes.
+    :param a1_axis: (3,) axis of A1, root axes.
     """
 
     arm: Robot
     flange_in_wrist: Array
     elbow_stretched: float
+    wrist_in_flange: Array
+    ahead: Array
+    a1_axis: Array
+
+    def wrist_reach(self, pose_flange_in_root: Array, a1: Array) -> Array:
+        """Return how far in front of the A1 axis the wrist centre stands (N,) [m]; negative: overhead.
+
+        :param a1: (N,) joint angle A1 [rad].
+        """
+        wrist = pose_flange_in_root[:, :3, :3] @ self.wrist_in_flange + pose_flange_in_root[:, :3, 3]
+        ahead = rotation_from_vector(a1[:, None] * self.a1_axis) @ self.ahead
+        return np.asarray(np.einsum("ni,ni->n", wrist, ahead))
 
     def branches(self, pose_flange_in_root: Array) -> Array:
         """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""
@@ -127,7 +142,14 @@ def closed_form(robot: RobotModel) -> ClosedForm:
         if np.abs(poses[1:] @ constant - expected).max() < _SAME:
             factor = -1.0 if flips[2] else 1.0
             stretched = factor * (-elbow - (forearm - upper_arm))
-            return ClosedForm(solver, constant, float((stretched + np.pi) % _TURN - np.pi))
+            return ClosedForm(
+                arm=solver,
+                flange_in_wrist=constant,
+                elbow_stretched=float((stretched + np.pi) % _TURN - np.pi),
+                wrist_in_flange=(inverse(_flange(model, data)) @ [*wrist, 1.0])[:3],
+                ahead=ahead,
+                a1_axis=axes[0],
+            )
     raise _no_closed_form(robot)
 
 
@@ -171,13 +193,8 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
     Bit 0: wrist centre behind A1; bit 1: A3 at or beyond the stretched position; bit 2: A5 < 0.
     """
     form = closed_form(robot)
-    wrist_model = robot.nominal
-    data = wrist_model.createData()
-    behind = np.empty(len(q), dtype=bool)
-    joint = wrist_model.getJointId("A5")
-    for row, angles in enumerate(np.ascontiguousarray(q)):
-        pin.forwardKinematics(wrist_model, data, angles)
-        behind[row] = data.oMi[1].actInv(data.oMi[joint].translation)[0] < 0.0
+    pose, _ = tcp(robot.nominal, q, np.eye(4))
+    behind = form.wrist_reach(pose, q[:, 0]) < 0.0
     beyond = _wrapped(q[:, 2] - form.elbow_stretched) >= 0.0
     return np.asarray(behind * 1 + beyond * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)
 

@@ -1,0 +1,9 @@
+"""One program from text to result: sample, load, solve, compensate, choose targets, write, read back, simulate.
+
+Reads and writes no files; the command line, the batch and CAM hosts share it.
+"""
+
+from postproc.pipeline.process import process, read
+from postproc.pipeline.result import Mode, Result, Statistics, statistics
+
+__all__ = ["Mode", "Result", "Statistics", "process", "read", "statistics"]

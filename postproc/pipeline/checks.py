@@ -1,0 +1,173 @@
+"""Checks along the path before anything is written; each returns issues that name the source line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from postproc import kinematics
+from postproc.errors import Issue
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
+from postproc.kinematics import JointPath
+from postproc.program import PTP, Bools, Ints, Program
+from postproc.robot import JOINTS, RobotModel
+from postproc.toolpath import Toolpath
+
+_WRIST = 0.2 * RAD_PER_DEG
+"""|A5| below this is in the wrist singularity."""
+_ELBOW = 0.2 * RAD_PER_DEG
+"""A3 nearer than this to the stretched arm is in the elbow singularity."""
+_SHOULDER = 0.005
+"""A wrist centre nearer than this to the A1 axis [m] is in the shoulder singularity."""
+_JUMP = 45.0 * RAD_PER_DEG
+"""A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
+_LIMIT_ROUNDING = 1e-9
+
+
+def _first(
+    program: Program, motion: Ints, bad: Bools, kind: str, message: str, level: str = "error"
+) -> Iterator[Issue]:
+    """Yield one issue for all bad rows; it names the first one's line."""
+    rows = np.flatnonzero(bad)
+    if len(rows):
+        line = int(program.motions.line[motion[rows[0]]])
+        yield Issue(
+            "error" if level == "error" else "warning",
+            kind,
+            message,
+            source_line=line,
+            count=len(np.unique(motion[rows])),
+        )
+
+
+def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
+    """Every commanded configuration (N, 6) must lie within the joint limits."""
+    margin = kinematics.joint_margin(robot, q)
+    for axis, name in enumerate(JOINTS):
+        beyond = margin[:, axis] < -_LIMIT_ROUNDING
+        if beyond.any():
+            first = int(np.argmax(beyond))
+            low, high = robot.lower[axis] * DEG_PER_RAD, robot.upper[axis] * DEG_PER_RAD
+            yield from _first(
+                program,
+                sample.motion,
+                beyond,
+                f"joint-limit-{name}",
+                f"{name} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits {low:g}…{high:g}°. "
+                "Move the part, turn the tool about its axis ([gcode] redundancy_deg) or start elsewhere.",
+            )
+
+
+def singularities(
+    program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, q: Array, flange: Array
+) -> Iterator[Issue]:
+    """The path must stay clear of wrist, elbow and shoulder singularities, and no joint may jump.
+
+    :param path: of the nominal targets.
+    :param q: (N, 6) commanded [rad].
+    :param flange: (N, 4, 4) flange in the robot root [m].
+    """
+    form = kinematics.closed_form(robot)
+    advice = "Turn the tool about its axis ([gcode] redundancy_deg) or move the part."
+    linear = program.motions.kind[sample.motion] != PTP
+    wrist = linear & (np.abs(q[:, 4]) < _WRIST)
+    yield from _first(
+        program, sample.motion, wrist, "wrist-singularity", f"A5 passes through 0°: A4 and A6 are parallel. {advice}"
+    )
+    elbow = linear & (np.abs((q[:, 2] - form.elbow_stretched + np.pi) % (2 * np.pi) - np.pi) < _ELBOW)
+    yield from _first(
+        program, sample.motion, elbow, "elbow-singularity", f"the arm is stretched out: end of reach. {advice}"
+    )
+    shoulder = linear & (np.abs(form.wrist_reach(flange, q[:, 0])) < _SHOULDER)
+    yield from _first(
+        program, sample.motion, shoulder, "shoulder-singularity", f"the wrist stands above the A1 axis. {advice}"
+    )
+    jump = np.zeros(len(q), dtype=bool)
+    jump[1:] = np.abs(np.diff(q, axis=0)).max(axis=1) > _JUMP
+    jump &= linear & (np.concatenate([[True], np.diff(path.branch) == 0]))
+    jump &= ~(wrist | elbow | shoulder)
+    jump[:1] = False
+    yield from _first(
+        program,
+        sample.motion,
+        jump,
+        "joint-jump",
+        f"a joint turns by more than 45° on a short piece of path: it passes a singularity. {advice}",
+    )
+
+
+def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array, position: Array) -> Iterator[Issue]:
+    """Joint speeds at the programmed feed must stay within the robot's limits.
+
+    :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
+    """
+    feed = program.motions.feed[sample.motion[1:]]
+    linear = program.motions.kind[sample.motion[1:]] != PTP
+    travel = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    turned = np.abs(np.diff(q, axis=0))
+    same = program.motions.base[sample.motion[1:]] == program.motions.base[sample.motion[:-1]]
+    usable = linear & same & (travel > 1e-6) & (feed > 0)
+    speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
+    for axis, name in enumerate(JOINTS):
+        fast = speed[:, axis] > robot.speed[axis]
+        if fast.any():
+            first = int(np.argmax(speed[:, axis]))
+            yield from _first(
+                program,
+                sample.motion[1:],
+                fast,
+                f"joint-speed-{name}",
+                f"{name} would turn at {speed[first, axis] * DEG_PER_RAD:.0f}°/s at the programmed feed "
+                f"(limit {robot.speed[axis] * DEG_PER_RAD:.0f}°/s). Lower the feed or turn the tool about its axis.",
+            )
+
+
+def correction_size(program: Program, motion: Ints, correction: Array, largest: float) -> Iterator[Issue]:
+    """No commanded position may be further from nominal than allowed; distances (N,) [m]."""
+    bad = correction > largest
+    if bad.any():
+        yield from _first(
+            program,
+            motion,
+            bad,
+            "correction-size",
+            f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
+            f"{largest * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell.",
+        )
+
+
+def blending(
+    program: Program, motion: Ints, nominal: Array, command: Array, blend: Array, tolerance: float
+) -> Iterator[Issue]:
+    """Rounding of corners by approximation must not grow by more than the tolerance through the correction.
+
+    The controller begins to blend at the approximation distance, at most half the way to the neighbouring target; the
+    parabola it then drives passes the corner at a quarter of that distance times the change of direction.
+
+    :param nominal: (K, 3) nominal target positions [m].
+    :param command: (K, 3) commanded target positions [m].
+    :param blend: (K,) approximation distance [m].
+    """
+    if len(motion) < 3:
+        return
+    rounding = []
+    for position in (nominal, command):
+        run = np.diff(position, axis=0)
+        length = np.linalg.norm(run, axis=1)
+        direction = run / np.where(length > 0.0, length, 1.0)[:, None]
+        turn = np.linalg.norm(np.diff(direction, axis=0), axis=1)
+        reach = np.minimum(blend[1:-1], 0.5 * np.minimum(length[:-1], length[1:]))
+        rounding.append(0.25 * reach * turn)
+    bad = np.zeros(len(motion), dtype=bool)
+    bad[1:-1] = rounding[1] - rounding[0] > tolerance
+    bad &= program.motions.kind[motion] != PTP
+    yield from _first(
+        program,
+        motion,
+        bad,
+        "blending",
+        "approximation (C_DIS) rounds the path at corrected targets by more than the tolerance beyond what it does at "
+        "nominal ones. Use a smaller approximation distance where this matters.",
+        level="warning",
+    )

@@ -1,0 +1,323 @@
+"""The life of a program, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc import elastostatics, forces, kinematics, toolpath
+from postproc.cell import Cell
+from postproc.compensation import Compensation, compensate
+from postproc.dialects import gcode, krl
+from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
+from postproc.forces.per_motion import ForceRows, MotionForces
+from postproc.frames import M_PER_MM, Array, twist_between
+from postproc.kinematics import JointPath, UnreachableError
+from postproc.pipeline import checks, select, verify
+from postproc.pipeline.result import Mode, Result
+from postproc.pipeline.root import InRoot
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets, Written
+from postproc.robot import RobotModel
+from postproc.toolpath import Segments, Toolpath
+
+_UNCHANGED = 1e-7
+"""A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
+_SHARE_OF_TOLERANCE = 0.4
+"""Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
+_CHUNK = 8192
+
+
+def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str, dialect: str) -> Program:
+    """Read a program.
+
+    :param documents: the main file first.
+    :param dialect: ``"gcode"`` or ``"krl"``.
+    :raises ProgramError: it is not understood; the message names file, line, text and what to do.
+    """
+    place = InRoot.of(robot, cell)
+    if dialect == "gcode":
+        program = gcode.read(documents[0], cell, place.start_flange, name)
+    else:
+        program = krl.read(documents, cell, place.forward, name)
+    if len(program.motions) == 0:
+        raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
+    return program
+
+
+class _BlockedError(PostprocError):
+    """A stage has no result; `issue` says at which line."""
+
+    def __init__(self, issue: Issue) -> None:
+        super().__init__(issue.message)
+        self.issue = issue
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sampled:
+    """The nominal path with its forces and joint angles, and the commands found for it. Row i: sample i."""
+
+    path: Segments
+    load: MotionForces
+    sample: Toolpath
+    wrench: Array
+    joints: JointPath
+    command: Compensation
+    command_in_base: Array
+
+
+def process(
+    program: Program,
+    robot: RobotModel,
+    cell: Cell,
+    rows: ForceRows | None = None,
+    mode: Mode = "convert",
+    *,
+    linearize_arcs: bool = False,
+) -> Result:
+    """Correct a program, or predict what it does as it stands.
+
+    :param program: as read.
+    :param robot: the robot model.
+    :param cell: the cell.
+    :param rows: forces from a CSV file, which win over comments.
+    :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
+        nothing.
+    :param linearize_arcs: write arcs as lines.
+    :returns: a result; with an issue of level error it holds no documents.
+    :raises ForceError: forces that cannot be given to the motions.
+    """
+    place = InRoot.of(robot, cell)
+    try:
+        sampled = _sample(program, place, rows, mode, linearize_arcs)
+    except _BlockedError as cause:
+        return _nothing(program, robot, mode, cause.issue)
+    issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
+    moved = np.abs(twist_between(sampled.sample.pose, sampled.command_in_base)).max(axis=1)
+    if mode == "predict":
+        targets, row = _targets(program, place, sampled, moved, np.ones(len(program.motions), dtype=bool), False)
+        written = Written((), program.motions.line[targets.motion])
+    else:
+        whole = np.zeros(len(program.motions), dtype=bool)
+        if program.dialect == "krl":
+            whole = np.maximum.reduceat(moved, np.flatnonzero(_first_of_motion(sampled.sample))) <= _UNCHANGED
+            whole &= _start_unmoved(program, place, sampled, moved)
+        targets, row = _targets(program, place, sampled, moved, whole, linearize_arcs)
+        written = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
+    issues += written.issues
+    before, deflection = _uncorrected(program, place, sampled, row)
+    after, between = before, float(before.max(initial=0.0))
+    if written.documents:
+        again = verify.read_back(written, place, program.name)
+        simulated = verify.simulate(
+            program, sampled.path, sampled.load, targets, again, place, sampled.command.q[row],
+            sampled.command.theta[row], corrected=mode == "convert",
+        )  # fmt: skip
+        after, between = simulated.after, simulated.between
+        issues += simulated.issues
+        blend = again.motions.blend[np.isnan(again.motions.joints[:, 0])]
+        nominal = sampled.sample.pose[row]
+        if mode == "convert" and len(blend) == len(row):
+            issues += checks.blending(
+                program, targets.motion, nominal[:, :3, 3], targets.pose[:, :3, 3], blend, place.tolerance
+            )
+    failed = any(issue.level == "error" for issue in issues)
+    chosen = sampled.command.q[row]
+    _, jacobian = kinematics.tcp(place.robot.nominal, chosen, place.tool(program, targets.motion))
+    return Result(
+        program=program,
+        robot=robot.name,
+        mode=mode,
+        documents=() if failed else written.documents,
+        motion=targets.motion,
+        t=targets.t,
+        output_line=written.output_line,
+        nominal=sampled.sample.pose[row],
+        command=targets.pose,
+        wrench=sampled.wrench[row],
+        deflection=deflection,
+        before=before,
+        after=after,
+        bound=None,
+        q=chosen,
+        joint_margin=kinematics.joint_margin(robot, sampled.command.q).min(axis=0),
+        singular_value=kinematics.smallest_singular_value(jacobian),
+        between=between,
+        largest_correction=float(np.linalg.norm((targets.pose - sampled.sample.pose[row])[:, :3, 3], axis=1).max()),
+        issues=group_issues(issues),
+    )
+
+
+def _sample(program: Program, place: InRoot, rows: ForceRows | None, mode: Mode, linearize_arcs: bool) -> _Sampled:
+    path = toolpath.segments(program, place.start_flange)
+    load = forces.per_motion(program, rows)
+    kinks = forces.kinks(program, path, load, place.axis, place.ramp)
+    motion, t = toolpath.places(program, path, place.tolerance, kinks, linearize_arcs)
+    sample = toolpath.at(program, path, motion, t)
+    wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
+    m = program.motions
+    free = sample.ends & (m.kind[motion] == PTP)
+    flange = toolpath.flange_from_tcp(program, motion, sample.pose)
+    try:
+        joints = kinematics.follow(
+            place.robot, flange, place.cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion]
+        )
+    except UnreachableError as cause:
+        message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
+        raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
+    command = Compensation(joints.q, sample.pose, np.zeros((len(motion), place.robot.actual.nv)))
+    in_base = sample.pose
+    if mode == "convert":
+        movable = np.isnan(m.joints[motion, 0])
+        try:
+            command = _compensated(program, place, sample, wrench, joints, movable)
+        except NotConvergedError as cause:
+            message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
+            rows_at = np.flatnonzero(movable)[list(cause.rows)]
+            raise _BlockedError(_at_rows("not-converged", message, program, motion[rows_at])) from None
+        in_base = sample.pose.copy()
+        in_base[movable] = place.back(program, motion[movable], command.pose[movable])
+    return _Sampled(path, load, sample, wrench, joints, command, in_base)
+
+
+def _at_rows(kind: str, message: str, program: Program, motion: Ints) -> Issue:
+    """Return an error that names the first of the motions concerned and counts them."""
+    first = int(program.motions.line[motion.min()])
+    return Issue("error", kind, message, source_line=first, count=len(np.unique(motion)))
+
+
+def _compensated(
+    program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools
+) -> Compensation:
+    """Correct all samples but axis targets, which are left as they stand."""
+    motion = sample.motion[movable]
+    solved = compensate(
+        place.robot,
+        place.pose(program, motion, sample.pose[movable]),
+        joints.q[movable],
+        place.tool(program, motion),
+        place.wrench(program, motion, wrench[movable]),
+    )
+    if movable.all():
+        return solved
+    q, pose = joints.q.copy(), sample.pose.copy()
+    theta = np.zeros((len(q), place.robot.actual.nv))
+    q[movable], pose[movable], theta[movable] = solved.q, solved.pose, solved.theta
+    return Compensation(q, pose, theta)
+
+
+def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
+    """Return the issues of the path as commanded."""
+    robot, sample, q = place.robot, sampled.sample, sampled.command.q
+    flange = toolpath.flange_from_tcp(program, sample.motion, sampled.command_in_base)
+    position = sampled.command_in_base[:, :3, 3]
+    correction = np.linalg.norm(position - sample.pose[:, :3, 3], axis=1)
+    return [
+        *checks.joint_limits(program, robot, sample, q),
+        *checks.singularities(program, robot, sample, sampled.joints, q, flange),
+        *checks.joint_speeds(program, robot, sample, q, position),
+        *checks.correction_size(program, sample.motion, correction, place.cell.output.max_correction_mm * M_PER_MM),
+    ]
+
+
+def _first_of_motion(sample: Toolpath) -> Bools:
+    return np.concatenate([[True], np.diff(sample.motion) != 0])
+
+
+def _start_unmoved(program: Program, place: InRoot, sampled: _Sampled, moved: Array) -> Bools:
+    """(M,) True where the motion before ends on its nominal pose (or is an axis target, which nothing moves)."""
+    at_end = moved[sampled.sample.ends] <= _UNCHANGED
+    return np.concatenate([[True], at_end[:-1]])
+
+
+def _targets(
+    program: Program, place: InRoot, sampled: _Sampled, moved: Array, whole: Bools, linearize_arcs: bool
+) -> tuple[Targets, Ints]:
+    """Choose what to write; return the targets and the row of each among the samples."""
+    m, sample = program.motions, sampled.sample
+    end = sampled.command_in_base[sample.ends]
+    start = toolpath.starts(program, end, place.start_flange)[:, :3, 3]
+    kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
+    position = sampled.command_in_base[:, :3, 3]
+    chosen = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
+    movable = np.isnan(m.joints[sample.motion[chosen.row], 0])
+    row, target_kind, via_row = chosen.row[movable], chosen.kind[movable], chosen.via[movable]
+    motion = sample.motion[row]
+    via = np.full((len(row), 3), np.nan)
+    arcs = via_row >= 0
+    via[arcs] = position[via_row[arcs]]
+    status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
+    keep = whole[motion] & (program.dialect == "krl")
+    return Targets(motion, sample.t[row], target_kind, sampled.command_in_base[row], via, keep, status, turn), row
+
+
+def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:
+    """Return S and T of PTP targets: always for G-code; for KRL where the program gives them."""
+    m = program.motions
+    status, turn = np.full(len(row), -1), np.full(len(row), -1)
+    ptp = np.flatnonzero(m.kind[motion] == PTP)
+    if len(ptp):
+        new_status, new_turn = kinematics.status_of(place.robot, q[row[ptp]]), kinematics.turn_of(q[row[ptp]])
+        if program.dialect == "gcode":
+            status[ptp], turn[ptp] = new_status, new_turn
+        else:
+            given, given_turn = m.status[motion[ptp]], m.turn[motion[ptp]]
+            status[ptp] = np.where(given >= 0, given & ~7 | new_status, -1)
+            turn[ptp] = np.where(given_turn >= 0, given_turn & ~63 | new_turn, -1)
+    return status, turn
+
+
+def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints) -> tuple[Array, Array]:
+    """Return what the targets (K rows of the samples) would do uncorrected.
+
+    :returns: distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
+    """
+    before, deflection = np.empty(len(row)), np.empty((len(row), 3))
+    robot = place.robot
+    for begin in range(0, len(row), _CHUNK):
+        part = row[begin : begin + _CHUNK]
+        motion = sampled.sample.motion[part]
+        tool = place.tool(program, motion)
+        wrench = place.wrench(program, motion, sampled.wrench[part])
+        q = sampled.joints.q[part]
+        rest = sampled.sample.pose[part]
+        unloaded = place.pose(program, motion, rest) if robot.geometry_is_nominal else None
+        guess = sampled.command.theta[part]
+        state = elastostatics.deflect(robot, q, tool, wrench, guess=guess, unloaded=unloaded)
+        tip = place.back(program, motion, state.pose)[:, :3, 3]
+        resting = rest[:, :3, 3]
+        if not place.rest_is_nominal:
+            free = elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), unloaded=unloaded)
+            resting = place.back(program, motion, free.pose)[:, :3, 3]
+        before[begin : begin + _CHUNK] = np.linalg.norm(tip - rest[:, :3, 3], axis=1)
+        deflection[begin : begin + _CHUNK] = tip - resting
+    return before, deflection
+
+
+def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:
+    """Return the result of a program that could not be computed at all."""
+    none, frames = np.zeros(0), np.zeros((0, 4, 4))
+    rows = np.zeros(0, dtype=np.int64)
+    return Result(
+        program=program,
+        robot=robot.name,
+        mode=mode,
+        documents=(),
+        motion=rows,
+        t=none,
+        output_line=rows,
+        nominal=frames,
+        command=frames,
+        wrench=np.zeros((0, 6)),
+        deflection=np.zeros((0, 3)),
+        before=none,
+        after=none,
+        bound=None,
+        q=np.zeros((0, 6)),
+        joint_margin=np.full(6, np.nan),
+        singular_value=np.nan,
+        between=np.nan,
+        largest_correction=np.nan,
+        issues=group_issues([*program.issues, issue]),
+    )

@@ -1,0 +1,108 @@
+"""What came of one program: everything the reports and the files are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.frames import Array
+from postproc.program import Bools, Document, Ints, Program
+
+Mode = Literal["convert", "nominal", "predict"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """Result of one program. Row i of every array is the same Cartesian target; SI units, `$BASE` axes.
+
+    :param program: what was read.
+    :param robot: name of the robot model.
+    :param mode: corrected ("convert"), written without correction ("nominal"), or predicted only ("predict").
+    :param documents: files to write, the main one first; empty if there is an error, or nothing to write.
+    :param motion: (K,) row of `program.motions`.
+    :param t: (K,) place on that motion, in (0, 1].
+    :param output_line: (K,) line of the written program (of the input for "predict").
+    :param nominal: (K, 4, 4) where the tool should stand.
+    :param command: (K, 4, 4) where the program as written sends the controller.
+    :param wrench: (K, 6) force and moment used.
+    :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
+    :param before: (K,) distance of the predicted tip from nominal if nothing is corrected [m].
+    :param after: (K,) the same with the program as written [m].
+    :param bound: (K,) 95 % bound of the predicted position from the model's covariance [m], or None.
+    :param q: (K, 6) joint angles that the controller holds [rad].
+    :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
+    :param singular_value: smallest singular value of the Jacobian along the path.
+    :param between: largest predicted distance from the nominal path, between targets too [m].
+    :param largest_correction: largest distance between commanded and nominal position [m].
+    :param issues: what the user should know, grouped.
+    """
+
+    program: Program
+    robot: str
+    mode: Mode
+    documents: tuple[Document, ...]
+    motion: Ints
+    t: Array
+    output_line: Ints
+    nominal: Array
+    command: Array
+    wrench: Array
+    deflection: Array
+    before: Array
+    after: Array
+    bound: Array | None
+    q: Array
+    joint_margin: Array
+    singular_value: float
+    between: float
+    largest_correction: float
+    issues: tuple[Issue, ...]
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    @property
+    def failed(self) -> bool:
+        """True if an issue of level error stands against the program."""
+        return any(issue.level == "error" for issue in self.issues)
+
+    @property
+    def source_line(self) -> Ints:
+        """(K,) line of the input program."""
+        return np.asarray(self.program.motions.line[self.motion])
+
+    @property
+    def rapid(self) -> Bools:
+        """(K,) True for moves without cutting force."""
+        return np.asarray(self.program.motions.rapid[self.motion])
+
+    @property
+    def inserted(self) -> int:
+        """Number of targets that the program as read did not have."""
+        return int(np.count_nonzero(self.t < 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Distances of the predicted tip from nominal over cutting targets [m]."""
+
+    largest: float
+    rms: float
+    mean: float
+    p95: float
+
+
+def statistics(distance: Array, rapid: Bools) -> Statistics:
+    """Return statistics over cutting targets; all zero if there are none.
+
+    :param distance: (K,) [m].
+    :param rapid: (K,) targets to leave out.
+    """
+    cutting = distance[~rapid]
+    if len(cutting) == 0:
+        return Statistics(0.0, 0.0, 0.0, 0.0)
+    rms = float(np.sqrt(np.mean(cutting**2)))
+    return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(np.percentile(cutting, 95)))

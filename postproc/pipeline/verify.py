@@ -1,0 +1,200 @@
+"""The written program is read back by our own reader and simulated with the numbers as printed.
+
+Nothing of the computation that made the program is trusted here but the branch of the inverse kinematics: poses come
+from the text, joint angles from these poses by the nominal geometry, the tip from the loaded equilibrium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc import elastostatics, forces, kinematics, toolpath
+from postproc.dialects import krl
+from postproc.errors import Issue, NotConvergedError
+from postproc.forces import MotionForces
+from postproc.frames import MM_PER_M, Array, twist_between
+from postproc.pipeline.root import InRoot
+from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
+from postproc.toolpath import Segments
+
+_PRINTED = 1e-6
+"""What printing may move a commanded pose by [m, rad]; the text has at least 1e-4 mm and 1e-5°."""
+_HELD = 1e-6
+"""How far from nominal the tip may stand at a target of a corrected program [m], rounding included."""
+_LONG = 0.005
+"""Runs longer than this [m] are looked at between their ends; on shorter ones the deflection is a straight line."""
+_SPACING = 0.010
+_TURNED = 0.02
+_CHUNK = 8192
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """What the written program would do.
+
+    :param after: (K,) distance of the predicted tip from nominal at each target [m].
+    :param between: largest distance from the nominal path anywhere looked at [m].
+    :param issues: why the program must not be released; empty if it may.
+    """
+
+    after: Array
+    between: float
+    issues: tuple[Issue, ...]
+
+
+def simulate(
+    program: Program,
+    path: Segments,
+    load: MotionForces,
+    targets: Targets,
+    written: Program,
+    place: InRoot,
+    q_guess: Array,
+    theta_guess: Array,
+    *,
+    corrected: bool,
+) -> Simulated:
+    """Simulate a written program against the nominal path of the program it was made from.
+
+    :param program: the nominal program, `path` and `load` its geometry and forces.
+    :param targets: what was to be written (K rows).
+    :param written: the written program as read back.
+    :param place: robot, cell and start.
+    :param q_guess: (K, 6) joint angles near the targets [rad] (they fix the branch).
+    :param theta_guess: (K, nv) spring deflections near the targets.
+    :param corrected: the program claims to hold the tolerance.
+    """
+    m = written.motions
+    row = np.flatnonzero(np.isnan(m.joints[:, 0]))
+    mismatch = _mismatch(program, targets, written, row)
+    if mismatch is not None:
+        return Simulated(np.full(len(targets), np.nan), np.inf, (mismatch,))
+    written_path = toolpath.segments(written, place.start_flange)
+    index, share = _probes(targets, m, row, written_path)
+    begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
+    t = begin[index] + share * (targets.t - begin)[index]
+    t = np.where(share == 1.0, targets.t[index], t)
+    nominal = toolpath.at(program, path, targets.motion[index], t)
+    printed = toolpath.at(written, written_path, row[index], share)
+    wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
+    last = np.maximum(index - 1, 0)
+    mixed = share[:, None] * q_guess[index] + (1.0 - share[:, None]) * q_guess[last]
+    guess = np.where((share == 1.0)[:, None], q_guess[index], mixed)
+    off = np.empty((len(index), 3))
+    for start in range(0, len(index), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        motion = nominal.motion[part]
+        try:
+            tip = _tip(place, program, motion, printed.pose[part], guess[part], wrench[part], theta_guess[index[part]])
+        except NotConvergedError as cause:
+            line = int(program.motions.line[motion[cause.rows[0]]])
+            message = f"the written program cannot be simulated: {cause}"
+            return Simulated(
+                np.full(len(targets), np.nan), np.inf, (Issue("error", "read-back", message, source_line=line),)
+            )
+        off[part] = tip[:, :3, 3] - nominal.pose[part, :3, 3]
+    after = np.linalg.norm(off[share == 1.0], axis=1)
+    inner = np.flatnonzero(share < 1.0)
+    arcs = inner[m.kind[row[index[inner]]] == CIRC]
+    tangent = nominal.tangent[arcs]
+    off[arcs] -= np.einsum("ni,ni->n", off[arcs], tangent)[:, None] * tangent
+    distance = np.linalg.norm(off, axis=1)
+    settled = (share == 1.0) | ~_starts_uncorrected(program, place)[nominal.motion]
+    issues = tuple(_not_held(program, place, targets, after, nominal, distance, settled, index)) if corrected else ()
+    return Simulated(after, float(distance[settled].max(initial=0.0)), issues)
+
+
+def _tip(
+    place: InRoot, program: Program, motion: Ints, printed: Array, guess: Array, wrench: Array, theta: Array
+) -> Array:
+    """Return where the loaded tool stands (n, 4, 4), `$BASE`, under commanded poses (n, 4, 4), `$BASE`."""
+    robot = place.robot
+    tool = place.tool(program, motion)
+    commanded = place.pose(program, motion, printed)
+    q, pose, _ = kinematics.refine(robot.nominal, guess, range(6), tool, commanded)
+    missed = np.abs(twist_between(pose, commanded)).max(axis=1) > 1e-9
+    if missed.any():
+        raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(missed).tolist())
+    state = elastostatics.deflect(robot, q, tool, place.wrench(program, motion, wrench), guess=theta)
+    return place.back(program, motion, state.pose)
+
+
+def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
+    """Return an issue if the text does not say what it was to say."""
+    m, nominal = written.motions, program.motions
+    if len(row) != len(targets):
+        return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
+    printed = np.abs(twist_between(m.target[row], targets.pose)).max(axis=1) > _PRINTED
+    wrong = printed | (m.kind[row] != targets.kind)
+    for frames, other, used, wanted in (
+        (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
+        (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
+    ):
+        apart = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
+        wrong |= apart[used, wanted]
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        line = int(program.motions.line[targets.motion[first]])
+        return Issue(
+            "error",
+            "read-back",
+            "the written program reads differently from what was computed: a fault of postproc, please report it",
+            source_line=line,
+            count=int(wrong.sum()),
+        )
+    return None
+
+
+def _probes(targets: Targets, m: Motions, row: Ints, path: Segments) -> tuple[Ints, Array]:
+    """Return where to look: target index (n,) and share (n,) in (0, 1] of the run that ends at that target."""
+    number = np.ones(len(row), dtype=np.int64)
+    length, turn = path.length[row], path.turn[row]
+    wide = (length > _LONG) | (turn > _TURNED)
+    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
+    arcs = m.kind[row] == CIRC
+    number[arcs] = np.maximum(number[arcs], 8)
+    number[m.kind[row] == PTP] = 1
+    index = np.repeat(np.arange(len(row)), number)
+    inside = np.arange(len(index)) - np.repeat(np.cumsum(number) - number, number) + 1
+    return index, inside / number[index]
+
+
+def _starts_uncorrected(program: Program, place: InRoot) -> Bools:
+    """(M,) True for motions that start where no correction was possible: at the start, or at an axis target."""
+    axis = np.isfinite(program.motions.joints[:, 0])
+    out = np.concatenate([[True], axis[:-1]])
+    return np.asarray(out & (not place.rest_is_nominal))
+
+
+def _not_held(
+    program: Program,
+    place: InRoot,
+    targets: Targets,
+    after: Array,
+    nominal: toolpath.Toolpath,
+    distance: Array,
+    settled: Bools,
+    index: Ints,
+) -> Iterator[Issue]:
+    for bad, limit, rows, what in (
+        (~(after <= _HELD), _HELD, targets.motion, "at a target"),
+        (settled & ~(distance <= place.tolerance), place.tolerance, nominal.motion, "between targets"),
+    ):
+        if bad.any():
+            values = after if rows is targets.motion else distance
+            yield Issue(
+                "error",
+                "tolerance",
+                f"simulating the written program leaves {np.nanmax(values[bad]) * MM_PER_M:.4f} mm {what} "
+                f"(allowed {limit * MM_PER_M:g} mm)",
+                source_line=int(program.motions.line[rows[int(np.argmax(bad))]]),
+                count=int(bad.sum()),
+            )
+
+
+def read_back(written: Written, place: InRoot, name: str) -> Program:
+    """Read a written program with the reader for KRL input."""
+    return krl.read(written.documents, place.cell, place.forward, name)
