@@ -12,19 +12,21 @@ moment [N·m] on the tool, root axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from postproc import kinematics
-from postproc.errors import NotConvergedError
-from postproc.frames import Array, displaced, twist_between
+from postproc.errors import ModelError, NotConvergedError
+from postproc.frames import M_PER_MM, Array, displaced, twist_between
 from postproc.robot import RobotModel
 
 _POSITION_TOLERANCE = 1e-9
 """Largest error of the TCP [m] left by the iterations; 1e-7 is asked of the whole correction."""
 _MAX_ITERATIONS = 30
+_CHUNK = 4096
 _A2 = 1
+_JOINT_PARAMETERS = ("k1", "k2", "k3", "k4", "k5", "k6")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +76,15 @@ def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) 
     hessian = kinematics.load_stiffness(jacobian, wrench)
     if robot.has_weight:
         hessian = hessian - kinematics.gravity_stiffness(robot.loaded, x)
+    if _by_compliance(robot):
+        load = np.einsum("nij,ni->nj", jacobian, wrench)
+        at_rest = _held_at_rest(robot, _reference_torque(robot, x), np.zeros_like(x))
+        _, slope = spring_deflection(robot, load, at_rest)
+        if robot.compensator is not None:
+            row = robot.actuated[_A2]
+            hessian[:, row, row] -= robot.compensator.stiffness_about_joint(x[:, row])
+        turned = slope[:, :, None] * np.swapaxes(jacobian, 1, 2)
+        return np.asarray(jacobian @ np.linalg.solve(np.eye(x.shape[1]) - slope[:, :, None] * hessian, turned))
     springs = joint_stiffness(robot, x) - hessian
     return np.asarray(jacobian @ np.linalg.solve(springs, np.swapaxes(jacobian, 1, 2)))
 
@@ -102,6 +113,8 @@ def deflect(
     :raises NotConvergedError: the load is beyond what the springs hold, or the numbers are not finite.
     """
     count = len(q)
+    if _by_compliance(robot):
+        return _deflect_by_compliance(robot, q, tool, wrench, guess, unloaded)
     x0 = coordinates(robot, q)
     reference = _reference_torque(robot, x0)
     theta = np.zeros_like(x0) if guess is None else np.array(guess)
@@ -143,6 +156,8 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> A
     :raises NotConvergedError: no reference state found.
     """
     load = np.einsum("nij,ni->nj", jacobian, wrench)
+    if _by_compliance(robot):
+        return _springs_by_compliance(robot, x, load)
     at_rest = _spring_torque(robot, x, np.zeros_like(x))
     tangent = joint_stiffness(robot, x)
     theta = np.zeros_like(x)
@@ -164,11 +179,206 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> A
     raise NotConvergedError("equilibrium not found", rows)
 
 
+def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = None) -> tuple[Array, Array]:
+    """Return θ (N, nv) of the virtual springs under torques, and its derivative, the tangent compliance (N, nv).
+
+    Gears that stiffen follow `robot.GearStiffening`; all others are linear.
+
+    :param torque: (N, nv) on the springs, beyond what they hold at rest [N·m, N].
+    :param at_rest: (N, nv) torque at rest, where θ = 0; it matters only to gears that stiffen.
+    """
+    theta = robot.compliance * torque
+    slope = np.repeat(robot.compliance[None], len(torque), axis=0)
+    if robot.stiffening is None:
+        return theta, slope
+    law = robot.stiffening
+    spread = np.eye(torque.shape[1])[law.row]
+    offset = np.zeros((len(torque), len(law.row))) if at_rest is None else at_rest[:, law.row] / law.torque
+    u = torque[:, law.row] / law.torque + offset
+    theta -= (law.compliance * law.torque * (u - offset - np.arcsinh(u) + np.arcsinh(offset))) @ spread
+    slope -= (law.compliance * (1.0 - 1.0 / np.sqrt(1.0 + u**2))) @ spread
+    return theta, slope
+
+
+def position_bound(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array | None:
+    """Return the 95 % bound (N,) [m] on the error of the predicted deflection of the TCP, or None.
+
+    From `RobotModel.covariance` and the sensitivity of the TCP to each identified parameter, at first order. The length
+    of a normal vector with covariance Σ is bounded by its first two moments: |e|² ~ g·χ²_h with g = tr Σ²/tr Σ,
+    h = tr² Σ/tr Σ² (Satterthwaite 1946), and the quantile of χ² by Wilson and Hilferty (1931), good to 1.5 %.
+
+    :param q: (N, 6) joint angles [rad].
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :raises ModelError: the covariance names a parameter that the model does not have.
+    """
+    if robot.covariance is None:
+        return None
+    bound = np.empty(len(q))
+    covariance = np.array(robot.covariance.matrix, dtype=float)
+    for begin in range(0, len(q), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        s = sensitivity(robot, q[part], tool if tool.ndim == 2 else tool[part], wrench[part])
+        spread = s @ covariance @ np.swapaxes(s, 1, 2)
+        trace = np.trace(spread, axis1=1, axis2=2)
+        square = np.sum(spread**2, axis=(1, 2))
+        h = np.divide(trace**2, square, out=np.ones_like(trace), where=square > 0.0)
+        g = np.divide(square, trace, out=np.zeros_like(trace), where=trace > 0.0)
+        bound[part] = np.sqrt(g * h * (1.0 - 2.0 / (9.0 * h) + 1.6448536 * np.sqrt(2.0 / (9.0 * h))) ** 3)
+    return bound
+
+
+def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
+    """Return (N, 3, P) ∂(position of the TCP)/∂(parameter), in m per unit of the file, at first order in the load.
+
+    Parameters by name, in the order of `robot.covariance`: ``k1``…``k6`` [µrad/(N·m)], ``k1@800`` the part of k1 that
+    fades beyond 800 N·m, ``K_c`` [N/m], ``s_0`` [mm], ``A2.RX`` the springs of links [µm/N, µrad/(N·m)].
+    """
+    names = robot.covariance.parameters if robot.covariance is not None else []
+    x = coordinates(robot, q)
+    _, jacobian = kinematics.tcp(robot.loaded, x, tool)
+    torque = np.einsum("nij,ni->nj", jacobian, wrench)
+    second = robot.actuated[_A2]
+    share = _compensator_share(robot, x, np.repeat(robot.compliance[None], len(x), axis=0))
+    torque[:, second] /= share  # what is left for the gear
+    reach = jacobian[:, :3].copy()
+    reach[:, :, second] /= share[:, None]
+    link_rows = dict(zip((f"{s.link}.{s.axis}" for s in robot.link_springs), robot.passive, strict=True))
+    columns = []
+    for name in names:
+        joint, _, fading = name.partition("@")
+        if name in ("K_c", "s_0") and robot.compensator is not None:
+            law = robot.compensator
+            unit = replace(law, stiffness=1.0)
+            factor = unit.stiffness_about_joint(x[:, second])
+            if name == "s_0":
+                longer = replace(law, free_length=law.free_length + M_PER_MM)
+                factor = longer.stiffness_about_joint(x[:, second]) - law.stiffness_about_joint(x[:, second])
+            columns.append(
+                reach[:, :, second] * (-(robot.compliance[second] ** 2) * torque[:, second] * factor)[:, None]
+            )
+        elif name in link_rows:
+            columns.append(1e-6 * reach[:, :, link_rows[name]] * torque[:, link_rows[name], None])
+        elif joint in _JOINT_PARAMETERS:
+            row = robot.actuated[_JOINT_PARAMETERS.index(joint)]
+            amount = torque[:, row]
+            if fading:
+                amount = float(fading) * np.arcsinh(amount / float(fading)) - amount
+            columns.append(1e-6 * reach[:, :, row] * amount[:, None])
+        else:
+            raise ModelError(f"[covariance] names {name!r}, which the model does not have")
+    return np.stack(columns, axis=2) if columns else np.zeros((len(q), 3, 0))
+
+
+def _by_compliance(robot: RobotModel) -> bool:
+    """Link springs and gears that stiffen are solved in compliance form, without a matrix per sample."""
+    return robot.stiffening is not None or robot.actual.nv > len(robot.actuated)
+
+
+def _held_at_rest(robot: RobotModel, balanced: Array, shift: Array) -> Array:
+    """Return the torque at rest on the springs (N, nv) that a stiffening gear feels besides the load."""
+    carries = robot.stiffening is not None and robot.stiffening.carries_weight and robot.subtract_reference
+    return -balanced if carries else shift
+
+
+def _deflect_by_compliance(
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None, unloaded: Array | None
+) -> Deflection:
+    """`deflect` as the fixed point θ = c(τ(θ)), with the compensator's part of the derivative taken exactly.
+
+    What remains of the derivative, compliance × load stiffness, is some 10⁻³: each round gains three digits. No
+    (nv, nv) matrix is formed, so that thirty coordinates cost little more than six.
+    """
+    count = len(q)
+    pose = np.empty((count, 4, 4))
+    if unloaded is None:
+        unloaded = np.empty((count, 4, 4))
+        known = False
+    else:
+        known = True
+    theta = np.zeros((count, robot.actual.nv)) if guess is None else np.array(guess)
+    for begin in range(0, count, _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        tools = tool if tool.ndim == 2 else tool[part]
+        x0 = coordinates(robot, q[part])
+        if not known:
+            unloaded[part] = kinematics.tcp(robot.loaded, x0, tools)[0]
+        try:
+            theta[part], pose[part] = _fixed_point(robot, x0, theta[part], tools, wrench[part])
+        except NotConvergedError as cause:
+            raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
+    return Deflection(theta, pose, twist_between(unloaded, pose))
+
+
+def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
+    theta = start.copy()
+    pose = np.empty((len(x0), 4, 4))
+    reference = _reference_torque(robot, x0)
+    at_rest = _held_at_rest(robot, reference, np.zeros_like(x0))
+    rows = np.arange(len(x0))
+    previous = np.full(len(x0), np.nan)
+    for iteration in range(_MAX_ITERATIONS):
+        x = x0[rows] + theta[rows]
+        here, jacobian = kinematics.tcp(robot.loaded, x, tool if tool.ndim == 2 else tool[rows])
+        torque = np.einsum("nij,ni->nj", jacobian, wrench[rows]) + reference[rows]
+        torque -= _spring_torque_of_position(robot, x)
+        step, slope = spring_deflection(robot, torque, at_rest[rows])
+        step -= theta[rows]
+        step[:, robot.actuated[_A2]] /= _compensator_share(robot, x, slope)
+        theta[rows] += step
+        moved = np.einsum("nij,nj->ni", jacobian, step)
+        pose[rows] = displaced(here, moved)
+        size = np.abs(moved[:, :3]).max(axis=1, initial=0.0) + np.abs(moved[:, 3:]).max(axis=1, initial=0.0)
+        if not np.isfinite(size).all():
+            raise NotConvergedError("equilibrium not found", rows[~np.isfinite(size)])
+        ratio = size / previous[rows] if iteration else np.minimum(1.0, 2.0 * size)
+        previous[rows] = size
+        rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _POSITION_TOLERANCE)]
+        if len(rows) == 0:
+            return theta, pose
+    raise NotConvergedError("equilibrium not found", rows)
+
+
+def _springs_by_compliance(robot: RobotModel, x: Array, load: Array) -> Array:
+    """`springs_at` in compliance form: θ = c(τ) with τ known but for the reference state q = x − θ."""
+    here = _spring_torque_of_position(robot, x)
+    theta = np.zeros_like(x)
+    rows = np.arange(len(x))
+    for _ in range(_MAX_ITERATIONS):
+        reference = _reference_torque(robot, x[rows] - theta[rows])
+        at_rest = _held_at_rest(robot, reference, np.zeros_like(reference))
+        step, slope = spring_deflection(robot, load[rows] + reference - here[rows], at_rest)
+        step -= theta[rows]
+        step[:, robot.actuated[_A2]] /= _compensator_share(robot, x[rows], slope)
+        theta[rows] += step
+        size = np.abs(step).max(axis=1, initial=0.0)
+        if not np.isfinite(size).all():
+            raise NotConvergedError("equilibrium not found", rows[~np.isfinite(size)])
+        rows = rows[size > 0.1 * _POSITION_TOLERANCE]
+        if len(rows) == 0:
+            return theta
+    raise NotConvergedError("equilibrium not found", rows)
+
+
+def _compensator_share(robot: RobotModel, x: Array, slope: Array) -> Array:
+    """Return 1 + c·U_c″ (N,): how much stiffer joint 2 is for the compensator beside its spring."""
+    if robot.compensator is None:
+        return np.ones(len(x))
+    row = robot.actuated[_A2]
+    share: Array = 1.0 + slope[:, row] * robot.compensator.stiffness_about_joint(x[:, row])
+    return share
+
+
 def _spring_torque(robot: RobotModel, x: Array, theta: Array) -> Array:
     """Return K⁰θ + U_c′ + ∇U_g at actual coordinates x (N, nv)."""
-    torque: Array = theta @ robot.stiffness
+    return np.asarray(theta @ robot.stiffness + _spring_torque_of_position(robot, x))
+
+
+def _spring_torque_of_position(robot: RobotModel, x: Array) -> Array:
+    """Return U_c′ + ∇U_g at actual coordinates x (N, nv)."""
+    torque = np.zeros_like(x)
     if robot.has_weight:
-        torque = torque + kinematics.gravity_torque(robot.loaded, x)
+        torque += kinematics.gravity_torque(robot.loaded, x)
     if robot.compensator is not None:
         row = robot.actuated[_A2]
         torque[:, row] += robot.compensator.gradient(x[:, row])

@@ -6,107 +6,55 @@ one with the calibrated geometry), the springs, the compensator, the covariance,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from postproc import files
 from postproc.compensator import Compensator
+from postproc.elastic_chain import LINK_AXES, VirtualSpring, elastic_chain
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.model_file import (
+    BASE,
+    FLANGE,
+    JOINTS,
+    Covariance,
+    Displacement,
+    LinkSprings,
+    ModelFile,
+    Sourced,
+)
 
-JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
-FLANGE = "flange"
+__all__ = [
+    "BASE",
+    "FLANGE",
+    "JOINTS",
+    "LINK_AXES",
+    "Covariance",
+    "Displacement",
+    "GearStiffening",
+    "LinkSprings",
+    "ModelFile",
+    "Provenance",
+    "RobotModel",
+    "VirtualSpring",
+    "assemble",
+    "elastic_chain",
+    "find",
+    "load",
+    "shipped",
+]
+
+Ints = NDArray[np.int64]
 RAD_PER_URAD = 1e-6
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
-
-
-class _Sourced(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    source: str
-    assumed: bool = False
-
-
-class JointSpring(_Sourced, frozen=True, kw_only=True):
-    """Compliance of one virtual joint spring."""
-
-    compliance_urad_per_Nm: Positive
-    ci95: NotNegative | None = None
-
-
-class CompensatorEntry(_Sourced, frozen=True, kw_only=True):
-    """Gravity compensator at joint A2, paper Eq. (3)–(4)."""
-
-    L_mm: Positive
-    a_x_mm: float
-    a_y_mm: float
-    stiffness_N_per_m: NotNegative
-    free_length_mm: NotNegative
-    geometry_source: str = ""
-
-    def law(self) -> Compensator:
-        """Return the law in SI units."""
-        return Compensator(
-            stiffness=self.stiffness_N_per_m,
-            free_length=self.free_length_mm * M_PER_MM,
-            L=self.L_mm * M_PER_MM,
-            ax=self.a_x_mm * M_PER_MM,
-            ay=self.a_y_mm * M_PER_MM,
-        )
-
-
-class Gravity(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What the geometry describes: the robot sagged under its own weight, or a weightless robot."""
-
-    reference: Literal["calibrated", "rigid"] = "calibrated"
-
-
-class Displacement(_Sourced, frozen=True, kw_only=True):
-    """Calibrated geometry: how far a joint (or the flange) stands from its nominal place on the link before it.
-
-    X, Y, Z [mm] and a rotation vector RX, RY, RZ [deg], in the axes of the nominal joint frame.
-    """
-
-    X_mm: float = 0.0
-    Y_mm: float = 0.0
-    Z_mm: float = 0.0
-    RX_deg: float = 0.0
-    RY_deg: float = 0.0
-    RZ_deg: float = 0.0
-
-    def placement(self) -> pin.SE3:
-        """Return the displacement as a placement [m]."""
-        rotation = rotation_from_vector(np.array([self.RX_deg, self.RY_deg, self.RZ_deg]) * RAD_PER_DEG)
-        return pin.SE3(rotation, np.array([self.X_mm, self.Y_mm, self.Z_mm]) * M_PER_MM)
-
-
-class Covariance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Covariance of identified parameters, in the units of the file (k1…k6 in µrad/(N·m))."""
-
-    parameters: list[str]
-    matrix: list[list[float]]
-
-
-class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Content of `model.toml`."""
-
-    name: str
-    joints: dict[str, JointSpring]
-    date: str = ""
-    gravity: Gravity = Gravity()
-    compensator: CompensatorEntry | None = None
-    geometry: dict[str, Displacement] = {}
-    covariance: Covariance | None = None
-    masses: _Sourced | None = None
-    geometry_nominal: _Sourced | None = None
+M_PER_UM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +65,25 @@ class Provenance:
     value: str
     source: str
     assumed: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GearStiffening:
+    """Gears that stiffen with load: θ = C⁰τ − Σ c_s·(τ − T_s·f(τ/T_s)) with f(u) = asinh(u).
+
+    C⁰ is the compliance at small torque; part s of it fades where |τ| passes T_s. A sum of such parts follows any
+    gear whose compliance falls with load; every part stays monotone, so the spring is always stable.
+
+    :param row: (S,) coordinate of the elastic chain.
+    :param torque: (S,) T_s [N·m].
+    :param compliance: (S,) c_s [rad/(N·m)].
+    :param carries_weight: the torque at rest (weights, compensator) counts too, not the load alone.
+    """
+
+    row: Ints
+    torque: Array
+    compliance: Array
+    carries_weight: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +104,8 @@ class RobotModel:
     :param speed: (6,) joint speed limits [rad/s].
     :param covariance: of the identified parameters, or None.
     :param provenance: where each value comes from.
+    :param stiffening: gears whose compliance falls with load, or None.
+    :param link_springs: springs of the links, in the order of their coordinates.
     """
 
     name: str
@@ -153,10 +122,28 @@ class RobotModel:
     speed: Array
     covariance: Covariance | None
     provenance: tuple[Provenance, ...]
+    stiffening: GearStiffening | None = None
+    link_springs: tuple[VirtualSpring, ...] = ()
+
+    @cached_property
+    def compliance(self) -> Array:
+        """C⁰ (nv,) of the virtual springs [rad/(N·m), m/N]; zero where a spring is rigid (infinite stiffness)."""
+        return np.asarray(1.0 / np.diag(self.stiffness))
+
+    @cached_property
+    def passive(self) -> tuple[int, ...]:
+        """Coordinates of the link springs: those that no motor moves."""
+        return tuple(sorted(set(range(self.actual.nv)) - set(self.actuated)))
 
     @cached_property
     def geometry_is_nominal(self) -> bool:
         """True if the actual geometry is the controller's."""
+        if self.link_springs:
+            sample = np.random.default_rng(0).uniform(-1.0, 1.0, (8, len(JOINTS)))
+            return all(
+                np.abs(_flange_pose(self.nominal, q) - _flange_pose(self.actual, self._spread(q))).max() < 1e-12
+                for q in sample
+            )
         return all(
             frame.placement.isApprox(other.placement, 0.0)
             for frame, other in zip(self.nominal.frames, self.actual.frames, strict=True)
@@ -164,6 +151,11 @@ class RobotModel:
             one.isApprox(other, 0.0)
             for one, other in zip(self.nominal.jointPlacements, self.actual.jointPlacements, strict=True)
         )
+
+    def _spread(self, q: Array) -> Array:
+        full = np.zeros(self.actual.nv)
+        full[list(self.actuated)] = q
+        return full
 
     @cached_property
     def has_weight(self) -> bool:
@@ -218,32 +210,74 @@ def load(folder: str | Path) -> RobotModel:
     folder = Path(folder)
     content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
     where = str(folder / "model.toml")
-    for table in (content.joints, content.geometry):
-        wrong = [name for name in table if name not in (*JOINTS, FLANGE)]
+    for table, valid in (
+        (content.joints, JOINTS),
+        (content.geometry, (*JOINTS, FLANGE)),
+        (content.links, (BASE, *JOINTS)),
+    ):
+        wrong = [name for name in table if name not in valid]
         if wrong:
-            raise ModelError(f"unknown joint {wrong[0]!r}", file=where, advice=f"Valid: {', '.join(JOINTS)}.")
+            raise ModelError(f"unknown joint {wrong[0]!r}", file=where, advice=f"Valid: {', '.join(valid)}.")
     missing = [name for name in JOINTS if name not in content.joints]
     if missing:
         raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")
+    for name, spring in content.joints.items():
+        if sum(part.compliance_urad_per_Nm for part in spring.stiffening) > spring.compliance_urad_per_Nm * (1 + 1e-9):
+            raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
     _check_covariance(content.covariance, where)
     nominal = _nominal(folder / "robot.urdf")
+    return assemble(folder.resolve().name, content, nominal)
+
+
+def assemble(name: str, content: ModelFile, nominal: pin.Model, rigid_too: Sequence[VirtualSpring] = ()) -> RobotModel:
+    """Build a `RobotModel` from the content of `model.toml` and the controller's geometry.
+
+    :param rigid_too: link springs that get a coordinate even where the content holds no compliance for them
+        (identification looks at how they would move).
+    """
     actual = nominal.copy()
-    for name, entry in content.geometry.items():
-        if name == FLANGE:
+    for place, entry in content.geometry.items():
+        if place == FLANGE:
             frame = actual.frames[actual.getFrameId(FLANGE)]
-            frame.placement = frame.placement * entry.placement()
+            frame.placement = frame.placement * _placement(entry)
         else:
-            joint = actual.getJointId(name)
-            actual.jointPlacements[joint] = actual.jointPlacements[joint] * entry.placement()
-    compliance = np.array([content.joints[name].compliance_urad_per_Nm for name in JOINTS]) * RAD_PER_URAD
+            joint = actual.getJointId(place)
+            actual.jointPlacements[joint] = actual.jointPlacements[joint] * _placement(entry)
+    compliance = {
+        VirtualSpring(link, axis): value for link, springs in content.links.items() for axis, value in _axes(springs)
+    }
+    flexible = tuple(
+        VirtualSpring(link, axis)
+        for link in (BASE, *JOINTS)
+        for axis in LINK_AXES
+        if VirtualSpring(link, axis) in compliance or VirtualSpring(link, axis) in rigid_too
+    )
+    actuated: tuple[int, ...] = tuple(range(len(JOINTS)))
+    rows: list[int] = []
+    if flexible:
+        actual, actuated, rows = elastic_chain(actual, flexible)
+    c = np.zeros(actual.nv)
+    c[list(actuated)] = [content.joints[joint].compliance_urad_per_Nm * RAD_PER_URAD for joint in JOINTS]
+    c[rows] = [compliance.get(spring, 0.0) for spring in flexible]
+    with np.errstate(divide="ignore"):
+        stiffness = 1.0 / c
+    parts = [
+        (actuated[index], part.torque_Nm, part.compliance_urad_per_Nm * RAD_PER_URAD)
+        for index, joint in enumerate(JOINTS)
+        for part in content.joints[joint].stiffening
+    ]
+    stiffening = None
+    if parts:
+        row, torque, faded = (np.array(column) for column in zip(*parts, strict=True))
+        stiffening = GearStiffening(row, torque, faded, content.gravity.in_gears)
     return RobotModel(
-        name=folder.resolve().name,
+        name=name,
         title=content.name,
         nominal=nominal,
         actual=actual,
         loaded=actual,
-        stiffness=np.diag(1.0 / compliance),
-        actuated=tuple(range(len(JOINTS))),
+        stiffness=np.diag(stiffness),
+        actuated=actuated,
         compensator=content.compensator.law() if content.compensator else None,
         subtract_reference=content.gravity.reference == "calibrated",
         lower=nominal.lowerPositionLimit.copy(),
@@ -251,7 +285,29 @@ def load(folder: str | Path) -> RobotModel:
         speed=nominal.velocityLimit.copy(),
         covariance=content.covariance,
         provenance=tuple(_provenance(content, nominal)),
+        stiffening=stiffening,
+        link_springs=flexible,
     )
+
+
+def _axes(springs: LinkSprings) -> Iterator[tuple[str, float]]:
+    for axis in LINK_AXES:
+        unit = "um_per_N" if axis in "XYZ" else "urad_per_Nm"
+        value = getattr(springs, f"{axis}_{unit}") * (M_PER_UM if axis in "XYZ" else RAD_PER_URAD)
+        if value > 0.0:
+            yield axis, value
+
+
+def _placement(entry: Displacement) -> pin.SE3:
+    rotation = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
+    return pin.SE3(rotation, np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM)
+
+
+def _flange_pose(model: pin.Model, q: Array) -> Array:
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    pose: Array = data.oMf[model.getFrameId(FLANGE)].homogeneous.copy()
+    return pose
 
 
 def _nominal(path: Path) -> pin.Model:
@@ -300,6 +356,9 @@ def _provenance(content: ModelFile, nominal: pin.Model) -> Iterator[Provenance]:
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
         value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m)"
+        if spring.stiffening:
+            fades = sum(part.compliance_urad_per_Nm for part in spring.stiffening)
+            value += f", of which {fades:.3g} fade with load"
         yield Provenance(f"compliance {name}", value, spring.source, spring.assumed)
     if (spring_law := content.compensator) is not None:
         value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
@@ -308,6 +367,9 @@ def _provenance(content: ModelFile, nominal: pin.Model) -> Iterator[Provenance]:
         yield Provenance("compensator geometry", value, geometry_source, assumed)
         value = f"K_c {spring_law.stiffness_N_per_m:g} N/m, s_0 {spring_law.free_length_mm:g} mm"
         yield Provenance("compensator spring", value, spring_law.source, spring_law.assumed)
+    for name, springs in content.links.items():
+        count = sum(1 for _ in _axes(springs))
+        yield Provenance(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
     for name, entry in content.geometry.items():
         value = (
             f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
@@ -318,6 +380,6 @@ def _provenance(content: ModelFile, nominal: pin.Model) -> Iterator[Provenance]:
         ("link masses", f"{masses} kg", content.masses),
         ("geometry, limits, speeds", "robot.urdf", content.geometry_nominal),
     ):
-        source = entry_source or _Sourced(source="not stated", assumed=True)
+        source = entry_source or Sourced(source="not stated", assumed=True)
         yield Provenance(label, value, source.source, source.assumed)
     yield Provenance("gravity reference", content.gravity.reference, "model.toml", assumed=False)

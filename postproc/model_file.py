@@ -1,0 +1,129 @@
+"""Content of `model.toml`: what is known of a robot beyond its URDF, each value with its source.
+
+Structures only; `robot` turns them into a `RobotModel`. Units of the file: µrad/(N·m), µm/N, mm, deg, N·m.
+"""
+
+# ruff: noqa: N815 - keys of the file carry their unit
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from postproc.compensator import Compensator
+from postproc.frames import M_PER_MM
+
+JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
+BASE = "base"
+FLANGE = "flange"
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
+
+class Sourced(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """An entry that says where its values come from."""
+
+    source: str
+    assumed: bool = False
+
+
+class Stiffening(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Part of a joint's compliance that fades as the torque grows beyond `torque_Nm` (`GearStiffening`)."""
+
+    torque_Nm: Positive
+    compliance_urad_per_Nm: Positive
+
+
+class JointSpring(Sourced, frozen=True, kw_only=True):
+    """Compliance of one virtual joint spring, at small torque; `stiffening` says which parts of it fade with load."""
+
+    compliance_urad_per_Nm: Positive
+    ci95: NotNegative | None = None
+    stiffening: list[Stiffening] = []
+
+
+class LinkSprings(Sourced, frozen=True, kw_only=True):
+    """Springs of one link: translations and rotations where it begins (at its joint), rotations where it ends.
+
+    Axes of the joint frame (those of the root at A1…A6 = 0 for the shipped robots). The link named A2 is the one that
+    joint A2 carries; `base` lies between the floor and A1. A translation counts once: it is the same at both ends.
+    """
+
+    X_um_per_N: NotNegative = 0.0
+    Y_um_per_N: NotNegative = 0.0
+    Z_um_per_N: NotNegative = 0.0
+    RX_urad_per_Nm: NotNegative = 0.0
+    RY_urad_per_Nm: NotNegative = 0.0
+    RZ_urad_per_Nm: NotNegative = 0.0
+    end_RX_urad_per_Nm: NotNegative = 0.0
+    end_RY_urad_per_Nm: NotNegative = 0.0
+    end_RZ_urad_per_Nm: NotNegative = 0.0
+
+
+class CompensatorEntry(Sourced, frozen=True, kw_only=True):
+    """Gravity compensator at joint A2, paper Eq. (3)–(4)."""
+
+    L_mm: Positive
+    a_x_mm: float
+    a_y_mm: float
+    stiffness_N_per_m: NotNegative
+    free_length_mm: NotNegative
+    geometry_source: str = ""
+
+    def law(self) -> Compensator:
+        """Return the law in SI units."""
+        return Compensator(
+            stiffness=self.stiffness_N_per_m,
+            free_length=self.free_length_mm * M_PER_MM,
+            L=self.L_mm * M_PER_MM,
+            ax=self.a_x_mm * M_PER_MM,
+            ay=self.a_y_mm * M_PER_MM,
+        )
+
+
+class Gravity(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What the geometry describes: the robot sagged under its own weight, or a weightless robot.
+
+    `in_gears`: stiffening gears feel the torque of the weights and of the compensator at rest too, not the load alone.
+    """
+
+    reference: Literal["calibrated", "rigid"] = "calibrated"
+    in_gears: bool = False
+
+
+class Displacement(Sourced, frozen=True, kw_only=True):
+    """Calibrated geometry: how far a joint (or the flange) stands from its nominal place on the link before it.
+
+    X, Y, Z [mm] and a rotation vector RX, RY, RZ [deg], in the axes of the nominal joint frame.
+    """
+
+    X_mm: float = 0.0
+    Y_mm: float = 0.0
+    Z_mm: float = 0.0
+    RX_deg: float = 0.0
+    RY_deg: float = 0.0
+    RZ_deg: float = 0.0
+
+
+class Covariance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Covariance of identified parameters, in the units of the file (k1…k6 in µrad/(N·m))."""
+
+    parameters: list[str]
+    matrix: list[list[float]]
+
+
+class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of `model.toml`."""
+
+    name: str
+    joints: dict[str, JointSpring]
+    date: str = ""
+    gravity: Gravity = Gravity()
+    compensator: CompensatorEntry | None = None
+    geometry: dict[str, Displacement] = {}
+    links: dict[str, LinkSprings] = {}
+    covariance: Covariance | None = None
+    masses: Sourced | None = None
+    geometry_nominal: Sourced | None = None
