@@ -24,6 +24,8 @@ from postproc.robot import RobotModel
 _POSITION_TOLERANCE = 1e-9
 """Largest error of the TCP [m] left by the iterations; 1e-7 is asked of the whole correction."""
 _MAX_ITERATIONS = 30
+_LARGEST_DEFLECTION = 0.1
+"""Deflection of a spring [rad, m] beyond which the model means nothing: an error, not a number."""
 _CHUNK = 4096
 _A2 = 1
 _JOINT_PARAMETERS = ("k1", "k2", "k3", "k4", "k5", "k6")
@@ -141,6 +143,7 @@ def deflect(
         previous[rows] = size
         rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _POSITION_TOLERANCE)]
         if len(rows) == 0:
+            _check_size(theta)
             return Deflection(theta, pose, twist_between(rest, pose))
     raise NotConvergedError("equilibrium not found", rows)
 
@@ -175,6 +178,7 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> A
         previous[rows] = size
         rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _POSITION_TOLERANCE)]
         if len(rows) == 0:
+            _check_size(theta)
             return theta
     raise NotConvergedError("equilibrium not found", rows)
 
@@ -356,6 +360,7 @@ def _springs_by_compliance(robot: RobotModel, x: Array, load: Array) -> Array:
             raise NotConvergedError("equilibrium not found", rows[~np.isfinite(size)])
         rows = rows[size > 0.1 * _POSITION_TOLERANCE]
         if len(rows) == 0:
+            _check_size(theta)
             return theta
     raise NotConvergedError("equilibrium not found", rows)
 
@@ -367,6 +372,12 @@ def _compensator_share(robot: RobotModel, x: Array, slope: Array) -> Array:
     row = robot.actuated[_A2]
     share: Array = 1.0 + slope[:, row] * robot.compensator.stiffness_about_joint(x[:, row])
     return share
+
+
+def _check_size(theta: Array) -> None:
+    large = np.abs(theta).max(axis=1, initial=0.0) > _LARGEST_DEFLECTION
+    if large.any():
+        raise NotConvergedError("the load is beyond what the springs hold", np.flatnonzero(large).tolist())
 
 
 def _spring_torque(robot: RobotModel, x: Array, theta: Array) -> Array:

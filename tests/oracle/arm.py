@@ -1,0 +1,182 @@
+"""An elastic arm that shares no code with the package: URDF by ElementTree, forward kinematics in plain numpy,
+equilibrium as the stationary point of the potential V(θ) of physics.md, derivatives by the complex step.
+
+SI units, root frame, KUKA signs. One configuration at a time; slow and simple on purpose.
+"""
+
+from __future__ import annotations
+
+import tomllib
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares, root
+
+G = 9.81
+
+
+def rot(axis, angle):
+    """Rodrigues' formula, safe for complex angles."""
+    x, y, z = axis
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+
+
+def rpy(r, p, y):
+    return rot((0, 0, 1), y) @ rot((0, 1, 0), p) @ rot((1, 0, 0), r)
+
+
+def abc(x, y, z, a=0.0, b=0.0, c=0.0):
+    """KUKA frame in mm and degrees as 4×4 in metres."""
+    pose = np.eye(4)
+    pose[:3, :3] = rpy(*np.radians([c, b, a]))
+    pose[:3, 3] = np.array([x, y, z]) / 1000
+    return pose
+
+
+@dataclass
+class Arm:
+    origins: list
+    axes: list
+    flange: np.ndarray
+    masses: list
+    centres: list
+    stiffness: np.ndarray
+    comp: dict | None = None
+    rigid: bool = False
+    payload: tuple = (0.0, np.zeros(3))
+    nominal_origins: list = field(default_factory=list)
+
+    @classmethod
+    def load(cls, folder: Path) -> Arm:
+        tree = ET.parse(folder / "robot.urdf").getroot()
+        model = tomllib.loads((folder / "model.toml").read_text(encoding="utf-8"))
+        links = {link.get("name"): link for link in tree.findall("link")}
+        origins, axes, masses, centres = [], [], [], []
+        joints = {j.get("name"): j for j in tree.findall("joint")}
+
+        def placement(element):
+            pose = np.eye(4)
+            origin = element.find("origin")
+            if origin is not None:
+                pose[:3, 3] = [float(v) for v in origin.get("xyz", "0 0 0").split()]
+                pose[:3, :3] = rpy(*[float(v) for v in origin.get("rpy", "0 0 0").split()])
+            return pose
+
+        for n in range(1, 7):
+            j = joints[f"A{n}"]
+            origins.append(placement(j))
+            axes.append(np.array([float(v) for v in j.find("axis").get("xyz").split()]))
+            inertial = links[j.find("child").get("link")].find("inertial")
+            masses.append(0.0 if inertial is None else float(inertial.find("mass").get("value")))
+            centres.append(np.zeros(3) if inertial is None else placement(inertial)[:3, 3])
+        flange = next(placement(j) for j in joints.values() if j.find("child").get("link") == "flange")
+        k = np.array([model["joints"][f"A{n}"]["compliance_urad_per_Nm"] for n in range(1, 7)]) * 1e-6
+        comp = None
+        if "compensator" in model:
+            c = model["compensator"]
+            comp = {
+                "K": c["stiffness_N_per_m"], "s0": c["free_length_mm"] / 1e3, "L": c["L_mm"] / 1e3,
+                "ax": c["a_x_mm"] / 1e3, "ay": c["a_y_mm"] / 1e3,
+            }  # fmt: skip
+        rigid = model.get("gravity", {}).get("reference", "calibrated") == "rigid"
+        arm = cls(origins, axes, flange, masses, centres, 1 / k, comp, rigid)
+        arm.nominal_origins = origins
+        return arm
+
+    def frames(self, q, origins=None):
+        """Poses of the six joints (after their rotation) and of the flange."""
+        pose, out = np.eye(4, dtype=np.result_type(np.asarray(q).dtype, float)), []
+        for origin, axis, angle in zip(origins or self.origins, self.axes, q, strict=True):
+            turn = np.eye(4, dtype=pose.dtype)
+            turn[:3, :3] = rot(axis, angle)
+            pose = pose @ origin @ turn
+            out.append(pose)
+        return [*out, pose @ self.flange]
+
+    def tcp(self, q, tool):
+        return self.frames(q)[-1] @ tool
+
+    def nominal_tcp(self, q, tool):
+        return self.frames(q, self.nominal_origins)[-1] @ tool
+
+    def weight_energy(self, q, payload=True):
+        frames = self.frames(q)
+        energy = sum(
+            m * G * (f @ [*c, 1.0])[2] for m, f, c in zip(self.masses, frames[:6], self.centres, strict=True)
+        )
+        if payload:
+            energy = energy + self.payload[0] * G * (frames[6] @ [*self.payload[1], 1.0])[2]
+        return energy
+
+    def spring_energy(self, q2):
+        c = self.comp
+        if c is None:
+            return 0.0 * q2
+        s = np.sqrt(
+            c["ax"] ** 2 + c["ay"] ** 2 + c["L"] ** 2
+            + 2 * np.hypot(c["ax"], c["ay"]) * c["L"] * np.cos(np.arctan2(c["ay"], c["ax"]) - q2)
+        )  # fmt: skip
+        return 0.5 * c["K"] * (s - c["s0"]) ** 2
+
+    def potential(self, theta, q, tool, force, reference):
+        """V(θ) without the moment, whose work is no function of θ; `reference`: gradient at q of what is balanced."""
+        x = q + theta
+        value = 0.5 * np.sum(self.stiffness * theta**2) + self.spring_energy(x[1]) + self.weight_energy(x)
+        return value - reference @ theta - np.dot(force, self.tcp(x, tool)[:3, 3])
+
+    def gradient(self, fun, at, h=1e-30):
+        out = np.empty(len(at))
+        for i in range(len(at)):
+            x = np.array(at, dtype=complex)
+            x[i] += 1j * h
+            out[i] = np.imag(fun(x)) / h
+        return out
+
+    def reference(self, q):
+        if self.rigid:
+            return np.zeros(6)
+        return self.gradient(lambda x: self.spring_energy(x[1]) + self.weight_energy(x, payload=False), q)
+
+    def moment_torque(self, x, moment, h=1e-30):
+        """J_ωᵀ M: the rotation rate of each joint by the complex step on the rotation matrix."""
+        out = np.empty(6)
+        for i in range(6):
+            z = np.array(x, dtype=complex)
+            z[i] += 1j * h
+            r = self.frames(z)[-1][:3, :3]
+            w = np.imag(r) / h @ np.real(r).T
+            out[i] = np.dot(moment, [w[2, 1], w[0, 2], w[1, 0]])
+        return out
+
+    def equilibrium(self, q, tool, wrench):
+        """θ at which the potential is stationary under a dead force and moment at the TCP (root axes)."""
+        reference = self.reference(q)
+
+        def residual(scaled):
+            theta = scaled / self.stiffness
+            slope = self.gradient(lambda t: self.potential(t, q, tool, wrench[:3], reference), theta)
+            return slope - self.moment_torque(q + theta, wrench[3:])
+
+        solution = root(residual, np.zeros(6), method="hybr", options={"xtol": 1e-13})
+        assert np.abs(solution.fun).max() < 1e-6, solution.message
+        return solution.x / self.stiffness
+
+    def loaded_tcp(self, q, tool, wrench):
+        return self.tcp(q + self.equilibrium(q, tool, wrench), tool)
+
+    def inverse(self, pose, tool, guess):
+        """Joint angles by the controller's geometry, near `guess`, by least squares."""
+
+        def error(q):
+            here = self.nominal_tcp(q, tool)
+            r = here[:3, :3].T @ pose[:3, :3]
+            return np.concatenate(
+                [here[:3, 3] - pose[:3, 3], [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]]
+            )
+
+        found = least_squares(error, guess, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        assert np.abs(found.fun).max() < 1e-9, found.fun
+        return found.x
