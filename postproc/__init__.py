@@ -1,1 +1,79 @@
-"""Deflection compensation for robot milling."""
+"""Deflection compensation for robot milling: G-code or KRL with cutting forces in, corrected KRL and a report out.
+
+>>> import postproc
+>>> cell = postproc.load_cell("samples/cell_kr270.toml")                        # doctest: +SKIP
+>>> robot = postproc.load_robot(cell.robot)                                     # doctest: +SKIP
+>>> program = postproc.read_program("samples/pocket.nc", robot, cell)           # doctest: +SKIP
+>>> result = postproc.process(program, robot, cell)                             # doctest: +SKIP
+
+Everything named in `__all__` is loaded on first use: importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from postproc.batch import load_robot, read_program
+    from postproc.cell import Cell
+    from postproc.cell import load as load_cell
+    from postproc.errors import Issue, PostprocError
+    from postproc.forces import read_force_csv
+    from postproc.pipeline.process import process
+    from postproc.pipeline.result import Result, statistics
+    from postproc.program import Program
+    from postproc.report.html import page
+    from postproc.report.summary import summary
+    from postproc.report.targets import targets_csv
+    from postproc.robot import RobotModel
+
+__all__ = [
+    "Cell",
+    "Issue",
+    "PostprocError",
+    "Program",
+    "Result",
+    "RobotModel",
+    "load_cell",
+    "load_robot",
+    "page",
+    "process",
+    "read_force_csv",
+    "read_program",
+    "statistics",
+    "summary",
+    "targets_csv",
+]
+
+_HOME = {
+    "Cell": "cell.Cell",
+    "Issue": "errors.Issue",
+    "PostprocError": "errors.PostprocError",
+    "Program": "program.Program",
+    "Result": "pipeline.Result",
+    "RobotModel": "robot.RobotModel",
+    "load_cell": "cell.load",
+    "load_robot": "batch.load_robot",
+    "page": "report.page",
+    "process": "pipeline.process",
+    "read_force_csv": "forces.read_force_csv",
+    "read_program": "batch.read_program",
+    "statistics": "pipeline.statistics",
+    "summary": "report.summary",
+    "targets_csv": "report.targets_csv",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _HOME[name].rsplit(".", 1)
+    value: object = getattr(import_module(f"{__name__}.{module}"), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,1 +1,72 @@
-"""Command line: options in, one call, output."""
+"""Command line: options in, one call, output. Each theme is a file; it is imported only when its command is used."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Mapping
+from importlib import import_module
+
+import click
+
+_COMMANDS = {
+    "convert": "postproc.cli.convert:convert",
+    "identify": "postproc.cli.identify:identify",
+    "predict": "postproc.cli.convert:predict",
+    "robots": "postproc.cli.robots:robots",
+}
+"""Command → where it is."""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when needed; turns errors of the library into messages.
+
+    :param commands_at: command → ``"module:attribute"``.
+    """
+
+    def __init__(self, *args: object, commands_at: Mapping[str, str], **options: object) -> None:
+        super().__init__(*args, **options)  # type: ignore[arg-type]
+        self.commands_at = commands_at
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands."""
+        return sorted({*super().list_commands(ctx), *self.commands_at})
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Import and return a command."""
+        if name not in self.commands_at:
+            return super().get_command(ctx, name)
+        module, attribute = self.commands_at[name].split(":")
+        command: click.Command = getattr(import_module(module), attribute)
+        return command
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a command: unusable input is a message and exit code 1, an interrupt 130; a traceback is a fault."""
+        from postproc.errors import PostprocError
+
+        try:
+            return super().invoke(ctx)
+        except PostprocError as cause:
+            raise click.ClickException(str(cause)) from cause
+        except KeyboardInterrupt:
+            click.echo("Interrupted.", err=True)
+            ctx.exit(130)
+
+
+@click.group(cls=LazyGroup, commands_at=_COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="postproc", message="%(prog)s %(version)s")
+def main() -> None:
+    """Correct robot milling programs for the elastic deflection of the arm under cutting forces.
+
+    \b
+    Example:
+      postproc convert part.nc --cell cell.toml --forces part.forces.csv
+
+    Exit codes: 0 good; 1 input unusable or a move cannot be done, nothing written for that program; 2 wrong usage;
+    3 written, but a stated tolerance is exceeded; 130 interrupted.
+    """  # noqa: D301 - click: keep these lines as they are
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            with contextlib.suppress(ValueError, OSError):
+                stream.reconfigure(errors="replace")  # a console that cannot show a character is no reason to stop

@@ -1,1 +1,19 @@
-"""Results as text, JSON, CSV and HTML: pure functions of a result."""
+"""Results as text, JSON, CSV and HTML: pure functions of a result; no file is read or written here."""
+
+from postproc.report.html import page
+from postproc.report.summary import Summary, issue_entry, summary, to_json
+from postproc.report.targets import COLUMNS, targets_csv
+from postproc.report.text import issue_line, of_many, of_one
+
+__all__ = [
+    "COLUMNS",
+    "Summary",
+    "issue_entry",
+    "issue_line",
+    "of_many",
+    "of_one",
+    "page",
+    "summary",
+    "targets_csv",
+    "to_json",
+]

@@ -1,0 +1,194 @@
+"""What to work on: files, folders and patterns become jobs; nothing is written twice or over an input."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from postproc.dialects.text import decode
+from postproc.errors import ForceError, InputError, ProgramError
+from postproc.program import Document
+
+DIALECTS = {
+    **dict.fromkeys((".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), "gcode"),
+    ".src": "krl",
+}
+"""File extension (lower case) → dialect."""
+_REPORTS = (".report.json", ".targets.csv", ".report.html")
+_PROGRAMS = (".src", ".dat")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One program to work on.
+
+    :param program: its file.
+    :param dialect: ``"gcode"`` or ``"krl"``.
+    :param output: folder to write into.
+    :param forces: CSV file with its forces, or None.
+    """
+
+    program: Path
+    dialect: str
+    output: Path
+    forces: Path | None = None
+
+
+def find_jobs(
+    inputs: Sequence[str],
+    *,
+    dialect: str | None = None,
+    forces: Path | None = None,
+    output: Path | None = None,
+    cell: Path | None = None,
+    writes_programs: bool = True,
+) -> list[Job]:
+    """Return a job for each program that files, folders and glob patterns name: sorted, each once.
+
+    :param inputs: of a folder, the files with a known extension are taken; of a pattern too, unless `dialect` says how
+        to read whatever it matches.
+    :param dialect: how to read all of them; None = by extension.
+    :param forces: CSV file (for one program), or a folder that holds NAME.csv or NAME.forces.csv for each.
+    :param output: folder to write into; None = a folder `corrected` beside each program.
+    :param cell: cell file, protected like every input.
+    :param writes_programs: False if only reports are to be written.
+    :raises InputError: an input names nothing or no known kind of program, two programs would be written to one file,
+        or an input would be overwritten.
+    """
+    programs = _unique(path for name in inputs for path in _expand(name, dialect))
+    csv = _forces_for(programs, forces)
+    jobs = [
+        Job(path, dialect or dialect_of(path), path.parent / "corrected" if output is None else output, csv[path])
+        for path in programs
+    ]
+    _check_outputs(jobs, cell, (*(_PROGRAMS if writes_programs else ()), *_REPORTS))
+    return jobs
+
+
+def dialect_of(path: Path) -> str:
+    """Return the dialect that the extension of a file stands for.
+
+    :raises ProgramError: the extension is not known.
+    """
+    found = DIALECTS.get(path.suffix.lower())
+    if found is None:
+        advice = f"Known extensions: {' '.join(DIALECTS)}. Otherwise say how to read it with --dialect gcode or krl."
+        if path.suffix.lower() == ".dat":
+            advice = "Give the .src file; the .dat beside it is read with it."
+        raise ProgramError(f"unknown kind of program {path.suffix!r}", file=str(path), advice=advice)
+    return found
+
+
+def read_documents(path: Path, dialect: str) -> list[Document]:
+    """Read the files of a program: the main file, and for KRL the `.dat` beside it (in any case) if there is one.
+
+    :raises ProgramError: a file cannot be read, is empty or binary.
+    """
+    paths = [path]
+    if dialect == "krl":
+        paths += [other for other in _beside(path) if other.suffix.lower() == ".dat"][:1]
+    return [decode(one.name, _bytes(one)) for one in paths]
+
+
+def _beside(path: Path) -> list[Path]:
+    """Return the files with the same stem in the same folder, letters of any case; the exact one first."""
+    try:
+        found = [other for other in path.parent.iterdir() if other.stem.lower() == path.stem.lower()]
+    except OSError:
+        return []
+    return sorted(found, key=lambda other: (other.stem != path.stem, other.name))
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise ProgramError("no such file", file=str(path)) from None
+    except OSError as cause:
+        raise ProgramError(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+
+
+def _expand(name: str, dialect: str | None) -> Iterator[Path]:
+    path = Path(name)
+    if path.is_dir():
+        found = [file for file in path.iterdir() if file.is_file() and file.suffix.lower() in DIALECTS]
+        if not found:
+            raise InputError("no program in this folder", file=name, advice=f"Looked for {' '.join(DIALECTS)}.")
+        yield from sorted(found)
+    elif not path.exists() and glob.has_magic(name):
+        matches = [Path(match) for match in glob.glob(name, recursive=True)]  # noqa: PTH207 - also absolute patterns
+        found = [file for file in matches if file.is_file() and (dialect or file.suffix.lower() in DIALECTS)]
+        if not found:
+            raise InputError("the pattern matches no program", file=name, advice=f"Looked for {' '.join(DIALECTS)}.")
+        yield from sorted(found)
+    else:
+        yield path
+
+
+def _unique(paths: Iterable[Path]) -> list[Path]:
+    seen: dict[Path, Path] = {}
+    for path in paths:
+        seen.setdefault(path.resolve(), path)
+    return list(seen.values())
+
+
+def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Path | None]:
+    """Return the force file of each program."""
+    if forces is None:
+        return dict.fromkeys(programs)
+    if not forces.is_dir():
+        if len(programs) > 1:
+            raise ForceError(
+                f"one force file for {len(programs)} programs",
+                file=str(forces),
+                advice="Its line numbers belong to one program. Give a folder that holds NAME.csv (or NAME.forces.csv) "
+                "for each program, or write the forces into the programs as comments.",
+            )
+        return dict.fromkeys(programs, forces)
+    known = {file.name.lower(): file for file in sorted(forces.iterdir()) if file.is_file()}
+    found = {
+        program: known.get(f"{program.stem}.forces.csv".lower(), known.get(f"{program.stem}.csv".lower()))
+        for program in programs
+    }
+    if not any(found.values()):
+        raise ForceError(
+            "no force file for any of the programs in this folder",
+            file=str(forces),
+            advice=f"Looked for {programs[0].stem}.csv, {programs[0].stem}.forces.csv and so on.",
+        )
+    return found
+
+
+def _check_outputs(jobs: Sequence[Job], cell: Path | None, endings: Sequence[str]) -> None:
+    """No two jobs may write one file (names that differ in case are one), and none an input."""
+    taken: dict[tuple[str, str], Path] = {}
+    for job in jobs:
+        key = (_key(job.output), job.program.stem.lower())
+        if key in taken:
+            raise InputError(
+                f"{taken[key]} and {job.program} would both be written as {job.output / job.program.stem}.*",
+                advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
+            )
+        taken[key] = job.program
+    inputs = {_key(path) for job in jobs for path in (job.program, job.forces, *_data_files(job)) if path is not None}
+    if cell is not None:
+        inputs.add(_key(cell))
+    for job in jobs:
+        for ending in endings:
+            target = job.output / f"{job.program.stem}{ending}"
+            if _key(target) in inputs:
+                raise InputError(
+                    "this input would be overwritten",
+                    file=str(target),
+                    advice="Nothing was written. Choose another output folder with -o.",
+                )
+
+
+def _data_files(job: Job) -> list[Path]:
+    return [file for file in _beside(job.program) if file.suffix.lower() == ".dat"] if job.dialect == "krl" else []
+
+
+def _key(path: Path) -> str:
+    return str(path.resolve()).lower()

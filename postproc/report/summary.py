@@ -1,0 +1,138 @@
+"""`report.json`: what came of a program in numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TypedDict
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.frames import DEG_PER_RAD, MM_PER_M
+from postproc.pipeline import Mode, Result, Statistics, statistics
+
+
+class Distances(TypedDict):
+    """Distances of the predicted tool tip from nominal over cutting targets."""
+
+    max_mm: float
+    rms_mm: float
+    mean_mm: float
+    p95_mm: float
+
+
+class Ratios(TypedDict):
+    """Before divided by after; None where nothing remains."""
+
+    max: float | None
+    rms: float | None
+
+
+class Limits(TypedDict):
+    """How near the path comes to what the robot cannot do; None where unknown."""
+
+    min_joint_margin_deg: float | None
+    min_singular_value: float | None
+    joint_margins_deg: list[float | None]
+
+
+class IssueEntry(TypedDict):
+    """An issue, grouped."""
+
+    level: str
+    kind: str
+    message: str
+    source_line: int | None
+    count: int
+
+
+class Summary(TypedDict):
+    """Content of `report.json`. Numbers that are unknown are None; none is NaN or infinite."""
+
+    program: str
+    robot: str
+    mode: Mode
+    targets: int
+    inserted_targets: int
+    before: Distances
+    after: Distances
+    improvement: Ratios
+    compensated_percent: float | None
+    between_max_mm: float | None
+    tolerance_mm: float | None
+    tolerance_held: bool | None
+    max_correction_mm: float | None
+    max_force_N: float
+    limits: Limits
+    issues: list[IssueEntry]
+
+
+def summary(result: Result, tolerance: float | None = None) -> Summary:
+    """Return the content of `report.json`.
+
+    :param result: of one program.
+    :param tolerance: what the tip may leave the nominal path by [m], to say whether that is held; None = not stated.
+    """
+    before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
+    reached = max(after.largest, result.between) if math.isfinite(result.between) else math.inf
+    margin = result.joint_margin * DEG_PER_RAD
+    force = np.linalg.norm(result.wrench[:, :3], axis=1)
+    return Summary(
+        program=result.program.documents[0].name,
+        robot=result.robot,
+        mode=result.mode,
+        targets=len(result),
+        inserted_targets=result.inserted,
+        before=_distances(before),
+        after=_distances(after),
+        improvement={"max": _ratio(before.largest, after.largest), "rms": _ratio(before.rms, after.rms)},
+        compensated_percent=None if before.rms == 0.0 else _finite(100.0 * (1.0 - after.rms / before.rms)),
+        between_max_mm=_finite(result.between * MM_PER_M),
+        tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
+        tolerance_held=None if tolerance is None else reached <= tolerance,
+        max_correction_mm=_finite(result.largest_correction * MM_PER_M),
+        max_force_N=float(force.max(initial=0.0)),
+        limits={
+            "min_joint_margin_deg": _finite(float(margin.min())),
+            "min_singular_value": _finite(result.singular_value),
+            "joint_margins_deg": [_finite(float(value)) for value in margin],
+        },
+        issues=[issue_entry(issue) for issue in result.issues],
+    )
+
+
+def issue_entry(issue: Issue) -> IssueEntry:
+    """Return an issue as it stands in `report.json`."""
+    return {
+        "level": issue.level,
+        "kind": issue.kind,
+        "message": issue.message,
+        "source_line": issue.source_line,
+        "count": issue.count,
+    }
+
+
+def to_json(content: object) -> bytes:
+    """Return JSON text in UTF-8, indented, with a line end.
+
+    :raises ValueError: a number is NaN or infinite.
+    """
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def _distances(values: Statistics) -> Distances:
+    return {
+        "max_mm": values.largest * MM_PER_M,
+        "rms_mm": values.rms * MM_PER_M,
+        "mean_mm": values.mean * MM_PER_M,
+        "p95_mm": values.p95 * MM_PER_M,
+    }
+
+
+def _ratio(before: float, after: float) -> float | None:
+    return _finite(before / after) if after > 0.0 else None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,116 @@
+"""Summaries for a terminal: of one program, and a table for many. Plain text, the same when piped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from postproc.report.summary import IssueEntry, Summary
+
+_ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
+
+
+def of_one(content: Summary) -> str:
+    """Return the summary of one program: the paper's Table 3, then what else there is to know."""
+    lines = [f"{content['program']}  on {content['robot']}: {_targets(content)}", ""]
+    if content["mode"] == "predict":
+        lines.append(f"  {'deviation [mm]':<16}{'predicted':>12}")
+        lines += [f"  {label:<16}{content['before'][key]:>12.4f}" for label, key in _ROWS]  # type: ignore[literal-required]
+    else:
+        lines.append(f"  {'deviation [mm]':<16}{'before':>12}{'after':>12}{'improvement':>14}")
+        for label, key in _ROWS:
+            before, after = content["before"][key], content["after"][key]  # type: ignore[literal-required]
+            factor = times(before / after if after > 0.0 else None)
+            lines.append(f"  {label:<16}{before:>12.4f}{after:>12.4f}{factor:>14}")
+    lines += ["", *_facts(content)]
+    lines += [issue_line(issue, content["program"]) for issue in content["issues"]]
+    return "\n".join(lines)
+
+
+def _targets(content: Summary) -> str:
+    inserted = content["inserted_targets"]
+    return f"{content['targets']} targets" + (f", {inserted} of them inserted" if inserted else "")
+
+
+def _facts(content: Summary) -> list[str]:
+    facts = []
+    if content["mode"] == "convert" and content["compensated_percent"] is not None:
+        facts.append(f"compensated {percent(content['compensated_percent'])}")
+        facts.append(f"largest correction {number(content['max_correction_mm'], 3)} mm")
+    if content["mode"] != "predict" and content["between_max_mm"] is not None:
+        held = {None: "", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
+        stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
+        facts.append(f"between targets at most {content['between_max_mm']:.4f} mm{stated}")
+    elif content["tolerance_held"] is False:
+        facts.append(f"tolerance {content['tolerance_mm']:g} mm EXCEEDED")
+    limits = content["limits"]
+    facts.append(
+        f"smallest joint margin {number(limits['min_joint_margin_deg'], 1)}°, "
+        f"smallest singular value {number(limits['min_singular_value'], 3)}"
+    )
+    return [f"  {fact}" for fact in facts]
+
+
+def issue_line(issue: IssueEntry, program: str) -> str:
+    """Return one line about an issue, with file and line where it first stands."""
+    where = program if issue["source_line"] is None else f"{program}:{issue['source_line']}"
+    more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
+    return f"{issue['level']}: {where}: {issue['message']}{more}"
+
+
+def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
+    """Return a table of many programs.
+
+    :param rows: name, summary (None where it failed) and one word on what came of it.
+    """
+    head = ("program", "targets", "max before", "max after", "rms before", "rms after", "compensated", "result")
+    body: list[tuple[str, ...]] = [head]
+    for name, content, word in rows:
+        if content is None:
+            body.append((name, *("-",) * 6, word))
+            continue
+        before, after = content["before"], content["after"]
+        body.append(
+            (
+                name,
+                str(content["targets"]),
+                *(f"{value:.4f}" for value in (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])),
+                percent(content["compensated_percent"]),
+                word,
+            )
+        )
+    widths = [max(len(row[column]) for row in body) for column in range(len(head))]
+    lines = [_aligned(row, widths) for row in body]
+    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
+
+
+def _aligned(row: tuple[str, ...], widths: Sequence[int]) -> str:
+    cells = [
+        cell.ljust(width) if column in (0, len(row) - 1) else cell.rjust(width)
+        for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+    ]
+    return "  ".join(cells).rstrip()
+
+
+def number(value: float | None, places: int) -> str:
+    """Return a number with fixed decimals, or a dash where there is none."""
+    return "-" if value is None else f"{value:.{places}f}"
+
+
+def times(ratio: float | None) -> str:
+    """Return an improvement factor as text.
+
+    >>> times(11.13), times(3421.0), times(None)
+    ('11.1', '3421', '-')
+    """
+    return "-" if ratio is None else f"{ratio:.1f}" if ratio < 1000.0 else f"{ratio:.0f}"
+
+
+def percent(value: float | None) -> str:
+    """Return a percentage as text, never rounded up to 100.
+
+    >>> percent(91.2), percent(99.9996), percent(None)
+    ('91.2 %', '99.99 %', '-')
+    """
+    if value is None:
+        return "-"
+    return f"{value:.1f} %" if value < 99.9 else f"{int(value * 100.0) / 100.0:.2f} %"

@@ -1,0 +1,77 @@
+"""Results made up for tests of what comes after the pipeline: no robot is computed here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.frames import pose_from_xyzabc
+from postproc.pipeline import Mode, Result
+from postproc.program import LIN, Document, Motions, Program
+
+
+def program(count: int = 100) -> Program:
+    """A zigzag of `count` moves, every 25th rapid; motion i stands on line i + 3."""
+    index = np.arange(count)
+    way = np.zeros((count, 6))
+    way[:, 0] = np.where(index // 20 % 2 == 0, index % 20, 19 - index % 20) * 10.0
+    way[:, 1] = index // 20 * 5.0
+    way[:, 5] = 180.0
+    motions = Motions(
+        kind=np.full(count, LIN),
+        rapid=index % 25 == 0,
+        line=index + 3,
+        target=pose_from_xyzabc(way),
+        joints=np.full((count, 6), np.nan),
+        centre=np.full((count, 3), np.nan),
+        normal=np.full((count, 3), np.nan),
+        sweep=np.full(count, np.nan),
+        feed=np.full(count, 0.02),
+        base=np.zeros(count, dtype=np.int64),
+        tool=np.zeros(count, dtype=np.int64),
+        blend=np.zeros(count),
+        status=np.full(count, -1),
+        turn=np.full(count, -1),
+    )
+    return Program("part", "gcode", (Document("part.nc", "G0 X0\n"),), motions, np.eye(4)[None], np.eye(4)[None])
+
+
+def result(count: int = 100, mode: Mode = "convert") -> Result:
+    """A result with smooth deviations; one target per motion."""
+    made = program(count)
+    rapid = made.motions.rapid
+    phase = np.linspace(0.0, 12.0, count)
+    before = np.where(rapid, 0.0, 1e-3 * (1.0 + 0.5 * np.sin(phase)))
+    wrench = np.zeros((count, 6))
+    wrench[:, 2] = np.where(rapid, 0.0, 200.0 + 100.0 * np.sin(phase))
+    command = made.motions.target.copy()
+    command[:, 2, 3] += before
+    return Result(
+        program=made,
+        robot="kuka_kr270",
+        mode=mode,
+        documents=() if mode == "predict" else (Document("part.src", "DEF part()\nEND\n"),),
+        motion=np.arange(count),
+        t=np.ones(count),
+        output_line=np.arange(count) + 20,
+        nominal=made.motions.target,
+        command=command,
+        wrench=wrench,
+        deflection=np.stack([np.zeros(count), np.zeros(count), -before], axis=1),
+        before=before,
+        after=np.where(rapid, 0.0, 2e-7) if mode == "convert" else before,
+        bound=None,
+        q=np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (count, 1)),
+        joint_margin=np.radians([180.0, 60.0, 40.0, 340.0, 70.0, 350.0]),
+        singular_value=0.21,
+        between=4e-6 if mode == "convert" else 1.5e-3,
+        largest_correction=1.5e-3,
+        issues=(Issue("warning", "no-force", "cutting moves <without> a force: none is assumed", 12, count=311),),
+    )
+
+
+def with_changes(base: Result, **changes: object) -> Result:
+    """The same result with other fields."""
+    return replace(base, **changes)  # type: ignore[arg-type]
