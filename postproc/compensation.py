@@ -18,6 +18,7 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, twist_between
+from postproc.program import Ints
 from postproc.robot import RobotModel
 
 POSITION_TOLERANCE = 1e-8
@@ -34,12 +35,24 @@ class Compensation:
 
     :param q: (N, 6) joint angles that the controller will hold [rad].
     :param pose: (N, 4, 4) commanded tool frame in the robot root, by the nominal geometry [m].
+    :param jacobian: (N, 6, 6) of the nominal geometry there.
     :param theta: (N, nv) deflections of the springs at the target [rad, m].
     """
 
     q: Array
     pose: Array
+    jacobian: Array
     theta: Array
+
+    def at(self, rows: Ints) -> Compensation:
+        """Return the given rows."""
+        return Compensation(self.q[rows], self.pose[rows], self.jacobian[rows], self.theta[rows])
+
+
+def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
+    """Return joint angles (N, 6) as commands without any correction."""
+    pose, jacobian = kinematics.tcp(robot.nominal, q, tool)
+    return Compensation(q, pose, jacobian, np.zeros((len(q), robot.actual.nv)))
 
 
 def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
@@ -55,6 +68,7 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     q = np.empty_like(q_nominal)
     theta = np.empty((len(q), robot.actual.nv))
     pose = np.empty_like(target)
+    jacobian = np.empty((len(q), 6, 6))
     for begin in range(0, len(target), _CHUNK):
         rows = slice(begin, begin + _CHUNK)
         part = tool if tool.ndim == 2 else tool[rows]
@@ -62,8 +76,8 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
             q[rows], theta[rows] = _solve(robot, target[rows], q_nominal[rows], part, wrench[rows])
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
-        pose[rows] = kinematics.tcp(robot.nominal, q[rows], part)[0]
-    return Compensation(q, pose, theta)
+        pose[rows], jacobian[rows] = kinematics.tcp(robot.nominal, q[rows], part)
+    return Compensation(q, pose, jacobian, theta)
 
 
 def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:

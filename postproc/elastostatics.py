@@ -23,6 +23,8 @@ from postproc.robot import RobotModel
 
 _POSITION_TOLERANCE = 1e-9
 """Largest error of the TCP [m] left by the iterations; 1e-7 is asked of the whole correction."""
+_SPRING_TOLERANCE = 3e-9
+"""Largest error of a spring's deflection [rad, m] left by the iterations; 1e-8 rad is asked of the correction."""
 _MAX_ITERATIONS = 30
 _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model means nothing: an error, not a number."""
@@ -37,13 +39,17 @@ class Deflection:
 
     :param theta: (N, nv) deflections of the virtual springs [rad, m].
     :param pose: (N, 4, 4) tool frame in the root frame under load [m].
-    :param twist: (N, 6) displacement of the tool frame from where it stands with θ = 0: position [m], rotation
-        vector [rad], root axes.
+    :param rest: (N, 4, 4) the same with θ = 0.
     """
 
     theta: Array
     pose: Array
-    twist: Array
+    rest: Array
+
+    @property
+    def twist(self) -> Array:
+        """(N, 6) displacement of the tool frame from rest: position [m], rotation vector [rad], root axes."""
+        return twist_between(self.rest, self.pose)
 
 
 def coordinates(robot: RobotModel, q: Array) -> Array:
@@ -144,7 +150,7 @@ def deflect(
         rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _POSITION_TOLERANCE)]
         if len(rows) == 0:
             _check_size(theta)
-            return Deflection(theta, pose, twist_between(rest, pose))
+            return Deflection(theta, pose, rest)
     raise NotConvergedError("equilibrium not found", rows)
 
 
@@ -161,14 +167,18 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> A
     load = np.einsum("nij,ni->nj", jacobian, wrench)
     if _by_compliance(robot):
         return _springs_by_compliance(robot, x, load)
-    at_rest = _spring_torque(robot, x, np.zeros_like(x))
     tangent = joint_stiffness(robot, x)
     theta = np.zeros_like(x)
     rows = np.arange(len(x))
     previous = np.full(len(x), np.nan)
+    # without payload, what compensator and weights ask of the springs at x is the reference itself while θ = 0
+    balanced = robot.subtract_reference and robot.loaded is robot.actual
+    at_rest = None if balanced else _spring_torque(robot, x, theta)
     for iteration in range(_MAX_ITERATIONS):
-        held = at_rest[rows] + np.einsum("ij,nj->ni", robot.stiffness, theta[rows])
-        residual = held - _reference_torque(robot, x[rows] - theta[rows]) - load[rows]
+        residual = theta[rows] @ robot.stiffness - load[rows]
+        if iteration or not balanced:
+            at_rest = _spring_torque(robot, x, np.zeros_like(x)) if at_rest is None else at_rest
+            residual += at_rest[rows] - _reference_torque(robot, x[rows] - theta[rows])
         step = -np.linalg.solve(tangent[rows], residual[..., None])[..., 0]
         theta[rows] += step
         size = np.abs(step).max(axis=1, initial=0.0)
@@ -176,7 +186,7 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> A
             raise NotConvergedError("equilibrium not found", rows[~np.isfinite(size)])
         ratio = size / previous[rows] if iteration else np.full(len(rows), 0.05)
         previous[rows] = size
-        rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _POSITION_TOLERANCE)]
+        rows = rows[~(size * np.clip(ratio, 1e-4, 1.0) <= _SPRING_TOLERANCE)]
         if len(rows) == 0:
             _check_size(theta)
             return theta
@@ -199,9 +209,19 @@ def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = 
     spread = np.eye(torque.shape[1])[law.row]
     offset = np.zeros((len(torque), len(law.row))) if at_rest is None else at_rest[:, law.row] / law.torque
     u = torque[:, law.row] / law.torque + offset
-    theta -= (law.compliance * law.torque * (u - offset - np.arcsinh(u) + np.arcsinh(offset))) @ spread
-    slope -= (law.compliance * (1.0 - 1.0 / np.sqrt(1.0 + u**2))) @ spread
+    theta -= (law.compliance * law.torque * (u - offset - fading(u) + fading(offset))) @ spread
+    slope -= (law.compliance * (1.0 - fading_slope(u))) @ spread
     return theta, slope
+
+
+def fading(u: Array) -> Array:
+    """Return f(u) of `robot.GearStiffening`: the deflection, over c·T, of the part of a gear that fades with load."""
+    return np.asarray(np.arcsinh(u))
+
+
+def fading_slope(u: Array) -> Array:
+    """Return f′(u)."""
+    return np.asarray(1.0 / np.sqrt(1.0 + u**2))
 
 
 def position_bound(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array | None:
@@ -250,7 +270,7 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     link_rows = dict(zip((f"{s.link}.{s.axis}" for s in robot.link_springs), robot.passive, strict=True))
     columns = []
     for name in names:
-        joint, _, fading = name.partition("@")
+        joint, _, limit = name.partition("@")
         if name in ("K_c", "s_0") and robot.compensator is not None:
             law = robot.compensator
             unit = replace(law, stiffness=1.0)
@@ -266,8 +286,8 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
         elif joint in _JOINT_PARAMETERS:
             row = robot.actuated[_JOINT_PARAMETERS.index(joint)]
             amount = torque[:, row]
-            if fading:
-                amount = float(fading) * np.arcsinh(amount / float(fading)) - amount
+            if limit:
+                amount = float(limit) * fading(amount / float(limit)) - amount
             columns.append(1e-6 * reach[:, :, row] * amount[:, None])
         else:
             raise ModelError(f"[covariance] names {name!r}, which the model does not have")
@@ -311,7 +331,7 @@ def _deflect_by_compliance(
             theta[part], pose[part] = _fixed_point(robot, x0, theta[part], tools, wrench[part])
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
-    return Deflection(theta, pose, twist_between(unloaded, pose))
+    return Deflection(theta, pose, unloaded)
 
 
 def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:

@@ -17,6 +17,8 @@ M_PER_MM = 1e-3
 RAD_PER_DEG = np.pi / 180.0
 MM_PER_M = 1e3
 DEG_PER_RAD = 180.0 / np.pi
+_SMALL_SINE = 5e-3
+"""Below this the series of asin to the fifth power is exact to 1e-16."""
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
 
 
@@ -71,8 +73,6 @@ def inverse(pose: Array) -> Array:
 
 def rotation_vector(rotation: Array) -> Array:
     """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3); angle ≤ π."""
-    from scipy.spatial.transform import Rotation
-
     small = np.stack(
         [
             rotation[..., 2, 1] - rotation[..., 1, 2],
@@ -82,13 +82,22 @@ def rotation_vector(rotation: Array) -> Array:
         axis=-1,
     )
     small = 0.5 * small  # sin(angle)·axis
-    sine = np.linalg.norm(small, axis=-1)
+    square = np.einsum("...i,...i->...", small, small)
+    if (
+        square.max(initial=0.0) < _SMALL_SINE**2
+        and (rotation[..., 0, 0] > 0.0).all()
+        and (rotation[..., 1, 1] > 0.0).all()
+    ):
+        return np.asarray(small * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))[..., None])  # asin(s)/s
+    sine = np.sqrt(square)
     cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
     angle = np.arctan2(sine, cosine)
     safe = np.where(sine > 0.0, sine, 1.0)
     vector = small * np.where(sine > 0.0, angle / safe, 1.0)[..., None]
     hard = np.atleast_1d(cosine < -0.99)
     if hard.any():  # near π the sine vanishes: scipy picks the well-conditioned quaternion component
+        from scipy.spatial.transform import Rotation
+
         flat = np.atleast_2d(vector)
         flat[hard] = Rotation.from_matrix(rotation.reshape(*hard.shape, 3, 3)[hard]).as_rotvec()
         vector = flat.reshape(vector.shape)

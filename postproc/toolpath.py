@@ -41,14 +41,12 @@ class Toolpath:
     :param motion: (N,) row of `Motions`.
     :param t: (N,) place on the motion, in (0, 1].
     :param pose: (N, 4, 4) tool frame in the motion's `$BASE` [m].
-    :param tangent: (N, 3) unit direction of travel, `$BASE`; zero where the TCP does not travel, and for PTP.
     :param distance: (N,) travelled from the start of the motion [m].
     """
 
     motion: Ints
     t: Array
     pose: Array
-    tangent: Array
     distance: Array
 
     def __len__(self) -> int:
@@ -151,31 +149,42 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """
     m = program.motions
     pose = m.target[motion]
-    tangent = np.zeros((len(motion), 3))
     kind = m.kind[motion]
-    straight = kind == LIN
-    long = straight & (path.length[motion] > 0.0)
-    run = m.target[motion[long], :3, 3] - path.start[motion[long], :3, 3]
-    tangent[long] = run / path.length[motion[long], None]
     inner = np.flatnonzero((t < 1.0) & (kind != PTP))
     if len(inner):
         rows = motion[inner]
         twist = twist_between(path.start[rows], m.target[rows])
         pose[inner] = displaced(path.start[rows], twist * t[inner, None])
+    arcs = inner[kind[inner] == CIRC]
+    if len(arcs):
+        pose[arcs, :3, 3] = _on_arc(program, path, motion[arcs], t[arcs])[0]
+    return Toolpath(motion, t, pose, path.length[motion] * t)
+
+
+def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
+    """Return the unit direction of travel (n, 3), `$BASE`, at places (motion, t); zero without travel, and for PTP."""
+    m = program.motions
+    out = np.zeros((len(motion), 3))
+    kind = m.kind[motion]
+    long = np.flatnonzero((kind == LIN) & (path.length[motion] > 0.0))
+    rows = motion[long]
+    out[long] = (m.target[rows, :3, 3] - path.start[rows, :3, 3]) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
-        rows = motion[arcs]
-        from_centre = path.start[rows, :3, 3] - m.centre[rows]
-        normal = m.normal[rows]
-        height = np.einsum("ni,ni->n", from_centre, normal)[:, None] * normal
-        radial = from_centre - height
-        across = np.cross(normal, radial)
-        rise = np.einsum("ni,ni->n", m.target[rows, :3, 3] - path.start[rows, :3, 3], normal)
-        angle = (m.sweep[rows] * t[arcs])[:, None]
-        along = (rise * t[arcs])[:, None] * normal
-        spot = m.centre[rows] + height + np.cos(angle) * radial + np.sin(angle) * across + along
-        middle = t[arcs] < 1.0
-        pose[arcs[middle], :3, 3] = spot[middle]
-        velocity = m.sweep[rows, None] * (np.cos(angle) * across - np.sin(angle) * radial) + rise[:, None] * normal
-        tangent[arcs] = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
-    return Toolpath(motion, t, pose, tangent, path.length[motion] * t)
+        velocity = _on_arc(program, path, motion[arcs], t[arcs])[1]
+        out[arcs] = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
+    return out
+
+
+def _on_arc(program: Program, path: Segments, motion: Ints, t: Array) -> tuple[Array, Array]:
+    """Return positions and their derivatives by t (n, 3) on CIRC motions."""
+    m = program.motions
+    from_centre = path.start[motion, :3, 3] - m.centre[motion]
+    normal, sweep = m.normal[motion], m.sweep[motion, None]
+    height = np.einsum("ni,ni->n", from_centre, normal)[:, None] * normal
+    radial = from_centre - height
+    across = np.cross(normal, radial)
+    climb = np.einsum("ni,ni->n", m.target[motion, :3, 3] - path.start[motion, :3, 3], normal)[:, None] * normal
+    sin, cos = np.sin(sweep * t[:, None]), np.cos(sweep * t[:, None])
+    spot = m.centre[motion] + height + cos * radial + sin * across + climb * t[:, None]
+    return spot, sweep * (cos * across - sin * radial) + climb

@@ -8,7 +8,7 @@ from postproc.errors import ForceError
 from postproc.forces.per_motion import FEED, TOOL, MotionForces
 from postproc.frames import MM_PER_M, Array
 from postproc.program import Ints, Program
-from postproc.toolpath import Segments, Toolpath, at
+from postproc.toolpath import Segments, Toolpath, at, tangent
 
 _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
 _PARALLEL = 1e-3
@@ -27,7 +27,7 @@ def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolp
     :returns: (N, 6) force [N] and moment [N·m] on the tool at the TCP, `$BASE` axes of the motion.
     :raises ForceError: a FEED force on a motion along the spindle.
     """
-    own = _in_base(program, forces, sample, axis)
+    own = _in_base(program, path, forces, sample.motion, sample.t, axis)
     previous = _at_start(program, path, forces, axis)[sample.motion]
     reach = np.minimum(ramp, path.length[sample.motion])
     share = np.where(reach > 0.0, np.minimum(1.0, sample.distance / np.where(reach > 0.0, reach, 1.0)), sample.t)
@@ -37,10 +37,9 @@ def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolp
 
 def kinks(program: Program, path: Segments, forces: MotionForces, axis: str, ramp: float) -> Array:
     """Return where on each motion (M,) its force ramp ends: t in (0, 1); 1 where it has none or is all ramp."""
-    m = program.motions
-    rows = np.arange(len(m))
+    rows = np.arange(len(program.motions))
     before = _at_start(program, path, forces, axis)
-    begin = _in_base(program, forces, at(program, path, rows, np.full(len(m), 1e-9)), axis)
+    begin = _in_base(program, path, forces, rows, np.full(len(rows), 1e-9), axis)
     changes = np.abs(begin - before).max(axis=1) > 1e-9
     long = path.length > ramp
     return np.where(changes & long, ramp / np.where(long, path.length, 1.0), 1.0)
@@ -49,9 +48,8 @@ def kinks(program: Program, path: Segments, forces: MotionForces, axis: str, ram
 def _at_start(program: Program, path: Segments, forces: MotionForces, axis: str) -> Array:
     """Return the wrench (M, 6) at the start of each motion: the own one of the motion before, in this one's axes."""
     m = program.motions
-    ends = at(program, path, np.arange(len(m)), np.ones(len(m)))
     out = np.zeros((len(m), 6))
-    out[1:] = _in_base(program, forces, ends, axis)[:-1]
+    out[1:] = _in_base(program, path, forces, np.arange(len(m)), np.ones(len(m)), axis)[:-1]
     changed = np.flatnonzero(np.diff(m.base) != 0) + 1
     turn = np.swapaxes(program.bases[m.base[changed], :3, :3], 1, 2) @ program.bases[m.base[changed - 1], :3, :3]
     for half in (slice(0, 3), slice(3, 6)):
@@ -59,36 +57,33 @@ def _at_start(program: Program, path: Segments, forces: MotionForces, axis: str)
     return out
 
 
-def _in_base(program: Program, forces: MotionForces, sample: Toolpath, axis: str) -> Array:
-    """Return the full own wrench (N, 6) of each sample's motion in `$BASE` axes."""
-    local = forces.wrench[sample.motion]
-    frame = forces.frame[sample.motion]
-    active = np.any(local != 0.0, axis=1)
-    out = local.copy()
+def _in_base(program: Program, path: Segments, forces: MotionForces, motion: Ints, t: Array, axis: str) -> Array:
+    """Return the full own wrench (n, 6) at places (motion, t) in `$BASE` axes."""
+    out = forces.wrench[motion]
+    frame = forces.frame[motion]
     for code in (TOOL, FEED):
-        rows = np.flatnonzero(active & (frame == code))
+        rows = np.flatnonzero((frame == code) & out.any(axis=1))
         if len(rows):
-            rotation = sample.pose[rows, :3, :3]
-            if code == FEED:
-                rotation = _feed_axes(program, sample, rows, axis)
+            sample = at(program, path, motion[rows], t[rows])
+            rotation = sample.pose[:, :3, :3] if code == TOOL else _feed_axes(program, path, sample, axis)
             for half in (slice(0, 3), slice(3, 6)):
-                out[rows, half] = np.einsum("nij,nj->ni", rotation, local[rows, half])
+                out[rows, half] = np.einsum("nij,nj->ni", rotation, out[rows, half])
     return out
 
 
-def _feed_axes(program: Program, sample: Toolpath, rows: Ints, axis: str) -> Array:
+def _feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str) -> Array:
     """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
 
     z along the spindle from the tip to the spindle, x along the travel as far as it is square to z, y = z × x.
     """
     column, sign = _SPINDLE[axis]
-    z = -sign * sample.pose[rows, :3, column]
-    travel = sample.tangent[rows]
+    z = -sign * sample.pose[:, :3, column]
+    travel = tangent(program, path, sample.motion, sample.t)
     across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
     sine = np.linalg.norm(across, axis=1)
     bad = np.flatnonzero(sine < _PARALLEL)
     if len(bad):
-        row = rows[bad[0]]
+        row = bad[0]
         spot = np.round(sample.pose[row, :3, 3] * MM_PER_M, 3).tolist()
         raise ForceError(
             f"a FEED force on a move along the spindle, at {spot} mm",

@@ -17,13 +17,14 @@ from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
 from postproc.errors import ModelError, PostprocError
-from postproc.frames import Array, inverse, rotation_from_vector, twist_between
+from postproc.frames import Array, displaced, inverse, rotation_from_vector, twist_between
 from postproc.kinematics.chain import tcp
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
 _TURN = 2.0 * np.pi
 _SAME = 1e-6
+_SMALL_STEP = 1e-5
 
 
 class UnreachableError(PostprocError):
@@ -280,7 +281,13 @@ def _turned(robot: RobotModel, angles: Array, last: Array, turn: int) -> Array:
 
 
 def refine(
-    model: pin.Model, q: Array, actuated: Sequence[int], tool: Array, target: Array, steps: int = 20
+    model: pin.Model,
+    q: Array,
+    actuated: Sequence[int],
+    tool: Array,
+    target: Array,
+    start: tuple[Array, Array] | None = None,
+    steps: int = 20,
 ) -> tuple[Array, Array, Array]:
     """Move the actuated coordinates until the tool frame stands at the target (Newton).
 
@@ -289,23 +296,31 @@ def refine(
     :param actuated: coordinates that may move (six of them).
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame.
     :param target: (N, 4, 4) tool frame in the root frame.
-    :returns: q (N, nv), pose (N, 4, 4) and Jacobian (N, 6, nv) there. Rows that do not converge keep an error: the
+    :param start: pose (N, 4, 4) and Jacobian (N, 6, nv) at q, if they are known.
+    :returns: q (N, nv), pose (N, 4, 4) and Jacobian (N, 6, nv) there; after a last step below 1e-5 they are those
+        before it, moved by it to first order (an error below 1e-9 m). Rows that do not converge keep an error: the
         caller checks the poses.
     """
     q = np.array(q, dtype=float)
-    pose, jacobian = tcp(model, q, tool)
+    pose, jacobian = tcp(model, q, tool) if start is None else (start[0].copy(), start[1].copy())
     columns = list(actuated)
+    rows = np.arange(len(q))
     for _ in range(steps):
-        error = twist_between(pose, target)
-        rows = np.flatnonzero((np.abs(error[:, :3]).max(axis=1) > 1e-10) | (np.abs(error[:, 3:]).max(axis=1) > 1e-11))
-        if len(rows) == 0:
-            break
+        error = twist_between(pose[rows], target[rows])
+        off = (np.abs(error[:, :3]).max(axis=1) > 1e-10) | (np.abs(error[:, 3:]).max(axis=1) > 1e-11)
+        rows, error = rows[off], error[off]
         square = jacobian[rows][:, :, columns]
         solvable = np.abs(np.linalg.det(square)) > 1e-12
-        rows = rows[solvable]
+        rows, error, square = rows[solvable], error[solvable], square[solvable]
         if len(rows) == 0:
             break
-        step = np.linalg.solve(square[solvable], error[rows, :, None])[..., 0]
+        step = np.linalg.solve(square, error[..., None])[..., 0]
         q[rows[:, None], columns] += np.clip(step, -0.2, 0.2)
+        small = np.abs(step).max(axis=1) < _SMALL_STEP
+        done = rows[small]
+        pose[done] = displaced(pose[done], np.einsum("nij,nj->ni", square[small], step[small]))
+        rows = rows[~small]
+        if len(rows) == 0:
+            break
         pose[rows], jacobian[rows] = tcp(model, q[rows], tool if tool.ndim == 2 else tool[rows])
     return q, pose, jacobian

@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
-from postproc.compensation import Compensation, compensate
+from postproc.compensation import Compensation, compensate, uncorrected
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
@@ -106,14 +106,14 @@ def process(
         targets, row = _targets(program, place, sampled, moved, whole, linearize_arcs)
         written = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
     issues += written.issues
+    chosen = sampled.command.at(row)
     before, deflection = _uncorrected(program, place, sampled, row)
     after, between = before, float(before.max(initial=0.0))
     if written.documents:
         again = verify.read_back(written, place, program.name)
         simulated = verify.simulate(
-            program, sampled.path, sampled.load, targets, again, place, sampled.command.q[row],
-            sampled.command.theta[row], corrected=mode == "convert",
-        )  # fmt: skip
+            program, sampled.path, sampled.load, targets, again, place, chosen, corrected=mode == "convert"
+        )
         after, between = simulated.after, simulated.between
         issues += simulated.issues
         blend = again.motions.blend[np.isnan(again.motions.joints[:, 0])]
@@ -123,8 +123,6 @@ def process(
                 program, targets.motion, nominal[:, :3, 3], targets.pose[:, :3, 3], blend, place.tolerance
             )
     failed = any(issue.level == "error" for issue in issues)
-    chosen = sampled.command.q[row]
-    _, jacobian = kinematics.tcp(place.robot.nominal, chosen, place.tool(program, targets.motion))
     return Result(
         program=program,
         robot=robot.name,
@@ -139,10 +137,15 @@ def process(
         deflection=deflection,
         before=before,
         after=after,
-        bound=None,
-        q=chosen,
+        bound=elastostatics.position_bound(
+            place.robot,
+            chosen.q,
+            place.tool(program, targets.motion),
+            place.wrench(program, targets.motion, sampled.wrench[row]),
+        ),
+        q=chosen.q,
         joint_margin=kinematics.joint_margin(robot, sampled.command.q).min(axis=0),
-        singular_value=kinematics.smallest_singular_value(jacobian),
+        singular_value=kinematics.smallest_singular_value(chosen.jacobian),
         between=between,
         largest_correction=float(np.linalg.norm((targets.pose - sampled.sample.pose[row])[:, :3, 3], axis=1).max()),
         issues=group_issues(issues),
@@ -166,9 +169,10 @@ def _sample(program: Program, place: InRoot, rows: ForceRows | None, mode: Mode,
     except UnreachableError as cause:
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
         raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
-    command = Compensation(joints.q, sample.pose, np.zeros((len(motion), place.robot.actual.nv)))
     in_base = sample.pose
-    if mode == "convert":
+    if mode != "convert":
+        command = uncorrected(place.robot, joints.q, place.tool(program, motion))
+    else:
         movable = np.isnan(m.joints[motion, 0])
         try:
             command = _compensated(program, place, sample, wrench, joints, movable)
@@ -201,10 +205,12 @@ def _compensated(
     )
     if movable.all():
         return solved
-    q, pose = joints.q.copy(), sample.pose.copy()
-    theta = np.zeros((len(q), place.robot.actual.nv))
-    q[movable], pose[movable], theta[movable] = solved.q, solved.pose, solved.theta
-    return Compensation(q, pose, theta)
+    out = uncorrected(place.robot, joints.q, place.tool(program, sample.motion))
+    for whole, part in (
+        (out.q, solved.q), (out.pose, solved.pose), (out.jacobian, solved.jacobian), (out.theta, solved.theta)
+    ):  # fmt: skip
+        whole[movable] = part
+    return out
 
 
 def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
@@ -240,7 +246,9 @@ def _targets(
     start = toolpath.starts(program, end, place.start_flange)[:, :3, 3]
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     position = sampled.command_in_base[:, :3, 3]
-    chosen = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
+    chosen = select.choose(
+        program, sampled.path, kind, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole
+    )
     movable = np.isnan(m.joints[sample.motion[chosen.row], 0])
     row, target_kind, via_row = chosen.row[movable], chosen.kind[movable], chosen.via[movable]
     motion = sample.motion[row]

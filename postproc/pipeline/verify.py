@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
+from postproc.compensation import Compensation
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError
 from postproc.forces import MotionForces
@@ -52,8 +53,7 @@ def simulate(
     targets: Targets,
     written: Program,
     place: InRoot,
-    q_guess: Array,
-    theta_guess: Array,
+    command: Compensation,
     *,
     corrected: bool,
 ) -> Simulated:
@@ -63,8 +63,7 @@ def simulate(
     :param targets: what was to be written (K rows).
     :param written: the written program as read back.
     :param place: robot, cell and start.
-    :param q_guess: (K, 6) joint angles near the targets [rad] (they fix the branch).
-    :param theta_guess: (K, nv) spring deflections near the targets.
+    :param command: the K commands as computed: where the search for those of the text begins, and its branch.
     :param corrected: the program claims to hold the tolerance.
     """
     m = written.motions
@@ -80,15 +79,12 @@ def simulate(
     nominal = toolpath.at(program, path, targets.motion[index], t)
     printed = toolpath.at(written, written_path, row[index], share)
     wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
-    last = np.maximum(index - 1, 0)
-    mixed = share[:, None] * q_guess[index] + (1.0 - share[:, None]) * q_guess[last]
-    guess = np.where((share == 1.0)[:, None], q_guess[index], mixed)
     off = np.empty((len(index), 3))
     for start in range(0, len(index), _CHUNK):
         part = slice(start, start + _CHUNK)
         motion = nominal.motion[part]
         try:
-            tip = _tip(place, program, motion, printed.pose[part], guess[part], wrench[part], theta_guess[index[part]])
+            tip = _tip(place, program, motion, printed.pose[part], wrench[part], command, index[part], share[part])
         except NotConvergedError as cause:
             line = int(program.motions.line[motion[cause.rows[0]]])
             message = f"the written program cannot be simulated: {cause}"
@@ -99,8 +95,8 @@ def simulate(
     after = np.linalg.norm(off[share == 1.0], axis=1)
     inner = np.flatnonzero(share < 1.0)
     arcs = inner[m.kind[row[index[inner]]] == CIRC]
-    tangent = nominal.tangent[arcs]
-    off[arcs] -= np.einsum("ni,ni->n", off[arcs], tangent)[:, None] * tangent
+    travel = toolpath.tangent(program, path, nominal.motion[arcs], nominal.t[arcs])
+    off[arcs] -= np.einsum("ni,ni->n", off[arcs], travel)[:, None] * travel
     distance = np.linalg.norm(off, axis=1)
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[nominal.motion]
     issues = tuple(_not_held(program, place, targets, after, nominal, distance, settled, index)) if corrected else ()
@@ -108,17 +104,32 @@ def simulate(
 
 
 def _tip(
-    place: InRoot, program: Program, motion: Ints, printed: Array, guess: Array, wrench: Array, theta: Array
+    place: InRoot,
+    program: Program,
+    motion: Ints,
+    printed: Array,
+    wrench: Array,
+    command: Compensation,
+    index: Ints,
+    share: Array,
 ) -> Array:
     """Return where the loaded tool stands (n, 4, 4), `$BASE`, under commanded poses (n, 4, 4), `$BASE`."""
     robot = place.robot
     tool = place.tool(program, motion)
     commanded = place.pose(program, motion, printed)
-    q, pose, _ = kinematics.refine(robot.nominal, guess, range(6), tool, commanded)
+    near = command.at(index)
+    if (share == 1.0).all():
+        q, pose, _ = kinematics.refine(robot.nominal, near.q, range(6), tool, commanded, (near.pose, near.jacobian))
+    else:
+        behind = command.q[np.maximum(index - 1, 0)]
+        guess = share[:, None] * near.q + (1.0 - share[:, None]) * behind
+        q, pose, _ = kinematics.refine(robot.nominal, guess, range(6), tool, commanded)
     missed = np.abs(twist_between(pose, commanded)).max(axis=1) > 1e-9
     if missed.any():
         raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(missed).tolist())
-    state = elastostatics.deflect(robot, q, tool, place.wrench(program, motion, wrench), guess=theta)
+    unloaded = pose if robot.geometry_is_nominal else None
+    force = place.wrench(program, motion, wrench)
+    state = elastostatics.deflect(robot, q, tool, force, guess=near.theta, unloaded=unloaded)
     return place.back(program, motion, state.pose)
 
 
