@@ -1,0 +1,360 @@
+"""Write all samples: `python samples/make_samples.py [FOLDER]`. The same files every time.
+
+pocket.nc            three-axis pocket and a bore with arcs and helices; forces as comments
+freeform.nc          ball-nose finishing of a freeform surface, more than 20 000 blocks; freeform.forces.csv
+inline.src, .dat     KRL with inline forms and named points, as the teach pendant makes it; forces as comments
+long_lin.src         KRL of a CAM post: thousands of LIN with numbers; long_lin.forces.csv
+cell_kr270.toml      cell of pocket, freeform and inline
+cell_kr16.toml       cell of long_lin and pocket
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+
+CELL_KR270 = """\
+# Milling on a table in front of a KUKA KR 270-2: spindle along the flange axis, tool tip 350 mm before the flange.
+robot = "kuka_kr270"
+
+[base]                          # corner of the part in the robot root, mm and degrees
+X = 1500.0
+Y = -200.0
+Z = 700.0
+
+[tool]
+Z = 350.0
+axis = "+Z"
+
+[start]
+joints = [0, -70, 110, 0, 50, 0]
+
+[output]
+tolerance_mm = 0.01
+max_correction_mm = 8.0
+force_ramp_mm = 1.0
+
+[work_offsets.G54]
+X = 0.0
+
+[gcode]
+redundancy_deg = 180.0          # keeps A6 near 0
+rapid_m_per_s = 0.3
+approximation_mm = 0.2
+spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE", "WAIT SEC 3.0"]
+spindle_off = ["$OUT[1]=FALSE"]
+coolant_on = ["$OUT[2]=TRUE"]
+coolant_off = ["$OUT[2]=FALSE"]
+
+[base_data.3]                   # for KRL that names its frames by number
+X = 1500.0
+Y = -200.0
+Z = 700.0
+
+[tool_data.2]
+Z = 350.0
+"""
+
+CELL_KR16 = """\
+# A small cell with a KUKA KR 16-2. The tool frame is turned as KUKA likes it: X points along the spindle to the tip.
+robot = "kuka_kr16_2"
+
+[base]
+X = 850.0
+Y = -150.0
+Z = 400.0
+
+[tool]
+Z = 180.0
+B = -90.0
+axis = "+X"
+
+[start]
+joints = [0, -75, 110, 0, 55, 0]
+
+[output]
+tolerance_mm = 0.01
+max_correction_mm = 4.0
+
+[gcode]
+rapid_m_per_s = 0.3
+approximation_mm = 0.2
+spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE"]
+spindle_off = ["$OUT[1]=FALSE"]
+"""
+
+
+def number(value: float) -> str:
+    """Three decimals at most, without trailing zeros or a minus zero."""
+    text = f"{value:.3f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
+
+
+def word(letter: str, value: float) -> str:
+    return letter + number(value)
+
+
+def pocket() -> str:
+    """A pocket of 80 × 60 mm, 10 mm deep, and a bore of 30 mm, with a cutter of 10 mm."""
+    out = [
+        "%",
+        "O1001 (POCKET 80 X 60, BORE 30, ALUMINIUM, CUTTER D10)",
+        "G21 G90 G17 G40 G49 G80 G94",
+        "T1 M6",
+        "S12000 M3",
+        "G54",
+        "G0 X60 Y50 Z50",
+        "M8",
+        "Z5",
+    ]
+    depth, step = 10.0, 2.5
+    for level in range(1, round(depth / step) + 1):
+        out += _pocket_level(60.0, 50.0, -step * (level - 1), -step * level)
+    out += ["(FORCE OFF)", "G0 Z50", "X160 Y50", "Z2"]
+    out += ["(FORCE FX=-20 FY=35 FZ=150)", "G1 Z0.5 F300", "X170"]
+    for level in range(1, 7):
+        depth_now = -2.0 * level
+        out.append("(FORCE FX=-95 FY=-160 FZ=120 FRAME=FEED)")
+        out.append(f"G2 X170 Y50 {word('Z', depth_now)} I-10 J0 F500")
+    out += ["G2 I-10 J0", "(FORCE OFF)", "G0 Z50", "M9", "M5", "M30", "%"]
+    return "\n".join(f"N{10 * index} {line}" if line[0] in "GXYZMST" else line for index, line in enumerate(out)) + "\n"
+
+
+def _pocket_level(x: float, y: float, top: float, bottom: float) -> list[str]:
+    """Helical entry from `top` to `bottom`, then rings from the middle out to the wall, climb milling."""
+    out = ["(FORCE FX=25 FY=-30 FZ=180 MZ=1.2)", f"G1 {word('X', x + 4)} {word('Y', y)} {word('Z', top + 0.5)} F600"]
+    middle = (top + 0.5 + bottom) / 2.0
+    out += [f"G3 {word('X', x + 4)} {word('Y', y)} {word('Z', z)} I-4 J0 F400" for z in (middle, bottom)]
+    out.append("(FORCE FX=-110 FY=-190 FZ=130 MZ=1.8 FRAME=FEED)")
+    for ring, half_y in enumerate((5.0, 10.0, 15.0, 20.0, 25.0)):
+        half_x, radius = half_y + 10.0, min(3.0 + ring, 6.0)
+        left, right, low, high = x - half_x, x + half_x, y - half_y, y + half_y
+        out.append(f"G1 {word('X', x)} {word('Y', low)} F1200")
+        out.append(word("X", right - radius))
+        for end_x, end_y, i, j, straight in (
+            (right, low + radius, 0.0, radius, word("Y", high - radius)),
+            (right - radius, high, -radius, 0.0, word("X", left + radius)),
+            (left, high - radius, 0.0, -radius, word("Y", low + radius)),
+            (left + radius, low, radius, 0.0, word("X", x)),
+        ):
+            if ring % 2:
+                out.append(f"G3 {word('X', end_x)} {word('Y', end_y)} {word('R', radius)}")
+            else:
+                out.append(f"G3 {word('X', end_x)} {word('Y', end_y)} {word('I', i)} {word('J', j)}")
+            out.append(f"G1 {straight}")
+    out += ["(FORCE FX=15 FY=10 FZ=60)", f"G1 {word('Z', bottom + 0.5)}", f"{word('X', x)} {word('Y', y)}"]
+    return out
+
+
+def surface() -> trimesh.Trimesh:
+    """A freeform surface of 240 × 160 mm as a mesh: waves and two hills."""
+    x, y = np.meshgrid(np.arange(0.0, 240.1, 2.5), np.arange(0.0, 160.1, 2.5), indexing="ij")
+    z = 6.0 * np.sin(x / 34.0) * np.cos(y / 41.0)
+    z += 14.0 * np.exp(-(((x - 70.0) / 38.0) ** 2) - ((y - 60.0) / 30.0) ** 2)
+    z += 10.0 * np.exp(-(((x - 180.0) / 32.0) ** 2) - ((y - 110.0) / 36.0) ** 2)
+    rows, columns = x.shape
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    return trimesh.Trimesh(np.stack([x, y, z], -1).reshape(-1, 3), faces, process=False)
+
+
+def finishing_passes(mesh: trimesh.Trimesh, radius: float, spacing: float) -> list[Points]:
+    """Tip positions of a ball-nose tool: sections of the surface offset by its radius with planes along X."""
+    centres = trimesh.Trimesh(mesh.vertices + radius * mesh.vertex_normals, mesh.faces, process=False)
+    low, high = centres.bounds
+    passes = []
+    for y in np.arange(low[1] + 1.0, high[1] - 1.0, spacing):
+        crossings = trimesh.intersections.mesh_plane(centres, [0.0, 1.0, 0.0], [0.0, y, 0.0]).reshape(-1, 3)
+        crossings = crossings[np.argsort(crossings[:, 0], kind="stable")]
+        apart = np.concatenate([[True], np.diff(crossings[:, 0]) > 0.05])
+        tip = crossings[apart] - [0.0, 0.0, radius]
+        passes.append(tip if len(passes) % 2 == 0 else tip[::-1])
+    return passes
+
+
+def freeform() -> tuple[str, str]:
+    """The finishing program and its forces; forces follow the slope, one row for some twenty blocks."""
+    passes = finishing_passes(surface(), radius=6.0, spacing=1.4)
+    lines = ["%", "(FREEFORM FINISHING, BALL NOSE D12)", "G21 G90 G17 G94", "S18000 M3"]
+    rows = ["line,Fx,Fy,Fz,frame,line_end"]
+    x, y, z = passes[0][0]
+    lines += [f"G0 {word('X', x)} {word('Y', y)} Z60", f"{word('Z', z + 3.0)}", f"G1 {word('Z', z)} F600"]
+    rows.append(f"{len(lines)},8,-5,60,BASE,{len(lines)}")
+    passes[0] = passes[0][1:]
+    feed = " F3000"
+    for one in passes:
+        first = len(lines) + 1
+        lines.append(f"{word('X', one[0][0])} {word('Y', one[0][1])} {word('Z', one[0][2])}{feed}")
+        feed = ""
+        lines += [f"{word('X', px)} {word('Z', pz)}" for px, _, pz in one[1:]]
+        for begin in range(0, len(one), 24):
+            part = one[begin : begin + 24]
+            slope = math.atan2(part[-1][2] - part[0][2], abs(part[-1][0] - part[0][0])) if len(part) > 1 else 0.0
+            fx, fy, fz = -45.0 - 60.0 * math.sin(slope), 80.0, 95.0 - 70.0 * math.sin(slope)
+            rows.append(f"{first + begin},{fx:.1f},{fy:.1f},{fz:.1f},FEED,{first + begin + len(part) - 1}")
+    lines += ["G0 Z60", "M5", "M30", "%"]
+    return "\n".join(lines) + "\n", "\n".join(rows) + "\n"
+
+
+def inline() -> tuple[str, str]:
+    """A program of inline forms around a frame, as the teach pendant makes it, and its data list."""
+    corners = [
+        (60.0, 40.0, 30.0),
+        (60.0, 40.0, 0.0),
+        (260.0, 40.0, 0.0),
+        (260.0, 200.0, 0.0),
+        (60.0, 200.0, 0.0),
+        (60.0, 40.0, 0.0),
+        (60.0, 40.0, 30.0),
+    ]
+    forces = {2: "FX=10 FZ=120", 3: "FX=-160 FY=220 FZ=90 FRAME=FEED", 7: ""}
+    src = [
+        "&ACCESS RVP",
+        "&REL 7",
+        "&PARAM EDITMASK = *",
+        "&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe",
+        "DEF inline( )",
+        ";FOLD INI;%{PE}",
+        "  ;FOLD BASISTECH INI",
+        "    BAS (#INITMOV,0 )",
+        "  ;ENDFOLD (BASISTECH INI)",
+        "  ;FOLD USER INI",
+        "    ;Make your modifications here",
+        "",
+        "  ;ENDFOLD (USER INI)",
+        ";ENDFOLD (INI)",
+        "",
+        *_form(
+            "PTP HOME", "Vel= 20 % DEFAULT", ["PDAT_ACT=PDEFAULT", "FDAT_ACT=FHOME", "BAS(#PTP_PARAMS,20)"], "PTP XHOME"
+        ),
+    ]
+    dat = [
+        "&ACCESS RVP",
+        "&REL 7",
+        "DEFDAT  inline",
+        ";FOLD EXTERNAL DECLARATIONS;%{PE}%MKUKATPBASIS,%CEXT,%VCOMMON,%P",
+        ";FOLD BASISTECH EXT;%{PE}%MKUKATPBASIS,%CEXT,%VEXT,%P",
+        "EXT  BAS (BAS_COMMAND  :IN,REAL  :IN )",
+        "DECL INT SUCCESS",
+        ";ENDFOLD (BASISTECH EXT)",
+        ";ENDFOLD (EXTERNAL DECLARATIONS)",
+        "",
+    ]
+    for index, (x, y, z) in enumerate(corners, 1):
+        if index in forces:
+            src.append(f"; FORCE {forces[index]}" if forces[index] else "; FORCE OFF")
+        speed = 0.2 if index == 1 else 0.02
+        kind = "PTP" if index == 1 else "LIN"
+        act = (
+            [f"PDAT_ACT=PPDAT{index}", f"FDAT_ACT=FP{index}", "BAS(#PTP_PARAMS,20)"]
+            if kind == "PTP"
+            else [f"LDAT_ACT=LCPDAT{index}", f"FDAT_ACT=FP{index}", f"BAS(#CP_PARAMS,{speed:g})"]
+        )
+        shown = "Vel=20 % PDAT1" if kind == "PTP" else f"Vel={speed:g} m/s CPDAT{index}"
+        src += _form(f"{kind} P{index}", f"{shown} Tool[2]:Spindle Base[3]:Table", act, f"{kind} XP{index}")
+        dat.append(
+            f"DECL E6POS XP{index}={{X {x:.6f},Y {y:.6f},Z {z:.6f},A 175.000000,B 2.000000,C 178.000000,"
+            f"S 2,T 10,E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0}}"
+        )
+        dat.append(f'DECL FDAT FP{index}={{TOOL_NO 2,BASE_NO 3,IPO_FRAME #BASE,POINT2[] " ",TQ_STATE FALSE}}')
+        if kind == "PTP":
+            dat.append(f"DECL PDAT PPDAT{index}={{VEL 20.0000,ACC 100.000,APO_DIST 100.000,APO_MODE #CPTP}}")
+        else:
+            dat.append(
+                f"DECL LDAT LCPDAT{index}={{VEL {speed:.5f},ACC 100.000,APO_DIST 100.000,APO_FAC 50.0000,"
+                "AXIS_VEL 100.000,AXIS_ACC 100.000,ORI_TYP #VAR,CIRC_TYP #BASE,JERK_FAC 50.0000}"
+            )
+    src += [
+        *_form(
+            "PTP HOME", "Vel= 20 % DEFAULT", ["PDAT_ACT=PDEFAULT", "FDAT_ACT=FHOME", "BAS(#PTP_PARAMS,20)"], "PTP XHOME"
+        ),
+        "END",
+    ]
+    dat += ["", "ENDDAT"]
+    return "\r\n".join(src) + "\r\n", "\r\n".join(dat) + "\r\n"
+
+
+def _form(name: str, parameters: str, act: list[str], motion: str) -> list[str]:
+    kind, point = name.split()
+    return [
+        f";FOLD {name} {parameters};%{{PE}}%R 8.3.38,%MKUKATPBASIS,%CMOVE,%V{kind},%P 1:{kind}, 2:{point}, 3:",
+        "$BWDSTART=FALSE",
+        *act,
+        motion,
+        ";ENDFOLD",
+        "",
+    ]
+
+
+def long_lin() -> tuple[str, str]:
+    """Thousands of LIN as a CAM post writes them: a spiral on a shallow dome, frames as literals."""
+    head = [
+        "&ACCESS RVP",
+        "DEF long_lin( )",
+        "BAS(#INITMOV,0)",
+        "$BASE={X 850.0,Y -150.0,Z 400.0,A 0.0,B 0.0,C 0.0}",
+        "$TOOL={X 0.0,Y 0.0,Z 180.0,A 0.0,B -90.0,C 0.0}",
+        "$VEL.CP=0.2",
+        "$APO.CDIS=0.1",
+        "PTP {A1 0.0,A2 -75.0,A3 110.0,A4 0.0,A5 55.0,A6 0.0}",
+    ]
+    count, turns, outer = 6000, 30, 90.0
+    out = list(head)
+    rows = ["line,Fx,Fy,Fz,line_end"]
+    for index in range(count):
+        share = index / (count - 1)
+        angle = 2.0 * math.pi * turns * share
+        radius = outer * (1.0 - share) + 2.0
+        x, y = 110.0 + radius * math.cos(angle), 130.0 + radius * math.sin(angle)
+        z = 12.0 * (1.0 - (radius / outer) ** 2)
+        if index == 0:
+            out += [f"LIN {{X {x:.3f},Y {y:.3f},Z {z + 20.0:.3f},A 0.0,B 90.0,C 0.0}}", "$VEL.CP=0.03"]
+        if index % 50 == 0:
+            push = 40.0 + 15.0 * math.sin(7.0 * share)
+            first = len(out) + 1
+            rows.append(
+                f"{first},{push * math.sin(angle):.1f},{-push * math.cos(angle):.1f},{35.0 + 20.0 * share:.1f},"
+                f"{first + min(50, count - index) - 1}"
+            )
+        out.append(f"LIN {{X {x:.3f},Y {y:.3f},Z {z:.3f},A 0.0,B 90.0,C 0.0}} C_DIS")
+    out += ["$VEL.CP=0.2", f"LIN {{X {x:.3f},Y {y:.3f},Z {z + 30.0:.3f},A 0.0,B 90.0,C 0.0}}"]
+    rows.append(f"{len(out)},0,0,0,{len(out)}")
+    rows.insert(1, f"{len(head) + 1},0,0,0,{len(head) + 1}")
+    out.append("END")
+    return "\n".join(out) + "\n", "\n".join(rows) + "\n"
+
+
+def make() -> dict[str, str]:
+    """Return all samples: file name → content."""
+    freeform_program, freeform_forces = freeform()
+    inline_src, inline_dat = inline()
+    long_program, long_forces = long_lin()
+    return {
+        "cell_kr270.toml": CELL_KR270,
+        "cell_kr16.toml": CELL_KR16,
+        "pocket.nc": pocket(),
+        "freeform.nc": freeform_program,
+        "freeform.forces.csv": freeform_forces,
+        "inline.src": inline_src,
+        "inline.dat": inline_dat,
+        "long_lin.src": long_program,
+        "long_lin.forces.csv": long_forces,
+    }
+
+
+def main(folder: Path) -> None:
+    for name, text in make().items():
+        (folder / name).write_bytes(text.encode())
+        print(f"{name}: {text.count(chr(10))} lines")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)
