@@ -104,9 +104,7 @@ class Arm:
 
     def weight_energy(self, q, payload=True):
         frames = self.frames(q)
-        energy = sum(
-            m * G * (f @ [*c, 1.0])[2] for m, f, c in zip(self.masses, frames[:6], self.centres, strict=True)
-        )
+        energy = sum(m * G * (f @ [*c, 1.0])[2] for m, f, c in zip(self.masses, frames[:6], self.centres, strict=True))
         if payload:
             energy = energy + self.payload[0] * G * (frames[6] @ [*self.payload[1], 1.0])[2]
         return energy

@@ -1,0 +1,111 @@
+"""A robot controller and milling cell that shares no code with the package.
+
+Reads the plain KRL that a post-processor writes (literal LIN, CIRC, PTP, $BASE, $TOOL; named points from the .dat),
+interpolates as KUKA does, and lets the elastic arm of `tests.oracle.arm` follow it under a given force.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from tests.oracle.arm import Arm, abc
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_AGGREGATE = re.compile(r"\{[^}]*\}")
+
+
+def _parts(text):
+    return {k.upper(): float(v) for k, v in re.findall(rf"\b([A-Za-z]\d?)\s+({_NUMBER})", text)}
+
+
+def _frame(parts, previous=None):
+    base = dict(zip("XYZABC", previous or (0.0,) * 6, strict=True))
+    base.update({k: v for k, v in parts.items() if k in base})
+    return tuple(base[k] for k in "XYZABC")
+
+
+def read(src, dat="", start=None):
+    """List of moves: dicts with kind, line (1-based), and frame (mm, deg), via, or joints (deg); $BASE and $TOOL."""
+    points = {}
+    for name, body in re.findall(
+        r"(?im)^\s*(?:DECL\s+)?(?:GLOBAL\s+)?(?:E6POS|POS|FRAME)\s+(\w+)\s*=\s*(\{[^}]*\})", dat + "\n" + src
+    ):
+        points[name.upper()] = body
+    moves, base, tool, last = [], None, None, None
+    for number, raw in enumerate(re.split(r"\r\n|\n|\r", src), 1):
+        line = raw.split(";")[0].strip()
+        setting = re.match(r"(?i)\$(BASE|TOOL)\s*=\s*(\{.*\})", line)
+        if setting:
+            frame = _frame(_parts(setting[2]))
+            base, tool = (frame, tool) if setting[1].upper() == "BASE" else (base, frame)
+            continue
+        motion = re.match(r"(?i)S?(PTP|LIN|CIRC)\s+(.*)", line)
+        if not motion:
+            continue
+        kind, rest = motion[1].upper(), motion[2]
+        bodies = _AGGREGATE.findall(rest) or [
+            points[n.upper()] for n in re.split(r"[,\s]+", rest) if n.upper() in points
+        ]
+        parts = [_parts(body) for body in bodies]
+        move = {"kind": kind, "line": number, "base": base, "tool": tool}
+        if "A1" in parts[-1]:
+            move["joints"] = [parts[-1][f"A{n}"] for n in range(1, 7)]
+        else:
+            if kind == "CIRC":
+                move["via"] = _frame(parts[0], last)
+            last = _frame(parts[-1], last)
+            move["frame"] = last
+        moves.append(move)
+    return moves
+
+
+class Cell:
+    def __init__(self, arm: Arm, start_deg, base=None, tool=None):
+        self.arm, self.start = arm, np.radians(start_deg)
+        self.base, self.tool = base, tool
+
+    def run(self, moves, shares=(1.0,)):
+        """Yield (move index, share of the move, commanded TCP in $BASE, joint angles)."""
+        q = self.start
+        for index, move in enumerate(moves):
+            base, tool = abc(*(move["base"] or self.base)), abc(*(move["tool"] or self.tool))
+            if "joints" in move:
+                q = np.radians(move["joints"])
+                continue
+            begin = np.linalg.inv(base) @ self.arm.nominal_tcp(q, tool)
+            for share in shares if move["kind"] != "PTP" else (1.0,):
+                pose = self.between(move, begin, share)
+                q_here = self.arm.inverse(base @ pose, tool, q)
+                yield index, share, pose, q_here
+            q = q_here
+
+    @staticmethod
+    def between(move, begin, share):
+        end = abc(*move["frame"])
+        pose = np.eye(4)
+        turn = Slerp([0, 1], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))
+        pose[:3, :3] = turn(share).as_matrix()
+        pose[:3, 3] = begin[:3, 3] + share * (end[:3, 3] - begin[:3, 3])
+        if move["kind"] == "CIRC":
+            a, b, c = begin[:3, 3], np.array(move["via"][:3]) / 1000, end[:3, 3]
+            # the centre is where the three perpendicular bisector planes meet
+            n = np.cross(b - a, c - a)
+            rows = np.array([b - a, c - a, n / np.linalg.norm(n) * np.linalg.norm(c - a)])
+            rhs = [np.dot(b - a, (a + b) / 2), np.dot(c - a, (a + c) / 2), np.dot(rows[2], a)]
+            centre = np.linalg.solve(rows, rhs)
+            axis = n / np.linalg.norm(n)
+            angle = np.arctan2(np.dot(np.cross(a - centre, c - centre), axis), np.dot(a - centre, c - centre)) % (
+                2 * np.pi
+            )
+            pose[:3, 3] = centre + Rotation.from_rotvec(axis * angle * share).apply(a - centre)
+        return pose
+
+    def tip(self, move, q, wrench_base):
+        """Loaded TCP in $BASE [m] under a wrench in $BASE axes."""
+        base, tool = abc(*(move["base"] or self.base)), abc(*(move["tool"] or self.tool))
+        r = base[:3, :3]
+        wrench = np.concatenate([r @ wrench_base[:3], r @ wrench_base[3:]])
+        return (np.linalg.inv(base) @ self.arm.loaded_tcp(q, tool, wrench))[:3, 3]

@@ -1,0 +1,34 @@
+"""The gravity compensator's law against derivatives of its energy and a triangle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.compensator import Compensator
+from postproc.errors import ModelError
+
+LAW = Compensator(stiffness=1.2e5, free_length=0.458, L=0.18472, ax=0.68593, ay=0.1233)
+Q2 = np.radians(np.linspace(-146.0, 20.0, 30))
+
+
+def test_length_is_that_of_the_triangle_p0_p2_p1():
+    p1 = LAW.L * np.stack([np.cos(Q2), np.sin(Q2)], axis=1)
+    np.testing.assert_allclose(LAW.length(Q2), np.linalg.norm(p1 + [LAW.ax, LAW.ay], axis=1), atol=1e-15)
+
+
+def test_gradient_and_stiffness_are_derivatives_of_the_energy():
+    h = 1e-5
+    slope = (LAW.energy(Q2 + h) - LAW.energy(Q2 - h)) / (2 * h)
+    np.testing.assert_allclose(LAW.gradient(Q2), slope, rtol=1e-7, atol=1e-3)
+    curve = (LAW.gradient(Q2 + h) - LAW.gradient(Q2 - h)) / (2 * h)
+    np.testing.assert_allclose(LAW.stiffness_about_joint(Q2), curve, rtol=1e-7, atol=1e-3)
+
+
+def test_the_assumed_spring_of_the_kr_270_2_balances_about_5_kNm():
+    assert 4e3 < np.abs(LAW.gradient(Q2)).max() < 9e3
+
+
+def test_impossible_geometry_is_refused():
+    with pytest.raises(ModelError, match="impossible"):
+        Compensator(stiffness=1e5, free_length=0.4, L=0.9, ax=0.6, ay=0.1)

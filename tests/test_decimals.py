@@ -1,0 +1,41 @@
+"""Fixed-point text equals what `%` prints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from postproc.decimals import fixed, lines
+
+
+def texts(values, decimals):
+    return [bytes(row[row > 0]).decode() for row in fixed(np.array(values, dtype=float), decimals)]
+
+
+@given(st.lists(st.floats(-1e7, 1e7), min_size=1, max_size=30), st.integers(0, 6))
+def test_text_is_the_value_rounded_to_its_decimals(values, decimals):
+    for value, text in zip(values, texts(values, decimals), strict=True):
+        assert abs(float(text) - value) <= 0.5000001 * 10.0**-decimals + 1e-9
+        assert len(text.partition(".")[2]) == decimals
+        assert not text.startswith("-0") or float(text) != 0.0
+
+
+def test_small_negative_numbers_are_never_minus_zero_and_absent_ones_are_empty():
+    assert texts([-0.0004, -0.0006, np.nan, 0.0, 12345.6789, -1.0], 3) == [
+        "0.000", "-0.001", "", "0.000", "12345.679", "-1.000",
+    ]  # fmt: skip
+
+
+def test_long_integers_keep_their_inner_zeros():
+    assert texts([100000000, 10001, 9999, 10000], 0) == ["100000000", "10001", "9999", "10000"]
+
+
+def test_lines_join_texts_and_numbers():
+    assert lines([b"X ", fixed(np.array([1.0, 22.5]), 1), b"\r\n"]) == b"X 1.0\r\nX 22.5\r\n"
+
+
+def test_a_number_that_cannot_be_written_digit_by_digit_is_an_error():
+    with pytest.raises(ValueError, match="too large"):
+        fixed(np.array([1e300]), 3)

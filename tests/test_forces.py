@@ -1,0 +1,148 @@
+"""Which force acts where: CSV rows, comments, frames, and the ramp."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc import forces, frames, toolpath
+from postproc.errors import ForceError
+from postproc.program import parse_force_note
+from tests.programs import program
+
+START = np.eye(4)
+RAMP = 1e-3
+
+
+def along(made, motion, distance_mm, rows=None, axis="+Z"):
+    """Wrench at a distance along one motion [mm]."""
+    path = toolpath.segments(made, START)
+    load = forces.per_motion(made, rows)
+    t = np.array([distance_mm / 1000 / path.length[motion]])
+    sample = toolpath.at(made, path, np.array([motion]), t)
+    return forces.wrench(made, path, load, sample, axis, RAMP)[0]
+
+
+def write(tmp_path, text):
+    path = tmp_path / "forces.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+SQUARE = [("PTP", 0, 0, 0), ("LIN", 100, 0, 0), ("LIN", 100, 50, 0), ("RAPID", 100, 50, 20)]
+
+
+def test_comment_force_is_modal_ramps_up_over_1_mm_and_down_in_the_rapid():
+    made = program(SQUARE, notes=[(2, (100.0, 0, 0, 0, 0, 5.0)), (3, (0.0, 200.0, 0, 0, 0, 0))])
+    np.testing.assert_allclose(along(made, 1, 0.25), [25, 0, 0, 0, 0, 1.25])
+    np.testing.assert_allclose(along(made, 1, 1.0), [100, 0, 0, 0, 0, 5])
+    np.testing.assert_allclose(along(made, 1, 100.0), [100, 0, 0, 0, 0, 5])
+    np.testing.assert_allclose(along(made, 2, 0.5), [50, 100, 0, 0, 0, 2.5])
+    np.testing.assert_allclose(along(made, 2, 50.0), [0, 200, 0, 0, 0, 0])
+    np.testing.assert_allclose(along(made, 3, 0.75), [0, 50, 0, 0, 0, 0])
+    np.testing.assert_allclose(along(made, 3, 5.0), np.zeros(6))
+
+
+def test_on_a_segment_shorter_than_the_ramp_the_force_is_reached_at_its_end():
+    made = program([("PTP", 0, 0, 0), ("LIN", 0.4, 0, 0), ("LIN", 100, 0, 0)], notes=[(2, (80.0, 0, 0, 0, 0, 0))])
+    np.testing.assert_allclose(along(made, 1, 0.1), [20, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(along(made, 1, 0.4), [80, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(along(made, 2, 0.1), [80, 0, 0, 0, 0, 0])
+
+
+def test_feed_frame_has_x_along_travel_and_z_from_tip_to_spindle():
+    made = program(SQUARE, notes=[(2, (10.0, 20.0, 30.0, 1, 2, 3), "FEED")])
+    # tool axis +Z points down: z_feed is up; x_feed = +X, y_feed = z × x = +Y on the first line
+    np.testing.assert_allclose(along(made, 1, 50), [10, 20, 30, 1, 2, 3], atol=1e-12)
+    # on the second line the travel is +Y: x_feed = +Y, y_feed = z × y = −X
+    np.testing.assert_allclose(along(made, 2, 40), [-20, 10, 30, -2, 1, 3], atol=1e-12)
+
+
+def test_feed_frame_turns_with_an_arc():
+    made = program(
+        [("PTP", 50, 0, 0), ("CIRC", -50, 0, 0, 0, 0, 0, 180.0, (0, 0, 1))], notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")]
+    )
+    quarter = np.pi / 2 * 50
+    np.testing.assert_allclose(along(made, 1, quarter), [-10, 0, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_feed_frame_on_a_sloped_move_keeps_z_along_the_spindle():
+    made = program([("PTP", 0, 0, 0), ("LIN", 30, 0, -30)], notes=[(2, (10.0, 0, 7.0, 0, 0, 0), "FEED")])
+    np.testing.assert_allclose(along(made, 1, 20), [10, 0, 7, 0, 0, 0], atol=1e-12)
+
+
+def test_tool_frame_is_turned_with_the_tool():
+    made = program(SQUARE, notes=[(2, (1.0, 2.0, 3.0, 4, 5, 6), "TOOL")])
+    np.testing.assert_allclose(along(made, 1, 50), [1, -2, -3, 4, -5, -6], atol=1e-12)
+
+
+def test_feed_force_on_a_plunge_names_the_line():
+    made = program([("PTP", 0, 0, 10), ("LIN", 0, 0, 0)], notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
+    with pytest.raises(ForceError, match=r"part\.nc:2: .*along the spindle"):
+        along(made, 1, 5)
+
+
+def test_a_dead_force_keeps_its_direction_in_space_when_the_base_changes():
+    bases = frames.pose_from_xyzabc([[1500.0, 0, 700, 0, 0, 0], [1500.0, 0, 700, 90, 0, 0]])
+    made = program([*SQUARE[:2], ("LIN", 50, -50, 0)], notes=[(2, (100.0, 0, 0, 0, 0, 0))], bases=bases, base=[0, 0, 1])
+    np.testing.assert_allclose(along(made, 2, 1e-9), [0, -100, 0, 0, 0, 0], atol=1e-3)
+
+
+def test_csv_row_wins_over_the_comment_for_its_lines(tmp_path):
+    made = program(SQUARE, notes=[(1, (100.0, 0, 0, 0, 0, 0))])
+    rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,frame,line_end\n2,1,2,3,,2\n"))
+    np.testing.assert_allclose(along(made, 1, 50, rows), [1, 2, 3, 0, 0, 0])
+    np.testing.assert_allclose(along(made, 2, 50, rows), [100, 0, 0, 0, 0, 0])
+
+
+def test_cutting_moves_without_a_force_are_counted():
+    load = forces.per_motion(program(SQUARE), None)
+    (issue,) = load.issues
+    assert (issue.kind, issue.count, issue.source_line, issue.level) == ("no-force", 2, 2, "warning")
+
+
+def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
+    rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n1,5,5,5,4\n"))
+    load = forces.per_motion(program(SQUARE), rows)
+    assert not load.wrench[[0, 3]].any()
+    assert [issue.kind for issue in load.issues] == ["force-on-rapid"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("line,Fx,Fy\n1,2,3\n", "missing column Fz"),
+        ("line,Fx,Fy,Fz,Fw\n1,2,3,4,5\n", "unknown column 'Fw'"),
+        ("line,Fx,Fy,Fz\n2,nan,0,0\n", r"forces\.csv:2: column Fx is not a finite number"),
+        ("line,Fx,Fy,Fz\n2,inf,0,0\n", "not a finite number"),
+        ("line,Fx,Fy,Fz\n2,1e999,0,0\n", "not a finite number"),
+        ("line,Fx,Fy,Fz\n2,12 N,0,0\n", "not a finite number"),
+        ("line,Fx,Fy,Fz\n2,,0,0\n", "not a finite number"),
+        ("line,Fx,Fy,Fz\n2,1,0\n", r"forces\.csv:2: 3 values where the header has 4"),
+        ("line,Fx,Fy,Fz\n99,1,0,0\n", "no motion starts on line 99"),
+        ("line,Fx,Fy,Fz\n2.5,1,0,0\n", "line is 2.5"),
+        ("line,Fx,Fy,Fz,frame\n2,1,0,0,WORLD\n", "unknown frame 'WORLD'"),
+        ("line,Fx,Fy,Fz,line_end\n3,1,0,0,2\n", "line_end is before line"),
+        ("line,Fx,Fy,Fz\n2,1,0,0\n2,1,0,0\n", "a second row for line 2"),
+        ("", "empty file"),
+    ],
+)
+def test_a_bad_force_file_is_refused_with_its_place(tmp_path, text, message):
+    with pytest.raises(ForceError, match=message):
+        forces.per_motion(program(SQUARE), forces.read_force_csv(write(tmp_path, text)))
+
+
+def test_force_comments_are_read_in_any_case_and_others_are_left_alone():
+    note = parse_force_note(" force fx=120 FY=-40.5 Fz=3e2 mx=1 FRAME=tool", 7, "a.nc")
+    assert (note.wrench, note.frame, note.line) == ((120.0, -40.5, 300.0, 1.0, 0.0, 0.0), "TOOL", 7)
+    assert parse_force_note("FORCE OFF", 1, "a.nc").wrench == (0.0,) * 6
+    assert parse_force_note("FORCED COOLING", 1, "a.nc") is None
+    assert parse_force_note("roughing", 1, "a.nc") is None
+
+
+@pytest.mark.parametrize(
+    "text", ["FORCE FX 100", "FORCE FX=nan", "FORCE FX=1 FX=2", "FORCE FX=1 FRAME=WORLD", "FORCE 100"]
+)
+def test_a_force_comment_that_cannot_be_read_is_an_error_with_its_line(text):
+    with pytest.raises(ForceError, match=r"a\.nc:7"):
+        parse_force_note(text, 7, "a.nc")

@@ -1,0 +1,57 @@
+"""Geometry of the nominal path: lengths, arcs, helices, where samples are put."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc import frames, toolpath
+from tests.programs import DOWN, program
+
+ARC = [("PTP", 50, 0, 0), ("CIRC", 0, 50, 10, 0, 0, 0, 90.0, (0, 0, 1)), ("LIN", 0, 250, 10)]
+
+
+def test_a_helix_rises_linearly_and_its_length_is_that_of_the_helix():
+    made = program(ARC)
+    path = toolpath.segments(made, np.eye(4))
+    np.testing.assert_allclose(path.length, [0, np.hypot(0.05 * np.pi / 2, 0.01), 0.2])
+    sample = toolpath.at(made, path, np.array([1, 1]), np.array([0.5, 1.0]))
+    half = 50 / np.sqrt(2)
+    np.testing.assert_allclose(sample.pose[:, :3, 3] * 1000, [[half, half, 5], [0, 50, 10]], atol=1e-9)
+
+
+def test_tangent_is_the_derivative_of_the_position():
+    made = program(ARC)
+    path = toolpath.segments(made, np.eye(4))
+    motion, t, h = np.array([1, 1, 2]), np.array([0.3, 0.9, 0.5]), 1e-6
+    ahead, behind = (toolpath.at(made, path, motion, t + s * h).pose[:, :3, 3] for s in (1, -1))
+    slope = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
+    np.testing.assert_allclose(toolpath.tangent(made, path, motion, t), slope, atol=1e-8)
+
+
+def test_every_end_is_sampled_and_nothing_is_further_apart_than_20_mm_or_5_degrees_of_arc():
+    made = program(ARC)
+    path = toolpath.segments(made, np.eye(4))
+    kinks = np.array([1.0, 1.0, 0.005])
+    motion, t = toolpath.places(made, path, 1e-5, kinks)
+    assert (np.lexsort((t, motion)) == np.arange(len(t))).all()
+    np.testing.assert_array_equal(motion[t == 1.0], [0, 1, 2])
+    assert np.count_nonzero(motion == 1) >= 18
+    on_line = t[motion == 2]
+    assert 0.005 in on_line
+    assert np.diff(np.concatenate([[0], on_line])).max() * 0.2 <= 0.020 + 1e-12
+
+
+def test_dense_programs_get_no_extra_samples():
+    made = program([("PTP", 0, 0, 0), *[("LIN", 0.5 * i, 0, 0) for i in range(1, 200)]])
+    path = toolpath.segments(made, np.eye(4))
+    motion, _ = toolpath.places(made, path, 1e-5, np.ones(200))
+    assert len(motion) == 200
+
+
+def test_a_change_of_base_keeps_the_start_in_space():
+    bases = frames.pose_from_xyzabc([[1000.0, 0, 0, 0, 0, 0], [1100.0, 0, 0, 90, 0, 0]])
+    made = program([("PTP", 0, 0, 0), ("LIN", 0, 0, 0)], bases=bases, base=[0, 1])
+    path = toolpath.segments(made, np.eye(4))
+    np.testing.assert_allclose(path.start[1, :3, 3], [0, 0.1, 0], atol=1e-15)
+    back = bases[1] @ path.start[1]
+    np.testing.assert_allclose(back[:3, :3], DOWN, atol=1e-15)
