@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -180,7 +179,9 @@ class RobotModel:
 
 def shipped() -> dict[str, Path]:
     """Return the robot models that come with the package: name → folder."""
-    root = Path(str(resources.files("postproc.robot_models")))
+    package = Path(__file__).parent
+    root = package / "robot_models"  # where a wheel puts it; in a checkout it stands beside the package
+    root = root if root.is_dir() else package.parent / "robot_models"
     return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "model.toml").is_file()}
 
 
