@@ -52,6 +52,7 @@ spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE", "WAIT SEC 3.0"]
 spindle_off = ["$OUT[1]=FALSE"]
 coolant_on = ["$OUT[2]=TRUE"]
 coolant_off = ["$OUT[2]=FALSE"]
+tool_change = ["; tool {T} by hand", "HALT"]
 
 [base_data.3]                   # for KRL that names its frames by number
 X = 1500.0
@@ -88,6 +89,9 @@ rapid_m_per_s = 0.3
 approximation_mm = 0.2
 spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE"]
 spindle_off = ["$OUT[1]=FALSE"]
+coolant_on = ["$OUT[2]=TRUE"]
+coolant_off = ["$OUT[2]=FALSE"]
+tool_change = ["; tool {T} by hand", "HALT"]
 """
 
 

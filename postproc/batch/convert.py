@@ -10,7 +10,7 @@ import msgspec
 from postproc import cell as cells
 from postproc import files, pipeline, report
 from postproc import robot as robots
-from postproc.batch.inputs import Job, dialect_of, read_documents
+from postproc.batch.inputs import Job, dialect_of, is_input, read_documents
 from postproc.cell import Cell
 from postproc.errors import InputError, Issue, PostprocError, ProgramError
 from postproc.forces import read_force_csv
@@ -149,7 +149,9 @@ def _contents(job: Job, result: Result, content: Summary, tolerance: float | Non
     contents[f"{stem}.report.json"] = report.to_json(content)
     contents[f"{stem}.targets.csv"] = list(report.targets_csv(result))
     contents[f"{stem}.report.html"] = report.page(result, tolerance)
-    clash = {job.program.name.lower()} & {name.lower() for name in contents}
-    if clash and job.output.resolve() == job.program.parent.resolve():
-        raise InputError("this input would be overwritten", file=str(job.program), advice="Choose another -o folder.")
+    for name in contents:
+        if is_input(job, job.output / name):
+            raise InputError(
+                "this input would be overwritten", file=str(job.output / name), advice="Choose another -o."
+            )
     return contents

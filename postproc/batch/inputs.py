@@ -172,7 +172,7 @@ def _check_outputs(jobs: Sequence[Job], cell: Path | None, endings: Sequence[str
                 advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
             )
         taken[key] = job.program
-    inputs = {_key(path) for job in jobs for path in (job.program, job.forces, *_data_files(job)) if path is not None}
+    inputs = {_key(path) for job in jobs for path in _read_by(job)}
     if cell is not None:
         inputs.add(_key(cell))
     for job in jobs:
@@ -186,8 +186,14 @@ def _check_outputs(jobs: Sequence[Job], cell: Path | None, endings: Sequence[str
                 )
 
 
-def _data_files(job: Job) -> list[Path]:
-    return [file for file in _beside(job.program) if file.suffix.lower() == ".dat"] if job.dialect == "krl" else []
+def is_input(job: Job, path: Path) -> bool:
+    """Return whether a path is one of the files that a job reads (names that differ in case are one)."""
+    return _key(path) in {_key(read) for read in _read_by(job)}
+
+
+def _read_by(job: Job) -> list[Path]:
+    data = [file for file in _beside(job.program) if file.suffix.lower() == ".dat"] if job.dialect == "krl" else []
+    return [job.program, *data, *([] if job.forces is None else [job.forces])]
 
 
 def _key(path: Path) -> str:

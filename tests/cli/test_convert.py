@@ -1,0 +1,337 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+from postproc.errors import Issue, ProgramError
+from tests import fabricated
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CELL_270, CELL_16 = str(SAMPLES / "cell_kr270.toml"), str(SAMPLES / "cell_kr16.toml")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """Replace the computation by made-up results; the name of the program chooses what happens."""
+
+    def read(documents, *_):
+        if documents[0].name.startswith("bad"):
+            raise ProgramError("odd word", file=documents[0].name, line=7, text="G999", advice="Remove it.")
+        return documents[0].name
+
+    def process(name, _robot, _cell, _rows, mode, **_):
+        result = fabricated.result(mode=mode)
+        if name.startswith("far"):
+            issue = Issue("error", "unreachable", "out of reach", 12, count=3)
+            return fabricated.with_changes(result, issues=(issue,), documents=())
+        return result
+
+    monkeypatch.setattr("postproc.pipeline.read", read)
+    monkeypatch.setattr("postproc.pipeline.process", process)
+
+
+def _touch(*names: str) -> None:
+    for name in names:
+        Path(name).write_text("G0 X0\n")
+
+
+def _run(*arguments: str):
+    return CliRunner().invoke(main, arguments)
+
+
+def test_one_program_prints_its_summary_and_what_was_written(folder, computed):
+    _touch("part.nc")
+    done = _run("convert", "part.nc", "--cell", CELL_270)
+    assert done.exit_code == 0
+    assert "improvement" in done.stdout
+    assert done.stdout.splitlines()[-1] == (
+        "written to corrected: part.src, part.report.json, part.targets.csv, part.report.html"
+    )
+    assert done.stderr == ""
+
+
+def test_many_programs_print_a_table_and_the_worst_exit_code(folder, computed):
+    _touch("a.nc", "bad.nc", "far.nc")
+    done = _run("convert", "*.nc", "--cell", CELL_270)
+    assert done.exit_code == 1
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines[2:]] == ["a.nc", "bad.nc", "far.nc"]
+    assert "Error: bad.nc:7: odd word. Text: 'G999'. Remove it." in done.stderr
+    assert "error: far.nc:12: out of reach (3 times)" in done.stderr
+    assert "far.nc: nothing is written" in done.stderr
+
+
+def test_json_prints_json_only(folder, computed):
+    _touch("a.nc", "far.nc", "bad.nc")
+    done = _run("convert", "*.nc", "--cell", CELL_270, "--json")
+    content = json.loads(done.stdout)
+    assert content["exit_code"] == done.exit_code == 1
+    good, bad, far = content["programs"]
+    assert good["before"]["max_mm"] == pytest.approx(1.5, abs=1e-3)
+    assert len(good["written"]) == 4
+    assert "odd word" in bad["error"]
+    assert far["issues"][0]["source_line"] == 12
+
+
+def test_predict_writes_reports_and_no_program(folder, computed):
+    _touch("part.nc")
+    done = _run("predict", "part.nc", "--cell", CELL_270, "-o", "out")
+    assert done.exit_code == 0
+    assert sorted(path.name for path in Path("out").iterdir()) == [
+        "part.report.html",
+        "part.report.json",
+        "part.targets.csv",
+    ]
+
+
+def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(folder, computed):
+    _touch("part.nc")
+    done = _run("convert", "part.nc", "--cell", CELL_270, "--nominal", "--tolerance", "0.1")
+    assert done.exit_code == 3
+    assert Path("corrected/part.src").exists()
+    assert "EXCEEDED" in done.stdout
+    assert _run("convert", "part.nc", "--cell", CELL_270, "--nominal").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["convert"],
+        ["convert", "part.nc"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "-1"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "nan"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "inf"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--jobs", "0"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--jobs", "2", "--scheduler", "tcp://x:1"],
+        ["convert", "a.nc", "b.nc", "--cell", "cell.toml", "--forces", "forces.csv"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--dialect", "heidenhain"],
+        ["predict", ".", "--cell", "cell.toml"],
+        ["undo"],
+    ],
+)
+def test_wrong_usage_exits_with_2(folder, arguments):
+    _touch("a.nc", "b.nc", "forces.csv")
+    done = _run(*arguments)
+    assert done.exit_code == 2, done.output
+    assert "Error:" in done.stderr
+
+
+def _edited(text: str, old: str, new: str) -> None:
+    assert old in text
+    Path("cell.toml").write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("X = 1500.0", "X = nan", "base.X is nan"),
+        ("Z = 350.0", "Z = inf", "tool.Z is inf"),
+        ("-70", "-inf", r"start.joints[1] is -inf"),
+        ("tolerance_mm = 0.01", "tolerance_m = 0.00001", "Valid keys: tolerance_mm, max_correction_mm"),
+        ("force_ramp_mm = 1.0", "mass_g = 1.0", "Valid keys: tolerance_mm"),
+        ("tolerance_mm = 0.01", "tolerance_mm = -1.0", "tolerance_mm"),
+        ("tolerance_mm = 0.01", "tolerance_mm = '0.01'", "tolerance_mm"),
+        ('axis = "+Z"', 'axis = "+Y"', "axis"),
+        ("joints = [0, -70, 110, 0, 50, 0]", "joints = [0, -70, 110, 0, 50]", "joints"),
+        ('robot = "kuka_kr270"', 'robot = "kuka_kr999"', "kuka_kr270"),
+        ("[tool]", "[tool", "not valid TOML"),
+    ],
+)
+def test_unusable_cell_exits_with_1_and_names_the_place(folder, old, new, message):
+    _touch("part.nc")
+    _edited(Path(CELL_270).read_text(), old, new)
+    done = _run("convert", "part.nc", "--cell", "cell.toml")
+    assert done.exit_code == 1
+    assert message in done.stderr
+    assert "Traceback" not in done.output
+    assert not Path("corrected").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("line,Fx,Fy,Fz\n9,1,nan,2\n", "forces.csv:2: column Fy is not a finite number"),
+        ("line,Fx,Fy,Fz\n9,1,inf,2\n", "forces.csv:2: column Fy is not a finite number"),
+        ("line,Fx,Fy\n9,1,2\n", "missing column Fz"),
+        ("line,Fx,Fy,Fz,Fq\n9,1,2,3,4\n", "unknown column 'Fq'"),
+        ("line,Fx_kN,Fy,Fz\n9,1,2,3\n", "unknown column 'Fx_kN'"),
+        ("line,Fx,Fy,Fz\n9,1,2\n", "forces.csv:2: 3 values where the header has 4"),
+        ("line,Fx,Fy,Fz\n2,1,2,3\n", "no motion starts on line 2"),
+        ("line,Fx,Fy,Fz\n9,1,2,3\n9,1,2,3\n", "a second row for line 9"),
+        ("", "empty file"),
+        (b"\x00\xff\xfe", "not UTF-8"),
+    ],
+)
+def test_unusable_forces_exit_with_1_and_name_the_place(folder, content, message):
+    Path("forces.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    program = str(SAMPLES / "long_lin.src")
+    done = _run("convert", program, "--cell", CELL_16, "--forces", "forces.csv", "-o", "out")
+    assert done.exit_code == 1
+    assert message in done.stderr
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("compliance_urad_per_Nm = 0.623", "compliance_urad_per_Nm = nan"),
+        ("compliance_urad_per_Nm = 0.623", "compliance_mrad_per_Nm = 0.000623"),
+        ("compliance_urad_per_Nm = 0.623", "compliance_urad_per_Nm = 0.0"),
+        ("[joints.A1]", "[joints.A7]"),
+    ],
+)
+def test_unusable_robot_model_exits_with_1_and_names_the_file(folder, old, new):
+    from postproc import robot
+
+    Path("my_robot").mkdir()
+    for file in robot.find("kuka_kr270").iterdir():
+        Path("my_robot", file.name).write_text(file.read_text().replace(old, new))
+    _edited(Path(CELL_270).read_text(), "kuka_kr270", "my_robot")
+    _touch("part.nc")
+    done = _run("convert", "part.nc", "--cell", "cell.toml")
+    assert done.exit_code == 1
+    assert "model.toml" in done.stderr
+
+
+def test_robot_with_a_nan_in_its_urdf_is_refused(folder):
+    from postproc import robot
+
+    Path("my_robot").mkdir()
+    for file in robot.find("kuka_kr270").iterdir():
+        Path("my_robot", file.name).write_text(file.read_text().replace("1.25", "nan", 1))
+    assert "nan" in Path("my_robot/robot.urdf").read_text()
+    _edited(Path(CELL_270).read_text(), "kuka_kr270", "my_robot")
+    _touch("part.nc")
+    assert _run("convert", "part.nc", "--cell", "cell.toml").exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty"),
+        (b"\r\n\r\n", "empty"),
+        (b"PK\x03\x04\x00\x00", "binary"),
+        (b"DEF part()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nLIN {X 100,Y 1", "part.src:3"),
+        (b"DEF part()\nEND\n", "part.src"),
+        (b"DEF part()\nLIN {X NaN,Y 0,Z 0,A 0,B 0,C 0}\nEND\n", "part.src:2"),
+    ],
+)
+def test_unusable_program_exits_with_1_and_names_the_line(folder, content, message):
+    Path("part.src").write_bytes(content)
+    done = _run("convert", "part.src", "--cell", CELL_270)
+    assert done.exit_code == 1
+    assert message in done.stderr
+    assert "report it" not in done.stderr
+    assert not Path("corrected").exists()
+
+
+@pytest.mark.parametrize("command", [[], ["convert"], ["predict"], ["robots"]])
+def test_every_command_has_help_with_an_example(command):
+    done = _run(*command, "--help")
+    assert done.exit_code == 0
+    assert "Example" in done.stdout
+    assert "postproc" in done.stdout.split("Example")[1]
+    assert "\\b" not in done.stdout
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from postproc.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'numpy', 'scipy', 'pinocchio', 'trimesh', 'rich', 'msgspec', 'pygcode'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_console_that_cannot_show_a_character_is_no_reason_to_stop():
+    environment = {**os.environ, "PYTHONIOENCODING": "iso8859-2"}
+    done = subprocess.run(
+        [sys.executable, "-c", "from postproc.cli import main; main()", "robots", "kuka_kr270"],
+        capture_output=True,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert b"?rad/(N?m)" in done.stdout
+
+
+def test_real_program_is_converted_in_a_process_of_its_own(folder):
+    done = subprocess.run(
+        [sys.executable, "-c", "from postproc.cli import main; main()", "convert", str(SAMPLES / "inline.src"),
+         "--cell", CELL_270, "-o", "out", "--json"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (entry,) = json.loads(done.stdout)["programs"]
+    report = json.loads(Path("out/inline.report.json").read_text())
+    assert report["after"]["max_mm"] < 0.0011
+    assert {**report, "program": entry["program"]}.items() <= entry.items()
+    rows = Path("out/inline.targets.csv").read_text().splitlines()
+    assert len(rows) == report["targets"] + 1
+    written = Path("out/inline.src").read_text().splitlines()
+    lines = [int(row.split(",")[0]) for row in rows[1:]]
+    assert all(written[line - 1].split()[0] in ("LIN", "PTP", "CIRC") for line in lines)
+
+
+def test_processes_give_the_same_files_as_one_after_the_other(folder):
+    source = (SAMPLES / "inline.src").read_bytes()
+    for index in range(3):
+        Path(f"p{index}.src").write_bytes(source.replace(b"DEF inline", f"DEF p{index}".encode()))
+        Path(f"p{index}.dat").write_bytes((SAMPLES / "inline.dat").read_bytes().replace(b"  inline", b"  p%d" % index))
+    assert _run("convert", ".", "--cell", CELL_270, "-o", "one").exit_code == 0
+    done = subprocess.run(
+        [sys.executable, "-c", "from postproc.cli import main; main()", "convert", ".", "--cell", CELL_270, "-o", "two",
+         "--jobs", "2"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert [line.split()[0] for line in done.stdout.splitlines()[2:]] == ["p0.src", "p1.src", "p2.src"]
+    one = {path.name: path.read_bytes() for path in Path("one").iterdir()}
+    two = {path.name: path.read_bytes() for path in Path("two").iterdir()}
+    assert len(one) == 15
+    assert one == two
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a POSIX signal")
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_an_interrupt_leaves_whole_programs_or_nothing_and_no_traceback(folder, workers):
+    source = (SAMPLES / "long_lin.src").read_text()
+    count = 40
+    for index in range(count):
+        Path(f"p{index:02}.src").write_text(source.replace("DEF long_lin", f"DEF p{index:02}"))
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from postproc.cli import main; main()", "convert", ".", "--cell", CELL_16, "-o", "out",
+         "--jobs", workers],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60.0
+    while not list(Path("out").glob("*.src")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=30)
+    assert process.returncode == 130, stderr
+    assert "Traceback" not in stderr
+    assert stdout == ""
+    names = {path.name for path in Path("out").iterdir()}
+    stems = {name.split(".")[0] for name in names}
+    assert 0 < len(stems) < count
+    assert names == {stem + end for stem in stems for end in (".src", ".report.json", ".targets.csv", ".report.html")}
+    assert f"of {count} programs are written" in stderr

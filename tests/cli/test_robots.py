@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import json
+
+from click.testing import CliRunner
+
+from postproc.cli import main
+
+
+def _run(*arguments: str):
+    return CliRunner().invoke(main, arguments)
+
+
+def test_robots_lists_the_shipped_ones():
+    done = _run("robots")
+    assert done.exit_code == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == ["kuka_kr16_2", "kuka_kr270"]
+
+
+def test_a_robot_is_shown_with_source_and_what_is_assumed():
+    lines = _run("robots", "kuka_kr270").stdout.splitlines()
+    (assumed,) = (line for line in lines if "compliance A2" in line)
+    (published,) = (line for line in lines if "compliance A1" in line)
+    assert "ASSUMED" in assumed
+    assert "ASSUMED" not in published
+    assert "Klimchik" in published
+
+
+def test_robot_as_json_has_the_same_values():
+    content = json.loads(_run("robots", "kuka_kr270", "--json").stdout)
+    assert content["name"] == "kuka_kr270"
+    assert all(set(value) == {"name", "value", "source", "assumed"} for value in content["values"])
+    assert set(json.loads(_run("robots", "--json").stdout)) == {"kuka_kr16_2", "kuka_kr270"}
+
+
+def test_unknown_robot_names_the_known_ones():
+    done = _run("robots", "kuka_kr999")
+    assert done.exit_code == 1
+    assert "kuka_kr270" in done.stderr

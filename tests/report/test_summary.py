@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from postproc.errors import Issue
+from postproc.report import summary, to_json
+from tests import fabricated
+
+
+def test_keys_are_those_of_the_contract():
+    content = summary(fabricated.result())
+    assert {
+        "program", "robot", "targets", "inserted_targets", "before", "after", "improvement", "compensated_percent",
+        "max_correction_mm", "limits", "issues",
+    } <= set(content)  # fmt: skip
+    assert set(content["before"]) == set(content["after"]) == {"max_mm", "rms_mm", "mean_mm", "p95_mm"}
+    assert set(content["improvement"]) == {"max", "rms"}
+    assert {"min_joint_margin_deg", "min_singular_value"} <= set(content["limits"])
+    assert set(content["issues"][0]) == {"level", "kind", "message", "source_line", "count"}
+
+
+def test_numbers_are_over_cutting_targets_in_mm():
+    result = fabricated.result()
+    cutting = result.before[~result.rapid] * 1e3
+    content = summary(result)
+    assert content["before"]["max_mm"] == pytest.approx(cutting.max())
+    assert content["before"]["rms_mm"] == pytest.approx(np.sqrt(np.mean(cutting**2)))
+    assert content["before"]["mean_mm"] == pytest.approx(cutting.mean())
+    assert content["before"]["p95_mm"] == pytest.approx(np.percentile(cutting, 95))
+    assert content["improvement"]["max"] == pytest.approx(cutting.max() / 2e-4)
+    assert content["compensated_percent"] == pytest.approx(100 * (1 - 2e-4 / content["before"]["rms_mm"]))
+    assert content["max_correction_mm"] == pytest.approx(1.5)
+    assert content["limits"]["min_joint_margin_deg"] == pytest.approx(40.0)
+    assert content["max_force_N"] == pytest.approx(np.abs(result.wrench[:, 2]).max())
+
+
+def test_inserted_targets_are_those_within_a_motion():
+    base = fabricated.result(10)
+    t = base.t.copy()
+    t[[2, 5]] = 0.5
+    assert summary(fabricated.with_changes(base, t=t))["inserted_targets"] == 2
+
+
+def test_improvement_is_null_where_nothing_remains_and_share_is_null_where_nothing_was():
+    base = fabricated.result()
+    assert summary(fabricated.with_changes(base, after=np.zeros(100)))["improvement"] == {"max": None, "rms": None}
+    nothing = fabricated.with_changes(base, before=np.zeros(100), after=np.zeros(100))
+    assert summary(nothing)["compensated_percent"] is None
+
+
+def test_text_is_valid_json_whatever_is_unknown():
+    unknown = fabricated.with_changes(
+        fabricated.result(0),
+        joint_margin=np.full(6, np.nan),
+        singular_value=np.nan,
+        between=np.inf,
+        largest_correction=np.nan,
+        issues=(Issue("error", "unreachable", "out of reach", 7),),
+    )
+    text = to_json(summary(unknown, 1e-5)).decode()
+    content = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
+    assert content["between_max_mm"] is None
+    assert content["limits"]["min_joint_margin_deg"] is None
+    assert content["tolerance_held"] is False
+
+
+@pytest.mark.parametrize(("tolerance", "held"), [(1e-5, True), (1e-6, False), (None, None)])
+def test_tolerance_is_compared_with_the_path_between_targets_too(tolerance, held):
+    assert summary(fabricated.result(), tolerance)["tolerance_held"] is held
+
+
+def test_nan_in_json_is_an_error():
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        to_json({"a": float("nan")})

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import csv
+import io
+import time
+
+import numpy as np
+
+from postproc.frames import xyzabc_from_pose
+from postproc.report import COLUMNS, targets_csv
+from tests import fabricated
+
+
+def _read(result):
+    text = b"".join(targets_csv(result)).decode()
+    return list(csv.DictReader(io.StringIO(text))), text
+
+
+def test_columns_are_those_of_the_contract_in_order():
+    assert ",".join(COLUMNS) == (
+        "output_line,source_line,t,rapid,X,Y,Z,A,B,C,X_cmd,Y_cmd,Z_cmd,A_cmd,B_cmd,C_cmd,Fx,Fy,Fz,Mx,My,Mz,dX,dY,dZ,"
+        "before_mm,after_mm,u95_mm,A1,A2,A3,A4,A5,A6"
+    )
+    _, text = _read(fabricated.result(3))
+    assert text.splitlines()[0] == ",".join(COLUMNS)
+    assert all(line.count(",") == len(COLUMNS) - 1 for line in text.splitlines())
+    assert text.endswith("\n")
+    assert "\r" not in text
+
+
+def test_every_target_is_a_row_with_its_numbers_in_mm_and_degrees():
+    result = fabricated.result(60)
+    rows, _ = _read(result)
+    assert len(rows) == 60
+    values = np.array([[float(row[name]) for name in ("X", "Y", "Z", "A", "B", "C")] for row in rows])
+    assert np.abs(values - xyzabc_from_pose(result.nominal)).max() < 1e-6
+    for name, expected, tolerance in (
+        ("output_line", result.output_line, 0.0),
+        ("source_line", result.source_line, 0.0),
+        ("t", result.t, 1e-9),
+        ("rapid", result.rapid, 0.0),
+        ("Z_cmd", result.command[:, 2, 3] * 1e3, 6e-5),
+        ("Fz", result.wrench[:, 2], 6e-4),
+        ("dZ", result.deflection[:, 2] * 1e3, 6e-7),
+        ("before_mm", result.before * 1e3, 6e-7),
+        ("after_mm", result.after * 1e3, 6e-7),
+        ("A2", np.degrees(result.q[:, 1]), 6e-6),
+    ):
+        assert np.abs(np.array([float(row[name]) for row in rows]) - expected).max() <= tolerance, name
+
+
+def test_minus_zero_is_never_written():
+    base = fabricated.result(10)
+    _, text = _read(fabricated.with_changes(base, deflection=np.full((10, 3), -1e-12), q=np.full((10, 6), -1e-12)))
+    assert "-0.000000," not in text
+    assert "-0.00000\n" not in text
+
+
+def test_bound_is_empty_without_covariance_and_a_number_with_it():
+    base = fabricated.result(4)
+    assert {row["u95_mm"] for row in _read(base)[0]} == {""}
+    rows, _ = _read(fabricated.with_changes(base, bound=np.full(4, 1.25e-5)))
+    assert {row["u95_mm"] for row in rows} == {"0.012500"}
+
+
+def test_a_result_without_targets_is_a_header_alone():
+    assert _read(fabricated.result(0))[1] == ",".join(COLUMNS) + "\n"
+
+
+def test_rows_do_not_depend_on_where_the_chunks_end(monkeypatch):
+    result = fabricated.result(50)
+    whole = b"".join(targets_csv(result))
+    monkeypatch.setattr("postproc.report.targets._CHUNK", 7)
+    assert b"".join(targets_csv(result)) == whole
+
+
+def test_writing_costs_microseconds_a_row():
+    """About 2.3 µs on the reference machine; the limit leaves room for a slow one."""
+    result = fabricated.result(40_000)
+    begin = time.perf_counter()
+    size = sum(len(chunk) for chunk in targets_csv(result))
+    assert size > 40_000 * 200
+    assert (time.perf_counter() - begin) / 40_000 < 15e-6

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+from postproc.report import of_many, of_one, summary
+from tests import fabricated
+
+
+def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
+    assert of_one(summary(fabricated.result(), 1e-5)) == (
+        "part.nc  on kuka_kr270: 100 targets\n"
+        "\n"
+        "  deviation [mm]        before       after   improvement\n"
+        "  max                   1.5000      0.0002          7500\n"
+        "  RMS                   1.0687      0.0002          5343\n"
+        "  mean                  1.0042      0.0002          5021\n"
+        "  95 %                  1.4950      0.0002          7475\n"
+        "\n"
+        "  compensated 99.98 %\n"
+        "  largest correction 1.500 mm\n"
+        "  between targets at most 0.0040 mm (tolerance 0.01 mm, held)\n"
+        "  smallest joint margin 40.0°, smallest singular value 0.210\n"
+        "warning: part.nc:12: cutting moves <without> a force: none is assumed (311 times)"
+    )
+
+
+def test_a_prediction_has_one_column():
+    text = of_one(summary(fabricated.result(mode="predict")))
+    assert "predicted" in text
+    assert "improvement" not in text
+
+
+def test_an_exceeded_tolerance_is_said_aloud():
+    assert "tolerance 0.001 mm, EXCEEDED" in of_one(summary(fabricated.result(), 1e-6))
+
+
+def test_many_programs_are_a_table_with_failures_in_it():
+    lines = of_many([("a/part.nc", summary(fabricated.result()), "written"), ("b.nc", None, "FAILED")]).splitlines()
+    assert lines[0].split("  ")[0] == "program"
+    assert lines[2].startswith("a/part.nc")
+    assert lines[2].endswith("written")
+    assert lines[3].endswith("FAILED")
+    assert len({len(line[: line.rfind("  ")]) for line in lines[2:]}) == 1

@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from postproc import batch
+from postproc.batch import Job, Settings, convert_all, convert_one, find_jobs
+from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError
+from tests import fabricated
+
+CELL = Path(__file__).parent.parent / "samples" / "cell_kr270.toml"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def computed(monkeypatch):
+    """Replace the computation: every program gives a made-up result."""
+    monkeypatch.setattr("postproc.pipeline.read", lambda *_: fabricated.program())
+    monkeypatch.setattr("postproc.pipeline.process", lambda *_, **__: fabricated.result())
+
+
+def _touch(*names: str) -> None:
+    for name in names:
+        path = Path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("G0 X0\n")
+
+
+def _names(jobs: list[Job]) -> list[str]:
+    return [job.program.as_posix() for job in jobs]
+
+
+def test_folders_and_patterns_become_sorted_programs_each_once(folder):
+    _touch("p/b.nc", "p/a.NGC", "p/c.src", "p/c.dat", "p/notes.txt", "q/x.tap")
+    assert _names(find_jobs(["p"])) == ["p/a.NGC", "p/b.nc", "p/c.src"]
+    assert _names(find_jobs(["p/*.nc", "p", "q/x.tap"])) == ["p/b.nc", "p/a.NGC", "p/c.src", "q/x.tap"]
+    assert _names(find_jobs(["**/*.tap"])) == ["q/x.tap"]
+    assert _names(find_jobs(["p/*.txt"], dialect="gcode")) == ["p/notes.txt"]
+
+
+def test_dialect_comes_from_the_extension_in_any_case(folder):
+    _touch("a.MPF", "b.SRC")
+    assert [job.dialect for job in find_jobs(["a.MPF", "b.SRC"])] == ["gcode", "krl"]
+
+
+def test_output_goes_beside_each_program_by_default(folder):
+    _touch("p/a.nc", "q/b.nc")
+    assert [job.output.as_posix() for job in find_jobs(["p", "q"])] == ["p/corrected", "q/corrected"]
+    assert [job.output.as_posix() for job in find_jobs(["p", "q"], output=Path("out"))] == ["out", "out"]
+
+
+def test_file_whose_name_looks_like_a_pattern_is_taken_as_it_is(folder):
+    _touch("a[1].nc", "a1.nc")
+    assert _names(find_jobs(["a[1].nc"])) == ["a[1].nc"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("empty", "no program in this folder"), ("*.nc", "matches no program"), ("part.txt", "unknown kind of program")],
+)
+def test_input_that_names_no_program_is_an_error(folder, name, message):
+    (folder / "empty").mkdir()
+    with pytest.raises(InputError, match=message):
+        find_jobs([name])
+
+
+def test_a_dat_alone_is_an_error_with_advice(folder):
+    _touch("part.dat")
+    with pytest.raises(ProgramError, match=r"Give the \.src file"):
+        find_jobs(["part.dat"])
+
+
+@pytest.mark.parametrize("pair", [("a/part.nc", "b/part.nc"), ("a/part.nc", "b/PART.tap"), ("a/part.nc", "a/part.src")])
+def test_two_programs_that_would_be_one_file_are_an_error_before_anything_is_written(folder, pair):
+    _touch(*pair)
+    with pytest.raises(InputError, match="would both be written as"):
+        find_jobs(pair, output=Path("out"))
+    assert not Path("out").exists()
+
+
+def test_programs_of_one_name_in_two_folders_are_no_clash_by_default(folder):
+    _touch("a/part.nc", "b/part.nc")
+    assert len(find_jobs(["a", "b"])) == 2
+
+
+@pytest.mark.parametrize(
+    ("program", "options"),
+    [
+        ("part.src", {"output": Path()}),
+        ("part.nc", {"output": Path(), "forces": Path("part.targets.csv")}),
+        ("part.nc", {"output": Path(), "cell": Path("part.report.json")}),
+    ],
+)
+def test_an_input_is_never_overwritten(folder, program, options):
+    _touch(program, "part.targets.csv", "part.report.json")
+    with pytest.raises(InputError, match="this input would be overwritten"):
+        find_jobs([program], **options)
+
+
+def test_the_program_itself_is_not_overwritten_whatever_it_is_called(folder, computed):
+    _touch("part.src")
+    settings = Settings(CELL)
+    outcome = convert_one(Job(Path("part.src"), "gcode", Path(), None), settings, *batch.load_setup(settings))
+    assert "would be overwritten" in outcome.message
+    assert Path("part.src").read_text() == "G0 X0\n"
+
+
+def test_a_krl_program_takes_the_dat_beside_it_in_any_case(folder):
+    Path("Part.src").write_text("DEF Part()\nEND\n")
+    Path("PART.DAT").write_text("DEFDAT PART\nENDDAT\n")
+    assert [document.name for document in batch.read_documents(Path("Part.src"), "krl")] == ["Part.src", "PART.DAT"]
+    assert [document.name for document in batch.read_documents(Path("Part.src"), "gcode")] == ["Part.src"]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "no such file"), (b"", "empty"), (b"G0\0X1", "binary"), (b" \n \n", "empty")],
+)
+def test_unusable_program_file_is_told_with_its_name(folder, content, message):
+    if content is not None:
+        Path("part.nc").write_bytes(content)
+    with pytest.raises(ProgramError, match=message) as caught:
+        batch.read_documents(Path("part.nc"), "gcode")
+    assert caught.value.file == "part.nc"
+
+
+def test_one_force_file_for_many_programs_is_an_error_with_advice(folder):
+    _touch("a.nc", "b.nc", "f.csv")
+    assert find_jobs(["a.nc"], forces=Path("f.csv"))[0].forces == Path("f.csv")
+    with pytest.raises(ForceError, match=r"one force file for 2 programs.*Give a folder"):
+        find_jobs(["a.nc", "b.nc"], forces=Path("f.csv"))
+
+
+def test_a_folder_of_forces_gives_each_program_its_own(folder):
+    _touch("a.nc", "b.nc", "c.nc", "f/a.csv", "f/B.forces.csv")
+    jobs = find_jobs(["a.nc", "b.nc", "c.nc"], forces=Path("f"))
+    assert [job.forces for job in jobs] == [Path("f/a.csv"), Path("f/B.forces.csv"), None]
+    with pytest.raises(ForceError, match="no force file for any"):
+        find_jobs(["c.nc"], forces=Path("f"))
+
+
+def test_all_files_of_a_program_are_written_and_named(folder, computed):
+    _touch("part.nc")
+    (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL))
+    assert outcome.code == 0
+    assert [Path(path).name for path in outcome.written] == [
+        "part.src", "part.report.json", "part.targets.csv", "part.report.html",
+    ]  # fmt: skip
+    assert sorted(path.name for path in Path("corrected").iterdir()) == sorted(
+        Path(path).name for path in outcome.written
+    )
+
+
+def test_one_failing_program_does_not_stop_the_others(folder, computed, monkeypatch):
+    _touch("a.nc", "b.nc", "c.nc", "d.nc")
+
+    def process(program, *_, **__):
+        raise {"a": ForceError("bad force", line=3), "b": ZeroDivisionError("oops"), "c": MemoryError()}[program]
+
+    monkeypatch.setattr("postproc.pipeline.read", lambda documents, *_: documents[0].name[0])
+    good = fabricated.result()
+    monkeypatch.setattr("postproc.pipeline.process", lambda p, *a, **k: good if p == "d" else process(p))
+    outcomes = list(convert_all(find_jobs(["a.nc", "b.nc", "c.nc", "d.nc"]), Settings(CELL)))
+    assert [outcome.code for outcome in outcomes] == [1, 1, 1, 0]
+    assert "bad force" in outcomes[0].message
+    assert "unexpected ZeroDivisionError" in outcomes[1].message
+    assert "report it" in outcomes[1].message
+    assert "memory" in outcomes[2].message
+    assert [path.name for path in Path("corrected").iterdir() if path.suffix == ".src"] == ["part.src"]
+
+
+def test_a_program_with_an_error_is_not_written_and_says_why(folder, computed, monkeypatch):
+    issue = Issue("error", "unreachable", "out of reach", 12)
+    failed = fabricated.with_changes(fabricated.result(), issues=(issue,), documents=())
+    monkeypatch.setattr("postproc.pipeline.process", lambda *_, **__: failed)
+    _touch("part.nc")
+    (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL))
+    assert (outcome.code, outcome.issues, outcome.written) == (1, (issue,), ())
+    assert not Path("corrected").exists()
+
+
+def test_an_exceeded_tolerance_counts_only_where_one_is_stated(folder, computed, monkeypatch):
+    monkeypatch.setattr("postproc.pipeline.process", lambda *_, **__: fabricated.result(mode="nominal"))
+    _touch("part.nc")
+    jobs = find_jobs(["part.nc"])
+    assert [o.code for o in convert_all(jobs, Settings(CELL, "nominal"))] == [0]
+    assert [o.code for o in convert_all(jobs, Settings(CELL, "nominal", 5.0))] == [0]
+    (outcome,) = convert_all(jobs, Settings(CELL, "nominal", 0.1))
+    assert outcome.code == 3
+    assert len(outcome.written) == 4
+
+
+def test_messages_name_the_program_by_its_path(folder, computed, monkeypatch):
+    def read(*_):
+        raise ProgramError("odd word", file="part.nc", line=7, text="G999", advice="Remove it.")
+
+    monkeypatch.setattr("postproc.pipeline.read", read)
+    _touch("deep/down/part.nc")
+    (outcome,) = convert_all(find_jobs(["deep/down/part.nc"]), Settings(CELL))
+    assert outcome.message == f"{Path('deep/down/part.nc')}:7: odd word. Text: 'G999'. Remove it."
+
+
+def test_a_file_in_the_place_of_the_output_folder_is_a_failure(folder, computed):
+    _touch("part.nc", "out")
+    (outcome,) = convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL))
+    assert outcome.code == 1
+    assert "cannot be written" in outcome.message
+    assert Path("out").read_text() == "G0 X0\n"
+
+
+@pytest.mark.parametrize("failing", [1, 2, 3, 4])
+def test_a_full_disk_leaves_nothing_half_written(folder, computed, monkeypatch, failing):
+    _touch("part.nc")
+    calls = []
+
+    def fsync(_):
+        calls.append(1)
+        if len(calls) == failing:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("os.fsync", fsync)
+    (outcome,) = convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL))
+    assert outcome.code == 1
+    assert "No space left on device" in outcome.message
+    assert list(Path("out").iterdir()) == []
+
+
+def test_an_interrupt_while_writing_leaves_nothing_and_is_passed_on(folder, computed, monkeypatch):
+    _touch("part.nc")
+
+    def fsync(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.fsync", fsync)
+    with pytest.raises(KeyboardInterrupt):
+        list(convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL)))
+    assert list(Path("out").iterdir()) == []
+
+
+def test_an_unusable_cell_is_one_error_for_all(folder):
+    _touch("a.nc", "b.nc")
+    with pytest.raises(PostprocError, match="no such file"):
+        list(convert_all(find_jobs(["a.nc", "b.nc"]), Settings(Path("none.toml")), workers=2))
+
+
+def test_a_scheduler_without_dask_says_what_to_install(folder, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    _touch("a.nc")
+    with pytest.raises(PostprocError, match=r"pip install 'postproc\[dask\]'"):
+        list(convert_all(find_jobs(["a.nc"]), Settings(CELL), scheduler="tcp://127.0.0.1:1"))
