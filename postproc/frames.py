@@ -104,15 +104,22 @@ def rotation_vector(rotation: Array) -> Array:
     return vector
 
 
+def hat(vector: Array) -> Array:
+    """Return the skew matrices (..., 3, 3) of vectors (..., 3): the product with b is the cross product with b."""
+    out = np.zeros((*vector.shape, 3))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
+    return out
+
+
 def rotation_from_vector(vector: Array) -> Array:
     """Return rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    o = np.zeros_like(x)
-    hat = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vector.shape[:-1], 3, 3)
+    skew = hat(vector)
     a = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    rotation: Array = np.eye(3) + a * hat + b * (hat @ hat)
+    rotation: Array = np.eye(3) + a * skew + b * (skew @ skew)
     return rotation
 
 

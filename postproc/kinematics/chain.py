@@ -11,7 +11,7 @@ import os
 import numpy as np
 import pinocchio as pin
 
-from postproc.frames import Array
+from postproc.frames import Array, hat
 from postproc.robot import FLANGE
 
 
@@ -38,7 +38,7 @@ def tcp(model: pin.Model, q: Array, tool: Array) -> tuple[Array, Array]:
         its_rotation[...] = rotation
         its_position[...] = position
     pose = last @ (flange.placement.homogeneous @ tool)
-    jacobian[:, :3] += np.swapaxes(np.cross(np.swapaxes(jacobian[:, 3:], 1, 2), pose[:, None, :3, 3]), 1, 2)
+    jacobian[:, :3] -= hat(pose[:, :3, 3]) @ jacobian[:, 3:]
     return pose, jacobian
 
 
@@ -53,14 +53,15 @@ def load_stiffness(jacobian: Array, wrench: Array) -> Array:
     :param wrench: (N, 6) force [N] and moment [N·m] at the TCP, root axes.
     :returns: (N, nv, nv); row j, column i: ∂(JᵀF)_j/∂q_i.
     """
-    linear, angular = np.swapaxes(jacobian[:, :3], 1, 2), np.swapaxes(jacobian[:, 3:], 1, 2)
-    force, moment = wrench[:, None, :3], wrench[:, None, 3:]
+    linear, angular = jacobian[:, :3], jacobian[:, 3:]
+    axes = np.swapaxes(angular, 1, 2)
     # (ω_i × v_j)·F = ω_i·(v_j × F), i ≤ j
-    upper = np.triu(angular @ np.swapaxes(np.cross(linear, force), 1, 2))
+    upper = np.triu(axes @ (hat(-wrench[:, :3]) @ linear))
     symmetric = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
     # row j, column i < j: (ω_i × ω_j)·M = ω_i·(ω_j × M)
-    lower = np.tril(np.cross(angular, moment) @ np.swapaxes(angular, 1, 2), -1)
-    return np.asarray(symmetric + lower)
+    if not wrench[:, 3:].any():
+        return np.asarray(symmetric)
+    return np.asarray(symmetric + np.tril(np.swapaxes(axes @ (hat(-wrench[:, 3:]) @ angular), 1, 2), -1))
 
 
 def gravity_torque(model: pin.Model, q: Array) -> Array:
