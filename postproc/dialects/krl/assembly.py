@@ -1,0 +1,218 @@
+"""Plain lines and statements put together: `Motions`, and the `Layout` of their text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from postproc.dialects.krl.geometry import circle, same_orientation
+from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.moves import Move
+from postproc.dialects.krl.positions import EXTERNAL
+from postproc.dialects.krl.rows import Rows, of_moves
+from postproc.dialects.krl.sequence import Sequence, arc_points, follow
+from postproc.dialects.krl.settings import DEFAULT_SPEED, Settings, State
+from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.walker import Walker
+from postproc.errors import Issue
+from postproc.frames import RAD_PER_DEG, Array
+from postproc.program import CIRC, PTP, Bools, Ints, Motions
+
+_SAME_EXTERNAL = 1e-4
+"""External axes that vary by less than this [mm, deg] stand still."""
+
+
+def assemble(
+    source: Source, walker: Walker, plain: Rows, start_joints: Array, forward: Callable[[Array], Array]
+) -> tuple[Motions, Layout, list[Issue]]:
+    """Return the motions of a program in order, where their text stands, and what had to be assumed.
+
+    :param walker: has followed all lines that are not plain.
+    :param plain: motions of the bulk path.
+    :param start_joints: (6,) where the robot stands first [rad].
+    :param forward: (6,) joints → (4, 4) flange in the robot root.
+    :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
+        is not what the controller could follow.
+    """
+    settings, statements = walker.settings, walker.moves
+    states, state_plain, state_moves = _states(settings, plain.line, statements)
+    others = of_moves(statements)
+    place = np.searchsorted(plain.line, others.line) + np.arange(len(others))
+    place_plain = np.delete(np.arange(len(plain) + len(others)), place)
+    rows = plain.merged(others, place_plain, place)
+    state = np.empty(len(rows), dtype=np.int64)
+    state[place_plain], state[place] = state_plain, state_moves
+    moves = {row: move for row, move in zip(place.tolist(), statements, strict=True) if not move.plain}
+
+    base = _column(states, state, lambda s: s.base)
+    tool = _column(states, state, lambda s: s.tool)
+    _check_frames(settings, base, tool, moves)
+    _check_external(source, rows, moves)
+    frames = base, tool, np.stack(settings.bases), np.stack(settings.tools)
+    given = rows.numbers[:, :6]
+    chain = follow(source, rows.line, given, frames, moves, start_joints, forward)
+    constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
+    _check_orientation(source, rows, states, state, chain)
+    centre, normal, sweep = _arcs(source, chain, moves, len(rows))
+
+    speed = _column(states, state, lambda s: s.speed)
+    cdis = _column(states, state, lambda s: s.cdis)
+    motions = Motions(
+        kind=rows.kind,
+        rapid=rows.kind == PTP,
+        line=rows.line,
+        target=chain.pose,
+        joints=chain.joints,
+        centre=centre,
+        normal=normal,
+        sweep=sweep,
+        feed=np.where(rows.kind == PTP, np.nan, speed),
+        base=base,
+        tool=tool,
+        blend=np.where(rows.approximated, cdis, 0.0),
+        status=_whole(rows.numbers[:, 6]),
+        turn=_whole(rows.numbers[:, 7]),
+    )
+    missing = np.isnan(given)
+    missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
+    before, loose = _insertion_lines(walker, rows.line)
+    layout = Layout(
+        numbers=chain.numbers,
+        missing=missing,
+        spans=rows.spans,
+        keyword=rows.keyword,
+        target=rows.target,
+        tail=rows.tail,
+        before=before,
+        resumed=chain.resumed,
+        constant=constant,
+        moves=moves,
+        types=dict(settings.variables.types),
+        public=frozenset(settings.variables.public),
+        understood=dict(settings.variables.understood),
+        loose_triggers=loose,
+    )
+    assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
+    return motions, layout, _assumptions(rows.line, missing, assumed, moves)
+
+
+def _states(settings: Settings, line: Ints, statements: list[Move]) -> tuple[list[State], Ints, Ints]:
+    """Return all states, and for plain lines and then statements which one is in force."""
+    states = [state for _, state in settings.changes]
+    changed = np.array([line for line, _ in settings.changes])
+    index: dict[State, int] = {}
+    own = []
+    for move in statements:
+        if move.state not in index:
+            index[move.state] = len(states)
+            states.append(move.state)
+        own.append(index[move.state])
+    return states, np.searchsorted(changed, line) - 1, np.array(own, dtype=np.int64)
+
+
+def _column(states: list[State], state: Ints, value: Callable[[State], object]) -> np.ndarray:
+    """Return one property of the states in force."""
+    return np.array([value(s) for s in states])[state]
+
+
+def _whole(numbers: Array) -> Ints:
+    return np.where(np.isnan(numbers), -1.0, numbers).astype(np.int64)
+
+
+def _check_frames(settings: Settings, base: Ints, tool: Ints, moves: Mapping[int, Move]) -> None:
+    """Refuse Cartesian targets in frames that are not known; give axis targets those of the cell instead."""
+    for rows in (base, tool):
+        for row in np.flatnonzero(rows < 0).tolist():
+            if row not in moves or not moves[row].end.position.axis:
+                raise settings.reasons[-1 - int(rows[row])]
+        rows[rows < 0] = 0
+
+
+def _check_external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> None:
+    """Refuse programs that move external axes."""
+    external = rows.numbers[:, 8:]
+    if np.isnan(external).all():
+        return
+    external = external.copy()
+    external[[row for row, move in moves.items() if move.relative]] = np.nan
+    for axis, values in enumerate(external.T):
+        given = np.flatnonzero(~np.isnan(values))
+        moving = given[np.abs(values[given] - values[given[:1]]) > _SAME_EXTERNAL]
+        if len(moving):
+            raise source.line_error(
+                f"the external axis {EXTERNAL[axis]} moves from {values[given[0]]:g} to {values[moving[0]]:g}",
+                int(rows.line[moving[0]]),
+                "Only external axes that stand still are supported.",
+            )
+
+
+def _check_orientation(source: Source, rows: Rows, states: list[State], state: Ints, chain: Sequence) -> None:
+    """Refuse motions whose orientation the controller would not lead to that of the target on the modelled way."""
+    path = rows.kind != PTP
+    other = _column(states, state, lambda s: s.orientation != "#VAR") & path
+    other |= _column(states, state, lambda s: s.circle != "#BASE") & (rows.kind == CIRC)
+    at = np.flatnonzero(other)
+    turned = at[~same_orientation(chain.start[at, :3, :3], chain.pose[at, :3, :3])]
+    if len(turned):
+        in_force = states[int(state[turned[0]])]
+        mode = (
+            f"$CIRC_TYPE={in_force.circle}" if in_force.orientation == "#VAR" else f"$ORI_TYPE={in_force.orientation}"
+        )
+        raise source.line_error(
+            f"the orientation changes under {mode}", int(rows.line[turned[0]]), "Use $ORI_TYPE=#VAR, $CIRC_TYPE=#BASE."
+        )
+
+
+def _arcs(source: Source, chain: Sequence, moves: Mapping[int, Move], count: int) -> tuple[Array, Array, Array]:
+    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
+    centre, normal, sweep = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
+    for row, move in moves.items():
+        if move.kind != CIRC:
+            continue
+        via, end = arc_points(move)
+        centre[row], axis, angle = circle(source, move.line, chain.start[row, :3, 3], via, end)
+        if move.angle is not None:
+            if not same_orientation(chain.start[row, :3, :3], chain.pose[row, :3, :3]):
+                raise source.line_error(
+                    "the orientation changes on a circle with CA: where it is reached is not certain",
+                    move.line,
+                    "Give the end of the arc as its end point, without CA.",
+                )
+            axis, angle = axis * np.sign(move.angle), abs(move.angle) * RAD_PER_DEG
+        normal[row], sweep[row] = axis, angle
+    return centre, normal, sweep
+
+
+def _insertion_lines(walker: Walker, line: Ints) -> tuple[Ints, tuple[int, ...]]:
+    """Return the line before which targets are inserted for each motion, and the TRIGGERs that this tears off.
+
+    A TRIGGER refers to the motion that follows it. Where nothing but comments stands between, inserted targets go
+    before the TRIGGER.
+    """
+    before, loose = line.copy(), []
+    for trigger in reversed(walker.triggers):
+        row = int(np.searchsorted(line, trigger))
+        if row == len(line):
+            continue
+        if walker.only_comments(trigger + 1, int(before[row]) - 1):
+            before[row] = trigger
+        else:
+            loose.append(trigger)
+    return before, tuple(reversed(loose))
+
+
+def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, Move]) -> list[Issue]:
+    """Return what had to be assumed, each once with the first line it concerns."""
+    issues = []
+    incomplete = np.asarray(missing.any(axis=1))
+    for row, move in moves.items():
+        incomplete[row] = not move.end.position.complete
+    for rows, kind, message in (
+        (incomplete, "missing-components", "Missing components keep their previous value (in relative motions: 0)."),
+        (assumed, "default-speed", f"$VEL.CP is not set before: the controller's {DEFAULT_SPEED:g} m/s is assumed."),
+    ):
+        found = np.flatnonzero(rows)
+        if len(found):
+            issues.append(Issue("info", kind, message, int(line[found[0]]), count=len(found)))
+    return issues

@@ -1,0 +1,150 @@
+"""Plain motion lines, all at once: ``LIN {X …,Y …,Z …,A …,B …,C …} C_DIS`` a hundred thousand times.
+
+One regular expression decides which lines are plain; their numbers are then found and converted by numpy. What it does
+not take (other orders of components, names) is left to `moves`, which reads these lines too,
+with the same result.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import numpy as np
+
+from postproc.decimals import Bytes
+from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, none
+from postproc.dialects.krl.source import Source
+from postproc.program import LIN, PTP, Bools, Ints
+
+_STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
+_LOOSE = r"[-+.0-9][-+.0-9eE]*+"
+_NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
+
+
+def _runs_of(number: str) -> re.Pattern[str]:
+    """Return the expression for lines in sequence that are plain, with a given expression for their numbers."""
+    components = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
+    components += [rf"[{name}{name.lower()}][ \t]++[0-9]{{1,2}}+" for name in "ST"]
+    components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
+    line = (
+        r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])[ \t]*+"
+        r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?+(?=[XYZABCxyzabc])"
+        + "".join(f"(?:{component}{_NEXT})?+" for component in components)
+        + r"\}(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
+    )
+    return re.compile(rf"^(?:{line})++", re.MULTILINE)
+
+
+_RUNS, _RUNS_STRICT = _runs_of(_LOOSE), _runs_of(_STRICT)
+
+_COMMENT = re.compile(rb";[^\r\n]*")
+_COLUMN = np.full(256, -1, dtype=np.int64)
+_COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(NUMBERS)
+_COLUMN[np.frombuffer(b"xyzabcst", dtype=np.uint8)] = np.arange(8)
+_KEPT = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
+_BLANK = np.zeros(256, dtype=np.bool_)
+_BLANK[[9, 10, 13, 32]] = True
+
+
+def scan(source: Source) -> Rows:
+    """Return the plain motions of a document, wherever they stand.
+
+    :raises ProgramError: a number is not finite.
+    """
+    plain = _scan(source, _RUNS)  # is right unless something that looks like a number is none, such as 1.2.3
+    return plain if plain is not None else _scan(source, _RUNS_STRICT) or none()
+
+
+def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
+    """Return the lines that an expression takes; None if one of their numbers cannot be read."""
+    text = source.text
+    runs = [match.span() for match in expression.finditer(text)]
+    if not runs:
+        return none()
+    edges = np.array(runs)
+    first = np.searchsorted(source.starts, edges[:, 0])
+    count = np.searchsorted(source.starts, edges[:, 1]) - first
+    index = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
+    body = b"".join([text[start:stop].encode("ascii", "replace") for start, stop in runs])
+    if b";" in body:
+        body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
+    raw = np.frombuffer(body, dtype=np.uint8)
+    before = np.cumsum(edges[:, 1] - edges[:, 0]) - (edges[:, 1] - edges[:, 0])
+    shift = np.repeat(edges[:, 0] - before, count)
+    begins = source.starts[index] - shift
+
+    digits = _digits(body)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # numpy's word for: not all of it is numbers
+        values = np.fromstring(digits.tobytes(), sep=" ")
+    number = digits != ord(" ")
+    borders = np.flatnonzero(number[1:] != number[:-1]) + 1
+    starts, stops = borders[0::2], borders[1::2]
+    if len(values) != len(starts):
+        return None
+    row = np.repeat(np.arange(len(index)), np.diff(np.searchsorted(starts, begins), append=len(starts)))
+    column = _COLUMN[_before(raw, starts)]
+    numbers = np.full((len(index), NUMBERS), np.nan)
+    numbers[row, column] = values
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        raise source.error("a number is not finite", int(starts[bad[0]] + shift[row[bad[0]]]))
+    spans = np.full((len(index), len(COLUMNS), 2), -1, dtype=np.int32)
+    kept = column < len(COLUMNS)
+    row, column = row[kept], column[kept]
+    spans[row, column, 0] = starts[kept] + shift[row]
+    spans[row, column, 1] = stops[kept] + shift[row]
+
+    keyword = _skip_blanks(raw, begins, 1)
+    letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32
+    ends = np.concatenate([begins[1:], [len(raw)]])
+    stop = _skip_blanks(raw, ends - 1, -1) + 1
+    aggregate = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
+    ptp = letter == ord("p")
+    return Rows(
+        line=index + 1,
+        kind=np.where(ptp, PTP, LIN),
+        numbers=numbers,
+        spans=spans,
+        keyword=keyword + shift,
+        target=aggregate + shift[:, None],
+        tail=np.stack([aggregate[:, 1], stop], axis=1) + shift[:, None],
+        approximated=_approximated(raw, begins, ptp),
+    )
+
+
+def _digits(body: bytes) -> Bytes:
+    """Return the text with everything but numbers blanked out."""
+    digits = np.frombuffer(bytearray(body.translate(_KEPT)), dtype=np.uint8)
+    exponent = np.flatnonzero((digits | 32) == ord("e"))
+    if len(exponent):  # the E of E1, E6POS and C_VEL is none, and the digit behind it no number
+        other = exponent[(digits[exponent - 1] == ord(" ")) | (digits[exponent - 1] > ord("9"))]
+        digits[other] = digits[other + 1] = ord(" ")
+    return digits
+
+
+def _before(raw: Bytes, position: Ints) -> Ints:
+    """Return the characters before each position, blanks skipped."""
+    return raw[_skip_blanks(raw, position - 1, -1)].astype(np.int64)
+
+
+def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
+    """Return the first places from each position on, in the direction of `step`, that hold no blank."""
+    position = position.copy()
+    rows = np.flatnonzero(_BLANK[raw[position]])
+    while len(rows):
+        position[rows] += step
+        rows = rows[_BLANK[raw[position[rows]]]]
+    return position
+
+
+def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
+    """Return which lines are approximated by `$APO.CDIS`."""
+    underscore = np.flatnonzero(raw == ord("_"))
+    letter = raw[underscore + 1] | 32
+    row = np.searchsorted(begins, underscore, side="right") - 1
+    out = np.zeros(len(begins), dtype=np.bool_)
+    out[row[letter == ord("d")]] = True
+    out[row[(letter == ord("s")) & ~ptp[row]]] = True
+    return out

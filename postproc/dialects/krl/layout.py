@@ -1,0 +1,50 @@
+"""Where the numbers of a program stand in its text: what reading leaves for writing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from postproc.dialects.krl.moves import Move
+from postproc.dialects.krl.rows import Offsets
+from postproc.frames import Array
+from postproc.program import Bools, Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """The text of M motions. Offsets count characters from the beginning of the `.src`.
+
+    :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
+        controller keeps; for axis and relative targets the Cartesian numbers they amount to.
+    :param missing: (M, 6) True where the text does not give the component.
+    :param spans: (M, 8, 2) where the texts of X, Y, Z, A, B, C, S, T stand; −1 where missing, and throughout for
+        motions in `moves` (their numbers may stand elsewhere).
+    :param keyword: (M,) offset of the instruction.
+    :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
+    :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
+    :param before: (M,) 1-based line before which inserted targets go: the motion's own, or that of its TRIGGERs.
+    :param resumed: (M,) True where the controller's previous position is an axis target or the start.
+    :param constant: (M,) True where ``$ORI_TYPE=#CONSTANT`` makes the controller ignore A, B, C.
+    :param moves: row → statement, for motions that are not plain lines: named points, chains, CIRC, relative and
+        axis targets.
+    :param types: declared type by variable, upper case.
+    :param public: variables declared GLOBAL.
+    :param understood: how often the `.src` names a variable in a way that the reader followed.
+    :param loose_triggers: lines of TRIGGER statements that other statements separate from their motion.
+    """
+
+    numbers: Array
+    missing: Bools
+    spans: Offsets
+    keyword: Ints
+    target: Ints
+    tail: Ints
+    before: Ints
+    resumed: Bools
+    constant: Bools
+    moves: Mapping[int, Move]
+    types: Mapping[str, str]
+    public: frozenset[str]
+    understood: Mapping[str, int]
+    loose_triggers: tuple[int, ...]

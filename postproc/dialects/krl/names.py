@@ -1,0 +1,83 @@
+"""Names of KRL: what the controller accepts, and what it keeps for itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+MAX_LENGTH = 24
+"""Longest name the controller accepts."""
+
+NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
+
+
+def words(text: str) -> frozenset[str]:
+    """Return the words of a text separated by blanks."""
+    return frozenset(text.split())
+
+
+MOTIONS = words("LIN PTP CIRC SLIN SPTP SCIRC")
+"""Motion instructions that are read; each may carry ``_REL``."""
+
+OPENING = {"FOR": "ENDFOR", "WHILE": "ENDWHILE", "LOOP": "ENDLOOP", "IF": "ENDIF", "SWITCH": "ENDSWITCH"}
+"""Control structures and the word that closes them; REPEAT … UNTIL besides."""
+
+TYPES = words("INT REAL BOOL CHAR FRAME POS E6POS E3POS AXIS E6AXIS E3AXIS")
+"""Predefined types, which need no DECL."""
+
+WITHOUT_MOTION = words(
+    "ANIN ANOUT BRAKE CASE CHANNEL CLEAR CONFIRM CONTINUE DEFAULT DIGIN ELSE ENUM ERR_CLEAR ERR_RAISE EXIT EXT EXTFCT "
+    "EXTFCTP EXTP HALT IMPORT ON_ERROR_PROCEED PULSE RESUME SIGNAL STRUC WAIT"
+)
+"""Statements that move nothing and change nothing that a motion depends on."""
+
+RESERVED = (
+    MOTIONS
+    | TYPES
+    | WITHOUT_MOTION
+    | OPENING.keys()
+    | words(
+        "AND B_AND B_EXOR B_NOT B_OR CIRC_REL CONST C_DIS C_ORI C_PTP C_SPL C_VEL DECL DEF DEFDAT DEFFCT DELAY DO END "
+        "ENDDAT ENDFCT ENDFOR ENDIF ENDLOOP ENDSPLINE ENDSWITCH ENDWHILE EXOR FALSE GLOBAL GOTO INTERRUPT LIN_REL "
+        "MAXIMUM MINIMUM NOT OR PRIO PTP_REL PUBLIC REPEAT RETURN SEC SPL SPLINE STEP THEN TO TRIGGER TRUE UNTIL WHEN "
+        "WITH"
+    )
+)
+"""Words that cannot be the name of a program or a point."""
+
+
+def fault_of(name: str) -> str | None:
+    """Return why the controller would refuse a name for a program or a point, or None if it would not.
+
+    >>> fault_of("PART_1"), fault_of("1001")
+    (None, 'it does not begin with a letter or underscore')
+    """
+    if len(name) > MAX_LENGTH:
+        return f"it has {len(name)} characters, {MAX_LENGTH} are allowed"
+    if not re.match(r"[A-Za-z_]", name):
+        return "it does not begin with a letter or underscore"
+    if not NAME.fullmatch(name):
+        return "it holds other characters than letters, digits and underscores"
+    if name.upper() in RESERVED:
+        return "it is a word of KRL"
+    return None
+
+
+def suggestion(name: str) -> str:
+    """Return a valid name as close as possible to a given one."""
+    valid = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "PROGRAM"
+    if not re.match(r"[A-Za-z_]", valid) or valid.upper() in RESERVED:
+        valid = "P_" + valid
+    return valid[:MAX_LENGTH]
+
+
+def unused(name: str, taken: Iterable[str]) -> str:
+    """Return a valid name not among `taken` (upper case): the given one with ``_2``, ``_3`` … behind it."""
+    taken = set(taken)
+    number = 2
+    while True:
+        tail = f"_{number}"
+        candidate = name[: MAX_LENGTH - len(tail)] + tail
+        if candidate.upper() not in taken:
+            return candidate
+        number += 1

@@ -1,0 +1,135 @@
+"""Named points: corrected where they stand when only one motion uses them, given a new name otherwise."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.moves import Operand
+from postproc.dialects.krl.names import NAME, unused
+from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.splice import Edits
+from postproc.dialects.krl.statements import applied, edits, literal_of
+from postproc.dialects.krl.syntax import Aggregate
+from postproc.errors import Issue
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Use:
+    """A named point in a statement.
+
+    :param line: 1-based line of the statement.
+    :param operand: the point.
+    :param texts: component → number to be commanded; None where it stays as it is.
+    :param whole: the target as a complete literal, for a statement that cannot name a point of its own.
+    """
+
+    line: int
+    operand: Operand
+    texts: Mapping[str, str] | None
+    whole: str
+
+
+@dataclass(slots=True, eq=False)
+class Points:
+    """Collects the uses of named points and decides where their numbers go.
+
+    :ivar issues: what the user should know.
+    """
+
+    sources: Sequence[Source]
+    layout: Layout
+    edits: Sequence[Edits]
+    mentions: Counter[str]
+    issues: list[Issue] = field(default_factory=list)
+    _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
+    _taken: set[str] = field(default_factory=set)
+
+    def use(self, use: Use) -> None:
+        """Note a use; one of a point whose numbers stand nowhere becomes a literal at once."""
+        aggregate = use.operand.position.aggregate
+        if aggregate is not None and use.operand.name:
+            self._uses[aggregate.source.index, aggregate.start].append(use)
+        elif use.texts is not None:
+            self._replace(use)
+
+    def settle(self) -> None:
+        """Make the edits for all uses."""
+        for uses in self._uses.values():
+            changed = [use for use in uses if use.texts is not None]
+            aggregate = uses[0].operand.position.aggregate
+            if not changed or aggregate is None:
+                continue
+            if self._alone(uses, aggregate):
+                self._correct(changed[0], aggregate)
+            else:
+                self._separate(changed, aggregate)
+
+    def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
+        """Return whether the numbers of a point can be changed where they stand."""
+        name = uses[0].operand.name
+        elsewhere = self.mentions[name] > self.layout.understood.get(name, 0)
+        same = all(use.texts == uses[0].texts for use in uses)
+        return same and not elsewhere and aggregate.source.index < len(self.sources)
+
+    def _correct(self, use: Use, aggregate: Aggregate) -> None:
+        """Change the numbers of a point where they stand."""
+        for piece in edits(literal_of(aggregate), use.texts or {}):
+            self.edits[aggregate.source.index].add(*piece)
+        if use.operand.name in self.layout.public:
+            message = f"{use.operand.name} is GLOBAL: its correction also applies to other programs that use it."
+            self.issues.append(Issue("warning", "global-point", message, use.line))
+
+    def _separate(self, uses: list[Use], aggregate: Aggregate) -> None:
+        """Give each different correction a point of its own; the old one stays for those who use it as it is."""
+        names: dict[str, str] = {}
+        for use in uses:
+            text = self.sources[0].text[use.operand.start : use.operand.stop]
+            if aggregate.source.index != 1 or len(self.sources) < 2 or not NAME.fullmatch(text):
+                self._replace(use)
+                continue
+            declared = applied(literal_of(aggregate), edits(literal_of(aggregate), use.texts or {}))
+            if declared not in names:
+                names[declared] = self._declare(text, declared, aggregate)
+            self.edits[0].add(use.operand.start, use.operand.stop, names[declared])
+            message = (
+                f"{text} is used by several motions with different corrections: this one uses the new point "
+                f"{names[declared]} of the .dat. The text of an inline form still names the old point."
+            )
+            self.issues.append(Issue("info", "new-point", message, use.line))
+
+    def _declare(self, name: str, literal: str, aggregate: Aggregate) -> str:
+        """Declare a new point behind the line of another; return its name."""
+        source = aggregate.source
+        if not self._taken:
+            self._taken = {word.upper() for known in self.sources for word in NAME.findall(known.text)}
+        new = unused(name, self._taken)
+        self._taken.add(new.upper())
+        line = source.line_at(aggregate.start)
+        start, stop, following = int(source.starts[line - 1]), int(source.stops[line - 1]), int(source.starts[line])
+        old = source.text[start:stop]
+        indent = old[: len(old) - len(old.lstrip())]
+        kind = self.layout.types.get(name.upper(), "E6POS")
+        self.edits[source.index].add(
+            following, following, f"{indent}DECL {kind} {new}={literal}{source.text[stop:following]}"
+        )
+        return new
+
+    def _replace(self, use: Use) -> None:
+        """Write the target into the statement."""
+        self.edits[0].add(use.operand.start, use.operand.stop, use.whole)
+        message = "A point that is used more than once or computed is replaced by numbers in the statement."
+        self.issues.append(Issue("info", "point-replaced", message, use.line))
+
+
+def mentions(source: Source, plain_lines: Sequence[int]) -> Counter[str]:
+    """Return how often the code of a `.src` names each variable, upper case, in lines other than plain motions."""
+    plain = set(plain_lines)
+    counter: Counter[str] = Counter()
+    for line in range(1, len(source.starts) + 1):
+        if line not in plain:
+            start, stop = source.code_span(line)
+            counter.update(name.upper() for name in NAME.findall(source.text, start, stop))
+    return counter

@@ -1,0 +1,104 @@
+"""Positions: what E6POS, POS, FRAME, E6AXIS and AXIS values say, whoever wrote them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.dialects.krl.syntax import Aggregate, Number
+from postproc.errors import ProgramError
+from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
+
+CARTESIAN = ("X", "Y", "Z", "A", "B", "C")
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+_EXTERNAL = frozenset(EXTERNAL)
+_CARTESIAN_COMPONENTS = frozenset({*CARTESIAN, "S", "T", *EXTERNAL})
+_AXIS_COMPONENTS = frozenset({*AXES, *EXTERNAL})
+_CARTESIAN_TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
+_AXIS_TAGS = ("", "E6AXIS", "E3AXIS", "AXIS")
+MAX_STATUS, MAX_TURN = 31, 63
+_NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Position:
+    """A target or frame whose numbers are known.
+
+    :param values: X, Y, Z [mm], A, B, C [deg] for a Cartesian one, A1…A6 [deg] for an axis one; NaN where missing.
+    :param axis: True for A1…A6.
+    :param status: S; −1 where none is given.
+    :param turn: T; −1 where none is given.
+    :param external: E1…E6, NaN where missing; empty if all are.
+    :param aggregate: the text that holds these very numbers; None if they are the result of an operation.
+    """
+
+    values: tuple[float, ...]
+    axis: bool = False
+    status: int = -1
+    turn: int = -1
+    external: tuple[float, ...] = ()
+    aggregate: Aggregate | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether no component is missing."""
+        return not any(value != value for value in self.values)
+
+    def pose(self) -> Array:
+        """Return the frame as a (4, 4) pose [m]; a missing component is 0."""
+        return pose_from_xyzabc(np.nan_to_num(np.array(self.values)))
+
+
+def from_pose(pose: Array) -> Position:
+    """Return the Cartesian position of a (4, 4) pose [m]."""
+    return Position(tuple(float(value) for value in xyzabc_from_pose(pose)))
+
+
+def from_aggregate(aggregate: Aggregate) -> Position:
+    """Return the position that an aggregate gives.
+
+    :raises ProgramError: a component is unknown or not a number, axes and Cartesian components are mixed, S or T is
+        out of range.
+    """
+    items = aggregate.items
+    axis = "A1" in items or (aggregate.tag in _AXIS_TAGS[1:]) or any(name in items for name in AXES)
+    known, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
+    if aggregate.tag not in tags:
+        what = "an axis position" if axis else "a Cartesian position"
+        raise aggregate.source.error(f"{aggregate.tag} is not the type of {what}", aggregate.start)
+    numbers = {}
+    for name, value in items.items():
+        if name not in known or not isinstance(value, Number):
+            raise _wrong_component(aggregate, name, known)
+        numbers[name] = value.value
+    get = numbers.get
+    names = AXES if axis else CARTESIAN
+    return Position(
+        tuple([get(name, _NAN) for name in names]),
+        axis,
+        _bits(aggregate, "S", get("S"), MAX_STATUS),
+        _bits(aggregate, "T", get("T"), MAX_TURN),
+        tuple([get(name, _NAN) for name in EXTERNAL]) if not _EXTERNAL.isdisjoint(numbers) else (),
+        None if aggregate.computed else aggregate,
+    )
+
+
+def _wrong_component(aggregate: Aggregate, name: str, known: frozenset[str]) -> ProgramError:
+    if name not in known:
+        valid = ", ".join(other for other in (*AXES, *CARTESIAN, "S", "T", *EXTERNAL) if other in known)
+        problem, advice = f"{name} is not a component of a position", f"Valid components: {valid}."
+    else:
+        problem = f"component {name} is not a number"
+        advice = "Targets that are computed while the program runs cannot be corrected; write them as numbers."
+    return aggregate.source.error(problem, aggregate.start, advice)
+
+
+def _bits(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:
+    if value is None:
+        return -1
+    if value != int(value) or not 0 <= value <= highest:
+        advice = f"{name} is a whole number from 0 to {highest}."
+        raise aggregate.source.error(f"{name} {value:g} is out of range", aggregate.start, advice)
+    return int(value)

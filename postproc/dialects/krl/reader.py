@@ -1,0 +1,131 @@
+"""From the files of a KRL program to a `Program`.
+
+Assumptions that are not certain for every controller are told as issues: a missing component keeps its previous value
+(0 in ``_REL``); subprograms of other files do not move the robot; ``$VEL.CP`` is 2 m/s until it is set. `$ROBROOT` is
+taken as the origin of `$WORLD`. C_VEL and C_ORI have no distance: their motions get `blend` 0.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.dialects.krl import bulk
+from postproc.dialects.krl.assembly import assemble
+from postproc.dialects.krl.moves import MoveReader
+from postproc.dialects.krl.rows import Rows, none
+from postproc.dialects.krl.settings import Settings
+from postproc.dialects.krl.source import Source, comment_start
+from postproc.dialects.krl.variables import Variables
+from postproc.dialects.krl.walker import Walker
+from postproc.dialects.text import decode
+from postproc.errors import CellError, Issue, ProgramError
+from postproc.frames import DEG_PER_RAD, Array
+from postproc.program import Document, ForceNote, Program, parse_force_note
+
+_FORCE = re.compile(r";[ \t]*FORCE\b", re.IGNORECASE)
+
+
+def read(
+    documents: Sequence[Document],
+    cell: Cell,
+    forward: Callable[[Array], Array],
+    name: str,
+    *,
+    _bulk: bool = True,
+) -> Program:
+    """Read a KRL program.
+
+    :param documents: the `.src` first, then its `.dat` if there is one.
+    :param cell: frames for programs that set none of their own, frames by number, where the robot stands first.
+    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
+    :param name: name of the program.
+    :returns: the program; its `layout` is a `Layout`.
+    :raises ProgramError: the program is not complete, something that changes motion is not understood or not known
+        before the program runs; it names file, line, text and what to do.
+    :raises ForceError: a force comment cannot be read.
+    :raises CellError: the `$config.dat` that the cell names cannot be read.
+    """
+    source = Source.of(documents[0], 0)
+    variables = Variables(cell)
+    for index, document in enumerate(documents[1:], 1):
+        variables.read_data(Source.of(document, index))
+    if cell.config_dat is not None:
+        variables.read_data(_config(cell, cell.config_dat), fill=True)
+    settings = Settings(source, variables, cell)
+    moves = MoveReader(settings, tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD))
+    walker = Walker(source, settings, moves, name)
+    plain = bulk.scan(source) if _bulk else none()
+    others = np.ones(len(source.starts), dtype=np.bool_)
+    others[plain.line - 1] = False
+    walker.walk((np.flatnonzero(others) + 1).tolist())
+    plain = _executed(source, walker, plain)
+    if not len(plain) and not walker.moves:
+        raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
+    motions, layout, assumptions = assemble(source, walker, plain, cell.start_joints, forward)
+    issues = [*walker.issues, *assumptions]
+    if moves.home_used:
+        message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
+        issues.append(Issue("info", "home-from-cell", message, moves.home_used))
+    return Program(
+        name,
+        "krl",
+        tuple(documents),
+        motions,
+        np.stack(settings.bases),
+        np.stack(settings.tools),
+        notes=_notes(source),
+        issues=tuple(issues),
+        layout=layout,
+    )
+
+
+def _config(cell: Cell, path: str) -> Source:
+    file = Path(cell.folder) / path
+    try:
+        data = file.read_bytes()
+    except OSError as cause:
+        raise CellError(
+            f"config_dat cannot be read ({cause.strerror})", file=str(file), advice="The path is relative to the cell."
+        ) from cause
+    return Source.of(decode(file.name, data), 2)
+
+
+def _executed(source: Source, walker: Walker, plain: Rows) -> Rows:
+    """Return the plain motions of the main program; refuse those in control structures."""
+    first, last = walker.main
+    inside = (plain.line > first) & (plain.line < last)
+    in_subs = np.zeros(len(inside), dtype=np.bool_)
+    found = []
+    for opened, closed, word in walker.blocked:
+        rows = slice(*np.searchsorted(plain.line, [opened, closed]))
+        if rows.start == rows.stop:
+            continue
+        if not word.startswith("DEF "):
+            raise walker.misplaced(int(plain.line[rows.start]), word, opened)
+        in_subs[rows] = True
+        found.append(int(plain.line[rows.start]))
+    outside = np.flatnonzero(~inside & ~in_subs)
+    if len(outside):
+        raise source.line_error("the motion stands outside of DEF … END", int(plain.line[outside[0]]))
+    walker.check_calls(found)
+    return plain if inside.all() else plain.take(inside)
+
+
+def _notes(source: Source) -> tuple[ForceNote, ...]:
+    """Return the force comments of a file."""
+    notes = []
+    for match in _FORCE.finditer(source.text):
+        line = source.line_at(match.start())
+        start, stop = int(source.starts[line - 1]), int(source.stops[line - 1])
+        if (
+            comment_start(source.text, start, stop) == match.start()
+        ):  # else the semicolon stands in a string or a comment
+            note = parse_force_note(source.text[match.start() + 1 : stop], line, source.document.name)
+            if note is not None:
+                notes.append(note)
+    return tuple(notes)

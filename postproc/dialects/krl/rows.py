@@ -1,0 +1,105 @@
+"""Motions as columns: what a line says, before it is known what that means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.dialects.krl.moves import Move
+from postproc.dialects.krl.positions import CARTESIAN
+from postproc.dialects.krl.syntax import Number
+from postproc.frames import Array
+from postproc.program import Bools, Ints
+
+COLUMNS = (*CARTESIAN, "S", "T")
+"""Components whose places in the text are kept."""
+Offsets = NDArray[np.int32]
+NUMBERS = len(COLUMNS) + 6
+"""Those and E1 … E6."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """R motions.
+
+    :param line: (R,) 1-based line.
+    :param kind: (R,) `LIN`, `CIRC` or `PTP`.
+    :param numbers: (R, 14) X, Y, Z [mm], A, B, C [deg], S, T, E1…E6 as the text gives them; NaN where missing.
+    :param spans: (R, 8, 2) where the texts of X…T stand in the line; −1 where they do not.
+    :param keyword: (R,) offset of the instruction.
+    :param target: (R, 2) span of the target.
+    :param tail: (R, 2) span of what follows it: approximation, WITH.
+    :param approximated: (R,) True where `$APO.CDIS` applies.
+    """
+
+    line: Ints
+    kind: Ints
+    numbers: Array
+    spans: Offsets
+    keyword: Ints
+    target: Ints
+    tail: Ints
+    approximated: Bools
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def take(self, index: Ints | Bools) -> Rows:
+        """Return some rows."""
+        return Rows(*(getattr(self, column.name)[index] for column in fields(self)))
+
+    def merged(self, other: Rows, place: Ints, other_place: Ints) -> Rows:
+        """Return these rows at places (R,) and those of another at places (O,), which together are all places."""
+        columns = []
+        for column in fields(self):
+            own, foreign = getattr(self, column.name), getattr(other, column.name)
+            out = np.empty((len(own) + len(foreign), *own.shape[1:]), own.dtype)
+            out[place], out[other_place] = own, foreign
+            columns.append(out)
+        return Rows(*columns)
+
+
+def of_moves(moves: Sequence[Move]) -> Rows:
+    """Return statements as rows: the same, for a plain line, as the bulk path gives.
+
+    Numbers of axis and relative targets are left out, except E1…E6.
+    """
+    numbers = np.full((len(moves), NUMBERS), np.nan)
+    spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
+    for row, move in enumerate(moves):
+        position = move.end.position
+        if not position.axis and not move.relative:
+            numbers[row, :6] = position.values
+        if position.external:
+            numbers[row, 8:] = position.external
+        if position.status >= 0:
+            numbers[row, 6] = position.status
+        if position.turn >= 0:
+            numbers[row, 7] = position.turn
+        if move.plain and position.aggregate is not None:
+            for column, name in enumerate(COLUMNS):
+                item = position.aggregate.items.get(name)
+                if isinstance(item, Number):
+                    spans[row, column] = item.start, item.stop
+    return Rows(
+        _ints([move.line for move in moves]),
+        _ints([move.kind for move in moves]),
+        numbers,
+        spans,
+        _ints([move.keyword[0] for move in moves]),
+        _ints([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
+        _ints([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
+        np.array([move.approximated for move in moves], dtype=np.bool_),
+    )
+
+
+def _ints(values: Sequence[object]) -> Ints:
+    return np.array(values, dtype=np.int64)
+
+
+def none() -> Rows:
+    """Return no motions."""
+    return of_moves([])

@@ -1,0 +1,215 @@
+"""From numbers to poses, one target building on the other: missing components, relative and axis targets, CA."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.dialects.krl.geometry import circle, turned
+from postproc.dialects.krl.moves import Move
+from postproc.dialects.krl.source import Source
+from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
+from postproc.program import Bools, Ints
+
+_FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """M targets, complete.
+
+    :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE` where each motion ends.
+    :param pose: (M, 4, 4) the same as poses [m].
+    :param joints: (M, 6) of axis targets [rad], NaN elsewhere.
+    :param start: (M, 4, 4) tool frame at the start of each motion, in its `$BASE`.
+    :param resumed: (M,) True where the previous position is an axis target or the start.
+    """
+
+    numbers: Array
+    pose: Array
+    joints: Array
+    start: Array
+    resumed: Bools
+
+
+@dataclass(slots=True, eq=False)
+class _Stand:
+    """Where the robot stands between two motions.
+
+    :param joints: (6,) [rad], None behind a Cartesian target.
+    :param numbers: (6,) X…C of the previous target, None behind an axis target.
+    :param base: its frames.
+    """
+
+    flange: Array
+    joints: Array | None
+    numbers: Array | None = None
+    base: int = 0
+    tool: int = 0
+
+
+class _Follower:
+    """Goes through the motions in order; plain runs at once, special ones one by one."""
+
+    def __init__(
+        self,
+        source: Source,
+        line: Ints,
+        given: Array,
+        frames: tuple[Ints, Ints, Array, Array],
+        stand: _Stand,
+        forward: Callable[[Array], Array],
+    ) -> None:
+        self.source, self.line, self.forward = source, line, forward
+        self.base, self.tool, self.bases, self.tools = frames
+        self.stand = stand
+        self.numbers = given.copy()
+        self.joints = np.full(given.shape, np.nan)
+        self.resumed = np.zeros(len(given), dtype=np.bool_)
+
+    def flange(self) -> Array:
+        """Return the flange (4, 4) in the robot root."""
+        stand = self.stand
+        if stand.numbers is not None:
+            tcp = self.bases[stand.base] @ pose_from_xyzabc(stand.numbers)
+            stand.flange = tcp @ inverse(self.tools[stand.tool])
+        return stand.flange
+
+    def here(self, row: int) -> Array:
+        """Return X…C of the present position in the frames of a motion."""
+        stand, base, tool = self.stand, int(self.base[row]), int(self.tool[row])
+        if stand.numbers is not None and (stand.base, stand.tool) == (base, tool):
+            return stand.numbers
+        return xyzabc_from_pose(inverse(self.bases[base]) @ self.flange() @ self.tools[tool])
+
+    def arrive(self, row: int) -> None:
+        """Stand at the Cartesian target of a motion."""
+        stand = self.stand
+        stand.numbers, stand.joints = self.numbers[row], None
+        stand.base, stand.tool = int(self.base[row]), int(self.tool[row])
+
+    def absolute(self, first: int, last: int) -> None:
+        """Fill in the absolute Cartesian targets of rows first … last − 1."""
+        if first == last:
+            return
+        self.resumed[first] = self.stand.numbers is None
+        block = self.numbers[first:last]
+        missing = np.isnan(block)
+        if missing.any():
+            self._check_frames(first, last, np.asarray(missing.any(axis=1)))
+            block[0] = np.where(missing[0], self.here(first), block[0])
+            missing[0] = False
+            latest = np.maximum.accumulate(np.where(missing, 0, np.arange(len(block))[:, None]), axis=0)
+            block[:] = np.take_along_axis(block, latest, axis=0)
+        self.arrive(last - 1)
+
+    def _check_frames(self, first: int, last: int, incomplete: Bools) -> None:
+        """Refuse missing components whose previous value was meant in other frames."""
+        stand = self.stand
+        frames = np.stack([self.base[first:last], self.tool[first:last]])
+        changed = np.zeros(last - first, dtype=np.bool_)
+        changed[1:] = (np.diff(frames, axis=1) != 0).any(axis=0)
+        changed[0] = stand.numbers is not None and (stand.base, stand.tool) != (self.base[first], self.tool[first])
+        wrong = np.flatnonzero(changed & incomplete)
+        if len(wrong):
+            problem = "components are missing right after $BASE or $TOOL changed: their values are not certain"
+            raise self.source.line_error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
+
+    def special(self, row: int, move: Move) -> None:
+        """Take an axis or relative target, or a circle with CA."""
+        if move.end.position.axis:
+            self._axes(row, move)
+            return
+        if move.relative:
+            self.resumed[row] = self.stand.numbers is None
+            self.numbers[row] = self._relative(move, self.here(row))
+            self.arrive(row)
+            return
+        start = self.here(row)[:3] * M_PER_MM
+        self.absolute(row, row + 1)
+        self.numbers[row, :3] = MM_PER_M * self._arc_end(move, start)
+        self.arrive(row)
+
+    def _axes(self, row: int, move: Move) -> None:
+        """Take an axis target, missing axes kept."""
+        angles, known = np.array(move.end.position.values) * RAD_PER_DEG, self.stand.joints
+        if known is None and (move.relative or np.isnan(angles).any()):
+            raise self.source.line_error(
+                "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
+            )
+        if known is not None:
+            angles = known + np.nan_to_num(angles) if move.relative else np.where(np.isnan(angles), known, angles)
+        self.resumed[row] = self.stand.numbers is None
+        self.joints[row] = angles
+        self.stand = _Stand(self.forward(angles), angles)
+        self.numbers[row] = self.here(row)
+
+    def _relative(self, move: Move, numbers: Array) -> Array:
+        """Return X…C of a target relative to a position."""
+        position = move.end.position
+        offset = np.nan_to_num(np.array(position.values))
+        if np.any(offset[3:] != 0.0):
+            raise self.source.line_error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
+        if any(value for value in position.external if not np.isnan(value)):
+            raise self.source.line_error(
+                "an external axis moves", move.line, "Only axes that stand still are supported."
+            )
+        step = offset[:3]
+        if move.relative == "#TOOL":
+            step = pose_from_xyzabc(numbers)[:3, :3] @ step
+        return np.concatenate([numbers[:3] + step, numbers[3:]])
+
+    def _arc_end(self, move: Move, start: Array) -> Array:
+        """Return where a circle with CA ends (3,) [m]."""
+        via, end = arc_points(move)
+        centre, normal, _ = circle(self.source, move.line, start, via, end)
+        return turned(start, centre, normal, (move.angle or 0.0) * RAD_PER_DEG)
+
+
+def arc_points(move: Move) -> tuple[Array, Array]:
+    """Return auxiliary and end point of a CIRC statement as written, (3,) each [m]."""
+    via, end = (np.array(p.position.values[:3]) * M_PER_MM if p else np.full(3, np.nan) for p in (move.via, move.end))
+    return via, end
+
+
+def follow(
+    source: Source,
+    line: Ints,
+    given: Array,
+    frames: tuple[Ints, Ints, Array, Array],
+    moves: Mapping[int, Move],
+    start_joints: Array,
+    forward: Callable[[Array], Array],
+) -> Sequence:
+    """Return the targets of M motions.
+
+    :param line: (M,) 1-based lines, for messages.
+    :param given: (M, 6) X…C as the text gives them, NaN where missing; NaN for axis and relative targets.
+    :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
+        frame (nt, 4, 4).
+    :param moves: row → statement, for axis and relative targets and circles with CA.
+    :param start_joints: (6,) where the robot stands first [rad].
+    :param forward: (6,) joints → (4, 4) flange in the robot root.
+    :raises ProgramError: a component is missing where its previous value is not certain; a relative target cannot
+        be known; an axis is missing; a circle is none.
+    """
+    follower = _Follower(source, line, given, frames, _Stand(forward(start_joints), start_joints), forward)
+    row = 0
+    for at, move in sorted(moves.items()):
+        if move.end.position.axis or move.relative or move.angle is not None:
+            follower.absolute(row, at)
+            follower.special(at, move)
+            row = at + 1
+    follower.absolute(row, len(line))
+
+    base, tool, bases, tools = frames
+    pose = pose_from_xyzabc(follower.numbers)
+    start = np.concatenate([np.zeros((1, 4, 4)), pose[:-1]])
+    start[0] = inverse(bases[base[0]]) @ forward(start_joints) @ tools[tool[0]]
+    moved = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
+    if len(moved):
+        flange = bases[base[moved - 1]] @ pose[moved - 1] @ inverse(tools[tool[moved - 1]])
+        start[moved] = inverse(bases[base[moved]]) @ flange @ tools[tool[moved]]
+    return Sequence(follower.numbers, pose, follower.joints, start, follower.resumed)

@@ -1,0 +1,82 @@
+"""One file of a KRL program with its lines: offsets to line numbers, code without comments, errors that name both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.dialects.text import line_spans
+from postproc.errors import ProgramError
+from postproc.program import Document, Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A document and where its lines are.
+
+    :param document: the file.
+    :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
+    :param starts: (L,) offset of the first character of each line.
+    :param stops: (L,) offset behind its last character, the line end not included.
+    """
+
+    document: Document
+    index: int
+    starts: Ints
+    stops: Ints
+
+    @classmethod
+    def of(cls, document: Document, index: int) -> Source:
+        """Return the document with its lines."""
+        starts, stops = line_spans(document.text)
+        return cls(document, index, starts, stops)
+
+    @property
+    def text(self) -> str:
+        """Content of the file."""
+        return self.document.text
+
+    def line_at(self, offset: int) -> int:
+        """Return the 1-based line that holds an offset."""
+        return int(np.searchsorted(self.starts, offset, side="right"))
+
+    def code_span(self, line: int) -> tuple[int, int]:
+        """Return where the code of a 1-based line stands: without its comment and the blanks around it."""
+        return code_span(self.text, int(self.starts[line - 1]), int(self.stops[line - 1]))
+
+    def error(self, problem: str, offset: int, advice: str | None = None) -> ProgramError:
+        """Return an error that names the file, the line of an offset, and its text."""
+        return self.line_error(problem, self.line_at(offset), advice)
+
+    def line_error(self, problem: str, line: int, advice: str | None = None) -> ProgramError:
+        """Return an error that names the file, a 1-based line, and its text."""
+        text = self.text[self.starts[line - 1] : self.stops[line - 1]]
+        return ProgramError(problem, file=self.document.name, line=line, text=text, advice=advice)
+
+
+def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
+    """Return the span of the code within a line: what stands before its comment, stripped."""
+    stop = comment_start(text, start, stop)
+    while start < stop and text[start] in " \t\r":
+        start += 1
+    while stop > start and text[stop - 1] in " \t\r":
+        stop -= 1
+    return start, stop
+
+
+def comment_start(text: str, start: int, stop: int) -> int:
+    """Return where the comment of a line begins: at the first `;` outside of strings; `stop` if there is none."""
+    semicolon = text.find(";", start, stop)
+    if semicolon < 0:
+        return stop
+    quote = text.find('"', start, semicolon)
+    if quote < 0:
+        return semicolon
+    inside = False
+    for offset in range(quote, stop):
+        if text[offset] == '"':
+            inside = not inside
+        elif text[offset] == ";" and not inside:
+            return offset
+    return stop

@@ -1,0 +1,101 @@
+"""Replacing pieces of a text, a million at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.decimals import Bytes, fixed
+from postproc.frames import Array
+from postproc.program import Ints
+
+_CHUNK = 1 << 21
+
+
+@dataclass(slots=True, eq=False)
+class Edits:
+    """Pieces of a text to be replaced, in any order; they must not overlap.
+
+    Insertions at one place stay in the order in which they were added.
+    """
+
+    _starts: list[Ints] = field(default_factory=list)
+    _stops: list[Ints] = field(default_factory=list)
+    _lengths: list[Ints] = field(default_factory=list)
+    _numbers: list[Bytes] = field(default_factory=list)
+    _single: list[tuple[int, int, str]] = field(default_factory=list)
+
+    def add(self, start: int, stop: int, text: str) -> None:
+        """Replace ``text[start:stop]`` by another text; ``start == stop`` inserts."""
+        self._single.append((start, stop, text))
+
+    def add_numbers(self, starts: Ints, stops: Ints, values: Array, decimals: Ints) -> None:
+        """Replace n pieces by numbers in fixed-point notation.
+
+        :param starts: (n,) offsets; `stops` (n,) those behind.
+        :param values: (n,) numbers.
+        :param decimals: (n,) decimals of each.
+        """
+        for places in np.unique(decimals).tolist():
+            rows = np.flatnonzero(decimals == places)
+            digits = fixed(values[rows], places)
+            used = digits != 0
+            self._starts.append(starts[rows])
+            self._stops.append(stops[rows])
+            self._lengths.append(used.sum(axis=1))
+            self._numbers.append(digits[used])
+
+    def __bool__(self) -> bool:
+        return bool(self._single or self._starts)
+
+    def applied(self, text: str) -> str:
+        """Return the text with all pieces replaced."""
+        if not self:
+            return text
+        new = "".join(piece for _, _, piece in self._single)
+        ascii_only = text.isascii() and new.isascii()
+        starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int64)])
+        stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int64)])
+        lengths = [*self._lengths, np.array([len(piece) for _, _, piece in self._single], dtype=np.int64)]
+        length = np.concatenate(lengths)
+        order = np.lexsort((stops, starts))
+        pool = np.concatenate([_codes(text, ascii_only), *self._numbers, _codes(new, ascii_only)])
+        begin = len(text) + np.cumsum(length) - length
+        return _joined(pool, len(text), starts[order], stops[order], begin[order], length[order], ascii_only)
+
+
+def _codes(text: str, ascii_only: bool) -> NDArray[np.uint8] | NDArray[np.uint32]:
+    if ascii_only:
+        return np.frombuffer(text.encode("ascii"), dtype=np.uint8)
+    return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
+
+
+def _joined(
+    pool: NDArray[np.uint8] | NDArray[np.uint32],
+    size: int,
+    starts: Ints,
+    stops: Ints,
+    begin: Ints,
+    length: Ints,
+    ascii_only: bool,
+) -> str:
+    """Join what stays of the first `size` codes of the pool with the pieces that stand behind them."""
+    first = np.empty(2 * len(starts) + 1, dtype=np.int64)
+    count = np.empty_like(first)
+    first[0::2] = np.concatenate([[0], stops])
+    count[0::2] = np.concatenate([starts, [size]]) - first[0::2]
+    first[1::2], count[1::2] = begin, length
+    parts = []
+    total = np.cumsum(count)
+    segment = 0
+    while segment < len(first):
+        done = total[segment - 1] if segment else 0
+        last = max(int(np.searchsorted(total, done + _CHUNK, side="right")), segment + 1)
+        here = slice(segment, last)
+        offset = np.repeat(first[here] - (total[here] - count[here]), count[here])
+        codes = pool[offset + np.arange(done, total[last - 1])]
+        parts.append(codes.tobytes().decode("ascii" if ascii_only else "utf-32-le"))
+        segment = last
+    return "".join(parts)

@@ -1,0 +1,206 @@
+"""Motion statements with other numbers: in place, and as lines of their own in the style of the line they precede."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.moves import Move, Operand
+from postproc.dialects.krl.positions import CARTESIAN
+from postproc.dialects.krl.rows import COLUMNS
+from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.syntax import Aggregate
+from postproc.dialects.krl.wanted import Wanted
+from postproc.program import CIRC, LIN, PTP, Targets
+
+_WORD = re.compile(r"[A-Za-z_]+")
+_RELATIVE = re.compile("_REL$", re.IGNORECASE)
+_APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
+_BINARY = re.compile(r"'[Bb]([01]+)'")
+
+
+class Piece(NamedTuple):
+    """A piece of a text to be replaced."""
+
+    start: int
+    stop: int
+    text: str
+
+
+class Literal(NamedTuple):
+    """An aggregate of numbers in a text.
+
+    :ivar text: the file.
+    :ivar places: component → span of its number.
+    """
+
+    text: str
+    start: int
+    stop: int
+    places: Mapping[str, tuple[int, int]]
+
+
+def literal_of(aggregate: Aggregate) -> Literal:
+    """Return where the numbers of an aggregate stand."""
+    places = {name: (item.start, item.stop) for name, item in aggregate.items.items()}
+    return Literal(aggregate.source.text, aggregate.start, aggregate.stop, places)
+
+
+def edits(literal: Literal, texts: Mapping[str, str]) -> list[Piece]:
+    """Return the edits that give a literal other numbers; components that it lacks are added in its style.
+
+    :param texts: component → number as printed.
+    """
+    places = literal.places
+    pieces = [Piece(*places[name], text) for name, text in texts.items() if name in places]
+    absent = [name for name in texts if name not in places]
+    if absent:
+        last = max(stop for name, (_, stop) in places.items() if name in CARTESIAN)
+        inside = literal.text[literal.start : literal.stop]
+        comma = inside.find(",")
+        blank = " " if comma >= 0 and inside[comma + 1] == " " else ""
+        lower = inside.rpartition(":")[2].islower()
+        new = "".join(f",{blank}{name.lower() if lower else name} {texts[name]}" for name in absent)
+        pieces.append(Piece(last, last, new))
+    return pieces
+
+
+def applied(literal: Literal, pieces: list[Piece]) -> str:
+    """Return a literal with pieces replaced."""
+    out, start = [], literal.start
+    for piece in sorted(pieces):
+        out += [literal.text[start : piece.start], piece.text]
+        start = piece.stop
+    return "".join([*out, literal.text[start : literal.stop]])
+
+
+def written(texts: Mapping[str, str]) -> str:
+    """Return a new literal with the given components."""
+    return "{" + ",".join(f"{name} {text}" for name, text in texts.items()) + "}"
+
+
+class Statements:
+    """The motion statements of one program and their targets.
+
+    Methods take the row of a motion and the row `k` of one of its targets.
+    """
+
+    def __init__(self, source: Source, layout: Layout, targets: Targets, wanted: Wanted) -> None:
+        self.source, self.layout, self.targets, self.wanted = source, layout, targets, wanted
+        self.text = source.text
+
+    def literal(self, row: int) -> Literal | None:
+        """Return the literal in which the end of a motion stands in its statement; None if it does not."""
+        move = self.layout.moves.get(row)
+        if move is not None:
+            return None if move.relative else self.inline(move.end)
+        spans = self.layout.spans[row].tolist()
+        places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
+        start, stop = self.layout.target[row].tolist()
+        return Literal(self.text, start, stop, places)
+
+    def inline(self, operand: Operand) -> Literal | None:
+        """Return the literal of a point whose numbers stand in the statement itself."""
+        aggregate = operand.position.aggregate
+        here = aggregate is not None and not operand.name and aggregate.start == operand.start
+        return literal_of(aggregate) if aggregate is not None and here else None
+
+    def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
+        """Return the numbers to be written into a literal; for a copy of it also those that stay."""
+        needed = self.wanted.written[k]
+        columns = [c for c in range(6) if needed[c] or (copy and CARTESIAN[c] in literal.places)]
+        texts = self.wanted.texts(k, columns)
+        if self.targets.kind[k] == PTP:
+            for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
+                if value >= 0 and name in literal.places:
+                    texts |= _bits(name, value, literal.text[slice(*literal.places[name])])
+        return texts
+
+    def end_texts(self, k: int, operand: Operand, *, copy: bool = False) -> dict[str, str]:
+        """Return the numbers to be written for the end point of a statement, wherever its own stand."""
+        aggregate = operand.position.aggregate
+        if aggregate is None:
+            return self.wanted.texts(k, range(6))
+        return self.texts(k, literal_of(aggregate), copy=copy)
+
+    def whole(self, k: int, operand: Operand | None) -> str:
+        """Return the whole target as a new literal; for a PTP with S and T where they are known."""
+        texts = self.wanted.texts(k, range(6))
+        if self.targets.kind[k] == PTP and operand is not None:
+            own = operand.position
+            for name, value, before in (("S", self.targets.status, own.status), ("T", self.targets.turn, own.turn)):
+                bits = int(value[k]) if value[k] >= 0 else before
+                if bits >= 0:
+                    texts[name] = str(bits)
+        return written(texts)
+
+    def end(self, row: int, k: int) -> str:
+        """Return the end point of a target as text: the literal of the statement with other numbers, or a new one."""
+        literal = self.literal(row)
+        if literal is not None:
+            return applied(literal, edits(literal, self.texts(k, literal, copy=True)))
+        move = self.layout.moves.get(row)
+        return self.whole(k, move.end if move else None)
+
+    def keyword(self, row: int, k: int) -> str:
+        """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
+        word = _RELATIVE.sub("", self._word(row))
+        move = self.layout.moves.get(row)
+        if move is not None and move.kind == CIRC and self.targets.kind[k] == LIN:
+            line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
+            word = word[:1] + line if word[:1] in "sS" else line
+        return word
+
+    def _word(self, row: int) -> str:
+        match = _WORD.match(self.text, int(self.layout.keyword[row]))
+        return match[0] if match else ""
+
+    def points(self, row: int, k: int) -> str:
+        """Return the point or points of a target as text."""
+        move = self.layout.moves.get(row)
+        end = self.end(row, k)
+        if move is None or move.via is None or self.targets.kind[k] != CIRC:
+            return end
+        via, texts = self.inline(move.via), self.wanted.via_texts(k)
+        first = applied(via, edits(via, texts)) if via is not None else written(texts)
+        return first + self.text[move.via.stop : move.end.start] + end
+
+    def statement(self, row: int, k: int) -> str:
+        """Return instruction and points of a target as text, all of them literals."""
+        move = self.layout.moves.get(row)
+        first = move.via.start if move is not None and move.via is not None else int(self.layout.target[row, 0])
+        gap = self.text[int(self.layout.keyword[row]) + len(self._word(row)) : first]
+        return self.keyword(row, k) + gap + self.points(row, k)
+
+    def inserted(self, row: int, k: int) -> str:
+        """Return an inserted target as a line of its own, with its line end.
+
+        It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP).
+        """
+        layout = self.layout
+        keyword = int(layout.keyword[row])
+        line = self.source.line_at(keyword)
+        statement = self.statement(row, k)
+        tail = self.text[slice(*layout.tail[row].tolist())]
+        if not _APPROXIMATION.search(tail):
+            tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
+        return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self._line_end(line)
+
+    def _line_end(self, line: int) -> str:
+        """Return how a line ends."""
+        starts, stops = self.source.starts, self.source.stops
+        return self.text[stops[line - 1] : starts[line]]  # a motion is never the last line: END follows
+
+    def rewritten(self, row: int, k: int, move: Move) -> Piece:
+        """Return the edit that replaces instruction and points of a statement by absolute literals."""
+        return Piece(move.keyword[0], move.tail, self.statement(row, k))
+
+
+def _bits(name: str, value: int, text: str) -> dict[str, str]:
+    """Return S or T as text in the notation of the input; nothing if it says the same."""
+    binary = _BINARY.fullmatch(text)
+    if binary:
+        return {} if int(binary[1], 2) == value else {name: f"'B{value:0{len(binary[1])}b}'"}
+    return {} if text == str(value) else {name: str(value)}

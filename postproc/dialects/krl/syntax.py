@@ -1,0 +1,279 @@
+"""Values as KRL writes them: numbers, aggregates, names, chains of frames. Every value knows where it stands.
+
+Offsets count characters from the beginning of the document.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, NoReturn
+
+from postproc.dialects.krl.names import NAME
+from postproc.dialects.krl.source import Source
+
+NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_NUMBER = re.compile(NUMBER_PATTERN)
+_COMPONENT = re.compile(
+    rf"[ \t]*([A-Za-z_]\w*)[ \t]*(?:(?<=[ \t])|(?=[-+]))({NUMBER_PATTERN})[ \t]*(?:(,)|(?=\}}))", re.ASCII
+)
+_ITEM_NAME = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
+_TAG = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:", re.ASCII)
+_INTEGER_LITERAL = re.compile(r"'(?:[Bb]([01]+)|[Hh]([0-9A-Fa-f]+))'")
+_STRING = re.compile(r'"[^"]*"')
+_ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
+_INDEX = re.compile(r"[ \t]*\[([^\]]*)\]")
+_FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
+_BLANK = re.compile(r"[ \t]*")
+_OPERATORS = "+-*/<>=&|"
+
+
+class Number(NamedTuple):
+    """A number literal."""
+
+    value: float
+    start: int
+    stop: int
+
+
+class Word(NamedTuple):
+    """An enumeration value (``#BASE``), a string with its quotes, TRUE or FALSE; upper case but for strings."""
+
+    text: str
+    start: int
+    stop: int
+
+
+class Reference(NamedTuple):
+    """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case. `element` is its text between the brackets."""
+
+    name: str
+    element: str | None
+    field: str | None
+    start: int
+    stop: int
+
+
+class Call(NamedTuple):
+    """A function with the texts of its arguments' spans."""
+
+    name: str
+    arguments: tuple[tuple[int, int], ...]
+    start: int
+    stop: int
+
+
+class Chain(NamedTuple):
+    """Frames joined by the geometric operator ``:``."""
+
+    operands: tuple[Value, ...]
+    start: int
+    stop: int
+
+
+class Opaque(NamedTuple):
+    """What is computed while the program runs."""
+
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aggregate:
+    """``{TAG: NAME value, …}``.
+
+    :param source: the file it stands in.
+    :param start: offset of ``{``.
+    :param stop: offset behind ``}``.
+    :param tag: ``E6POS`` of ``{E6POS: …}``, upper case; empty if there is none.
+    :param items: component (upper case) → value.
+    :param computed: True when an assignment to a component changed it, so that no text holds its numbers.
+    """
+
+    source: Source
+    start: int
+    stop: int
+    tag: str
+    items: Mapping[str, Value]
+    computed: bool = False
+
+
+Value = Number | Word | Reference | Call | Chain | Opaque | Aggregate
+
+
+def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    """Return the value that begins at `start`, and the offset behind it.
+
+    What needs arithmetic or a comparison is `Opaque` and reaches to `stop`.
+
+    :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
+    """
+    text = source.text
+    value, end = operand(source, _skip(text, start, stop), stop)
+    after = _skip(text, end, stop)
+    if after < stop and text[after] == ":":
+        operands: list[Value] = [value]
+        while after < stop and text[after] == ":":
+            value, end = operand(source, _skip(text, after + 1, stop), stop)
+            operands.append(value)
+            after = _skip(text, end, stop)
+        value = Chain(tuple(operands), operands[0].start, end)
+    if after < stop and text[after] in _OPERATORS:
+        return Opaque(value.start, stop), stop
+    return value, end
+
+
+def _skip(text: str, start: int, stop: int) -> int:
+    match = _BLANK.match(text, start, stop)
+    return match.end() if match else start
+
+
+def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind."""
+    text = source.text
+    if start >= stop:
+        raise source.error("a value is missing", min(start, len(text) - 1))
+    first = text[start]
+    if first == "{":
+        aggregate = parse_aggregate(source, start, stop)
+        return aggregate, aggregate.stop
+    if match := NAME.match(text, start, stop):
+        return _variable(source, match, stop)
+    if match := _NUMBER.match(text, start, stop):
+        return Number(_finite(source, match), start, match.end()), match.end()
+    if match := _INTEGER_LITERAL.match(text, start, stop):
+        value = float(int(match[1], 2) if match[1] else int(match[2], 16))
+        return Number(value, start, match.end()), match.end()
+    if match := _STRING.match(text, start, stop):
+        return Word(match[0], start, match.end()), match.end()
+    if match := _ENUM.match(text, start, stop):
+        return Word(match[0].upper(), start, match.end()), match.end()
+    return Opaque(start, stop), stop
+
+
+def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, int]:
+    text, start, end = source.text, name.start(), name.end()
+    if name[0].upper() in ("TRUE", "FALSE"):
+        return Word(name[0].upper(), start, end), end
+    after = _skip(text, end, stop)
+    if after < stop and text[after] == "(":
+        close = matching(source, after, stop)
+        inner = split(source, after + 1, close)
+        return Call(name[0].upper(), tuple(inner), start, close + 1), close + 1
+    element = field = None
+    if match := _INDEX.match(text, end, stop):
+        element, end = match[1].strip().upper(), match.end()
+    while match := _FIELD.match(text, end, stop):
+        field, end = match[1].upper() if field is None else f"{field}.{match[1].upper()}", match.end()
+    return Reference(name[0].upper(), element, field, start, end), end
+
+
+def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
+    """Return the aggregate whose ``{`` stands at `start`.
+
+    :raises ProgramError: it is not closed, a comma or a component's name is missing, a component stands twice, a
+        number is not finite.
+    """
+    text = source.text
+    position = start + 1
+    tag = ""
+    if match := _TAG.match(text, position, stop):
+        tag, position = match[1].upper(), match.end()
+    items: dict[str, Value] = {}
+    while True:
+        match = _COMPONENT.match(text, position, stop)
+        if match:
+            name, more, position = match[1].upper(), match[3] is not None, match.end()
+            value: Value = Number(_finite(source, match, 2), match.start(2), match.end(2))
+        else:
+            name, value, more, position = _component(source, start, position, stop)
+        if name in items:
+            raise source.error(f"component {name} stands twice", position - 1)
+        items[name] = value
+        if not more:
+            break
+    position = _skip(text, position, stop)
+    return Aggregate(source, start, position + 1, tag, items)
+
+
+def _component(source: Source, opening: int, position: int, stop: int) -> tuple[str, Value, bool, int]:
+    """Return name and value of a component that is not a plain number, whether another follows, and where it ends."""
+    text = source.text
+    match = _ITEM_NAME.match(text, position, stop)
+    if not match:
+        _not_closed_or(source, opening, position, stop, "a component such as 'X 12.5' is expected")
+    name = match[1].upper()
+    if match.end() >= stop or text[match.end()] in ",}":
+        _not_closed_or(source, opening, match.end(), stop, f"component {name} has no value")
+    value, end = parse(source, match.end(), stop)
+    end = _skip(text, end, stop)
+    if isinstance(value, Reference) and value.name in ("NAN", "INF", "INFINITY"):
+        raise source.error(f"component {name} is not a finite number", value.start)
+    if end >= stop or text[end] not in ",}":
+        _not_closed_or(source, opening, end, stop, f"a comma is missing after component {name}")
+    return name, value, text[end] == ",", end + (text[end] == ",")
+
+
+def _not_closed_or(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
+    if _skip(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
+        raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
+    raise source.error(problem, position)
+
+
+def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
+    value = float(match[group])
+    if not math.isfinite(value):
+        raise source.error(f"{match[group]} is not a finite number", match.start(group))
+    return value
+
+
+_PAIRS = {"(": ")", "[": "]", "{": "}"}
+
+
+def matching(source: Source, start: int, stop: int) -> int:
+    """Return the offset of the bracket that closes the one at `start`.
+
+    :raises ProgramError: there is none before `stop`.
+    """
+    text = source.text
+    open_: list[str] = []
+    offset = start
+    while offset < stop:
+        char = text[offset]
+        if char == '"':
+            offset = text.find('"', offset + 1, stop)
+            if offset < 0:
+                break
+        elif char in _PAIRS:
+            open_.append(_PAIRS[char])
+        elif char in ")]}":
+            if open_.pop() != char:
+                break
+            if not open_:
+                return offset
+        offset += 1
+    raise source.error(f"{text[start]} is not closed", start, "Check that the line is complete.")
+
+
+def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
+    """Return the spans between the commas of a list, brackets and strings skipped; an empty list has none."""
+    text = source.text
+    spans: list[tuple[int, int]] = []
+    begin = offset = start
+    while offset < stop:
+        char = text[offset]
+        if char in _PAIRS:
+            offset = matching(source, offset, stop)
+        elif char == '"':
+            offset = text.find('"', offset + 1, stop)
+            if offset < 0:
+                raise source.error("a string is not closed", start)
+        elif char == ",":
+            spans.append((begin, offset))
+            begin = offset + 1
+        offset += 1
+    if spans or text[start:stop].strip():
+        spans.append((begin, stop))
+    return spans

@@ -1,0 +1,146 @@
+"""Targets as the numbers that will be printed, and what a text must say for the controller to get them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.positions import CARTESIAN
+from postproc.dialects.krl.syntax import Number
+from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
+from postproc.program import Bools, Ints, Motions, Targets
+
+DECIMALS = np.array([4, 4, 4, 5, 5, 5])
+"""Least decimals of X, Y, Z [mm] and A, B, C [deg]: 0.1 µm and, at a lever of 1 m, 0.2 µm."""
+MOST_DECIMALS = 9
+_EQUAL = 1e-9
+"""Numbers closer than this are the same text."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """K targets as text will command them.
+
+    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as they stand.
+    :param decimals: (K, 6) decimals to print.
+    :param least: (K, 6) decimals to print even if they are zeros.
+    :param written: (K, 6) True where a number is to be printed: for a changed target the given components and, of the
+        missing ones, those that the controller would not get right; for a kept one only the latter.
+    :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN where there are none.
+    :param changed: (K,) True where the target's text or statement changes.
+    :param moved: (M,) True where a motion's predecessor is commanded elsewhere than in the input.
+    """
+
+    numbers: Array
+    decimals: Ints
+    least: Ints
+    written: Bools
+    via: Array
+    changed: Bools
+    moved: Bools
+
+    def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
+        """Return the numbers of a target as printed, by component."""
+        numbers, decimals, least = self.numbers[k], self.decimals[k], self.least[k]
+        return {CARTESIAN[c]: printed(numbers[c], int(decimals[c]), int(least[c])) for c in columns}
+
+    def via_texts(self, k: int) -> dict[str, str]:
+        """Return X, Y, Z of the auxiliary point of a target as printed; empty if it has none."""
+        via = self.via[k].tolist()
+        return {} if np.isnan(via).any() else {name: f"{value:.4f}" for name, value in zip("XYZ", via, strict=True)}
+
+
+def wanted(motions: Motions, layout: Layout, targets: Targets, text: str) -> Wanted:
+    """Return what has to be printed for the targets of a program.
+
+    :param text: the `.src`.
+    """
+    row = targets.motion
+    last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
+    keep = targets.keep & last
+    exact = xyzabc_from_pose(targets.pose)
+    exact[:, 3:] = _nearest(exact[:, 3:], layout.numbers[row, 3:])
+    decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout, text)[row], MOST_DECIMALS))
+    numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))
+
+    first = np.append(True, row[1:] != row[:-1]) if len(row) else last
+    elsewhere = np.asarray((np.abs(numbers - layout.numbers[row]) > _EQUAL).any(axis=1))
+    moved = np.zeros(len(motions), dtype=np.bool_)
+    follower = row[last] + 1
+    inside = follower < len(motions)
+    moved[follower[inside]] = elsewhere[last][inside]
+    moved &= ~layout.resumed
+
+    before = np.concatenate([numbers[:1], numbers[:-1]])
+    fresh = first & layout.resumed[row]
+    before[fresh] = layout.numbers[row[fresh]]
+    added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
+    written = np.where(keep[:, None], added, ~layout.missing[row] | added)
+    return Wanted(
+        numbers,
+        np.where(keep[:, None], MOST_DECIMALS, decimals),
+        np.where(keep[:, None], DECIMALS, decimals),
+        written,
+        _rounded(targets.via * MM_PER_M, DECIMALS[:3]),
+        ~keep | added.any(axis=1),
+        moved,
+    )
+
+
+def printed(number: float, decimals: int, least: int) -> str:
+    """Return a number in fixed-point notation; zeros behind `least` decimals are left out.
+
+    >>> printed(12.5, 9, 4), printed(-0.0, 4, 4)
+    ('12.5000', '0.0000')
+    """
+    text = f"{round(number, decimals) + 0.0:.{decimals}f}"
+    if decimals > least:
+        whole, _, places = text.partition(".")
+        places = places.rstrip("0").ljust(least, "0")
+        text = f"{whole}.{places}" if places else whole
+    return text
+
+
+def _rounded(values: Array, decimals: Ints) -> Array:
+    scale = 10.0**decimals
+    return np.asarray(np.rint(values * scale) / scale + 0.0)
+
+
+def _nearest(abc: Array, reference: Array) -> Array:
+    """Return A, B, C (K, 3) [deg] of the same orientations as close as possible to others.
+
+    An orientation has two triples, each modulo 360°. Angles leave ±180° only where the reference does.
+    """
+    other = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
+    one, other = (t + 360.0 * np.rint((reference - t) / 360.0) for t in (abc, other))
+    farther = ((one - reference) ** 2).sum(axis=1) > ((other - reference) ** 2).sum(axis=1) + _EQUAL
+    best = np.where(farther[:, None], other, one)
+    beyond = (np.abs(best) > 180.0) & (np.abs(reference) <= 180.0)
+    return np.where(beyond, best - 360.0 * np.sign(best), best)
+
+
+def _decimals(layout: Layout, text: str) -> Ints:
+    """Return how many decimals the numbers of M motions have in the input, (M, 6); 0 where there are none."""
+    codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
+    start, stop = layout.spans[:, :6, 0].astype(np.int64), layout.spans[:, :6, 1].astype(np.int64)
+    point = _next(codes == ord("."), start, len(codes))
+    exponent = np.minimum(_next((codes | 32) == ord("e"), start, len(codes)), stop)
+    decimals = np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
+    for row, move in layout.moves.items():
+        aggregate = move.end.position.aggregate
+        if aggregate is not None and not move.end.position.axis:
+            for column, name in enumerate(CARTESIAN):
+                item = aggregate.items.get(name)
+                if isinstance(item, Number):
+                    mantissa = aggregate.source.text[item.start : item.stop].upper().partition("E")[0]
+                    decimals[row, column] = len(mantissa.partition(".")[2])
+    return decimals
+
+
+def _next(mark: Bools, position: Ints, beyond: int) -> Ints:
+    """Return the first marked offset at or behind each position; `beyond` where there is none."""
+    places = np.append(np.flatnonzero(mark), beyond)
+    return places[np.searchsorted(places, position)]
