@@ -17,6 +17,8 @@ M_PER_MM = 1e-3
 RAD_PER_DEG = np.pi / 180.0
 MM_PER_M = 1e3
 DEG_PER_RAD = 180.0 / np.pi
+_POLE = 1e-7
+"""Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
 _SMALL_SINE = 5e-3
 """Below this the series of asin to the fifth power is exact to 1e-16."""
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
@@ -46,11 +48,12 @@ def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
 def xyzabc_from_pose(pose: Array) -> Array:
     """Return KUKA frames (..., 6) [mm, deg] of poses (..., 4, 4) [m]; A, B, C in (−180, 180].
 
-    At B = ±90°, where A and C are not unique, the returned three still compose to the given rotation:
-    C is taken from what remains after A and B, not from entries that vanish there.
+    At B = ±90°, where A and C are not unique, A is 0 and the three still compose to the given rotation: C is taken
+    from what remains after A and B, not from entries that vanish there.
     """
     r = pose[..., :3, :3]
-    a = np.arctan2(r[..., 1, 0], r[..., 0, 0])
+    at_pole = np.hypot(r[..., 1, 0], r[..., 0, 0]) < _POLE
+    a = np.where(at_pole, 0.0, np.arctan2(r[..., 1, 0], r[..., 0, 0]))
     sa, ca = np.sin(a), np.cos(a)
     b = np.arctan2(-r[..., 2, 0], ca * r[..., 0, 0] + sa * r[..., 1, 0])
     c = np.arctan2(

@@ -205,7 +205,7 @@ def _compensated(
     )
     if movable.all():
         return solved
-    out = uncorrected(place.robot, joints.q, place.tool(program, sample.motion))
+    out = uncorrected(place.robot, joints.q.copy(), place.tool(program, sample.motion))
     for whole, part in (
         (out.q, solved.q), (out.pose, solved.pose), (out.jacobian, solved.jacobian), (out.theta, solved.theta)
     ):  # fmt: skip
