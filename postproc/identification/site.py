@@ -1,0 +1,71 @@
+"""Where a robot is measured and how it is loaded: the parts of `experiment.toml` that only `postproc plan` uses.
+
+Structures only, mm and degrees as in the file; positions and boxes in the robot root.
+"""
+
+# ruff: noqa: N815 - keys of the file carry their unit
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from postproc.cell import Frame
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
+
+class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What loads the arm: a weight that hangs, or pulls over a pulley at up to an angle from the vertical.
+
+    `rope_mm` and `weight_radius_mm` say how much room rope and weight need beside the load point; a rope over a pulley
+    (`max_angle_deg` > 0) needs `rope_mm` of free run. `max_torque_Nm`: static torque limits of A1…A6, if the URDF has
+    none.
+    """
+
+    mass_kg: Positive
+    max_angle_deg: Annotated[float, msgspec.Meta(ge=0, le=90)] = 0.0
+    rope_mm: NotNegative = 400.0
+    weight_radius_mm: NotNegative = 200.0
+    max_torque_Nm: tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = None
+
+
+class Tracker(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Where the measuring device stands; how far a marker may be turned away from it (where it has a normal)."""
+
+    X: float
+    Y: float
+    Z: float
+    acceptance_deg: Annotated[float, msgspec.Meta(gt=0, le=180)] = 45.0
+
+
+class Floor(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Height of the floor."""
+
+    Z: float = 0.0
+
+
+class Box(Frame, frozen=True, kw_only=True):
+    """A box to stay clear of: its centre as a frame (A, B, C turn it) and its size along its own axes."""
+
+    size: tuple[Positive, Positive, Positive]
+    name: str = ""
+
+
+class MeshFile(Frame, frozen=True, kw_only=True):
+    """A mesh to stay clear of (STL, OBJ, PLY …; path relative to the experiment), placed by a frame."""
+
+    file: str
+    scale: Positive = 1.0
+
+
+class Body(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Simple shape of the arm: radii of capsules along base column, link 2, link 3 with its hump, forearm, hand; of
+    those that carry load point and markers; and the distance to be kept from everything.
+    """
+
+    radius_mm: tuple[Positive, Positive, Positive, Positive, Positive] | None = None
+    tool_radius_mm: Positive = 40.0
+    clearance_mm: NotNegative = 30.0
