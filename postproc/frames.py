@@ -17,7 +17,7 @@ M_PER_MM = 1e-3
 RAD_PER_DEG = np.pi / 180.0
 MM_PER_M = 1e3
 DEG_PER_RAD = 180.0 / np.pi
-_POLE = 1e-7
+_POLE = 1e-9
 """Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
 _SMALL_SINE = 5e-3
 """Below this the series of asin to the fifth power is exact to 1e-16."""

@@ -26,7 +26,13 @@ def test_kuka_frame_is_rz_ry_rx(a, b, c):
 def test_abc_of_a_pose_compose_to_the_same_pose_even_at_b_90(a, b, c):
     pose = frames.pose_from_xyzabc([1.0, 2.0, 3.0, a, b, c])
     again = frames.pose_from_xyzabc(frames.xyzabc_from_pose(pose))
-    np.testing.assert_allclose(again, pose, atol=2e-15, rtol=0)
+    np.testing.assert_allclose(again, pose, atol=1e-9, rtol=0)
+
+
+def test_at_b_90_a_is_zero_so_that_equal_orientations_print_equal():
+    for a, c in ((10.0, 10.0), (-170.0, -170.0), (33.3, 33.3)):
+        printed = frames.xyzabc_from_pose(frames.pose_from_xyzabc([0, 0, 0, a, 90.0, c]))[3:]
+        np.testing.assert_allclose(printed, [0, 90, 0], atol=1e-9)
 
 
 @given(angle, st.one_of(angle, near_pole), angle)

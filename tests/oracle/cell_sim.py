@@ -27,9 +27,9 @@ def _frame(parts, previous=None):
     return tuple(base[k] for k in "XYZABC")
 
 
-def read(src, dat="", start=None):
+def read(src, dat="", home=None):
     """List of moves: dicts with kind, line (1-based), and frame (mm, deg), via, or joints (deg); $BASE and $TOOL."""
-    points = {}
+    points = {"XHOME": "{" + ",".join(f"A{n} {a}" for n, a in enumerate(home, 1)) + "}"} if home else {}
     for name, body in re.findall(
         r"(?im)^\s*(?:DECL\s+)?(?:GLOBAL\s+)?(?:E6POS|POS|FRAME)\s+(\w+)\s*=\s*(\{[^}]*\})", dat + "\n" + src
     ):

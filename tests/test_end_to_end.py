@@ -1,0 +1,197 @@
+"""The written program, as printed, in a cell simulator that shares no code with the package: does it cut the part?
+
+Forces between targets are recomputed here from the rules of the format (ramp of 1 mm), not taken from the package.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postproc import cell as cells
+from postproc import forces, pipeline, report, robot
+from postproc.dialects.text import decode
+from tests.oracle import cell_sim
+from tests.oracle.arm import Arm, abc
+
+SAMPLES = Path(__file__).parent.parent / "samples"
+MICROMETRE = 1e-6
+
+
+def convert(text_files, cell_file, dialect, rows=None, **options):
+    cell = cells.load(SAMPLES / cell_file)
+    model = robot.load(robot.find(cell.robot))
+    documents = [decode(name, data) for name, data in text_files.items()]
+    program = pipeline.read(documents, model, cell, Path(documents[0].name).stem, dialect)
+    return pipeline.process(program, model, cell, rows, **options)
+
+
+def simulator(cell_file):
+    raw = tomllib.loads((SAMPLES / cell_file).read_text(encoding="utf-8"))
+    arm = Arm.load(robot.find(raw["robot"]))
+    frame = lambda table: tuple(raw[table].get(k, 0.0) for k in "XYZABC")  # noqa: E731
+    return cell_sim.Cell(arm, raw["start"]["joints"], frame("base"), frame("tool"))
+
+
+def written(result, home=None):
+    texts = {d.name.rpartition(".")[2].lower(): d.to_bytes().decode() for d in result.documents}
+    return cell_sim.read(texts["src"], texts.get("dat", ""), home)
+
+
+def rows_of(result):
+    text = b"".join(report.targets_csv(result)).decode()
+    return [{k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(io.StringIO(text))]
+
+
+def check_targets(result, sim, moves, every):
+    """At targets the loaded tip stands within 1 µm of nominal under the force of targets.csv."""
+    rows = rows_of(result)
+    cartesian = [i for i, move in enumerate(moves) if "frame" in move]
+    assert len(rows) == len(cartesian)
+    worst = 0.0
+    for index, _, _, q in sim.run(moves):
+        row = rows[cartesian.index(index)] if len(cartesian) < 2000 else rows[index - (len(moves) - len(rows))]
+        assert int(row["output_line"]) == moves[index]["line"]
+        if index % every == 0:
+            wrench = np.array([row[k] for k in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")])
+            tip = sim.tip(moves[index], q, wrench)
+            nominal = np.array([row[k] for k in "XYZ"]) / 1000
+            worst = max(worst, float(np.linalg.norm(tip - nominal)))
+            assert row["after_mm"] == pytest.approx(1000 * np.linalg.norm(tip - nominal), abs=2e-4)
+    assert worst <= MICROMETRE + 1e-7
+    return rows
+
+
+def test_pocket_with_arcs_stands_within_a_micrometre_at_every_target():
+    data = (SAMPLES / "pocket.nc").read_bytes()
+    result = convert({"pocket.nc": data}, "cell_kr270.toml", "gcode")
+    assert not result.failed
+    check_targets(result, simulator("cell_kr270.toml"), written(result), every=9)
+
+
+def test_krl_with_inline_forms_and_named_points_stands_within_a_micrometre():
+    files = {name: (SAMPLES / name).read_bytes() for name in ("inline.src", "inline.dat")}
+    result = convert(files, "cell_kr270.toml", "krl")
+    assert not result.failed
+    home = [0, -70, 110, 0, 50, 0]  # [start] of the cell: the controller's own home position is in no file
+    check_targets(result, simulator("cell_kr270.toml"), written(result, home), every=1)
+
+
+CUTS = """%
+G21 G90 G17 G94
+G0 X0 Y0 Z30
+Z2
+(FORCE FX=-80 FY=60 FZ=150)
+G1 Z-2 F300
+(FORCE FX=-380 FY=250 FZ=300 MX=3 MY=-2 MZ=8)
+G1 X220 Y0 F1500
+(FORCE FX=200 FY=-350 FZ=150 FRAME=TOOL)
+G1 X220 Y160
+(FORCE FX=-250 FY=180 FZ=90 FRAME=FEED)
+G3 X180 Y200 I-40 J0
+G1 X40
+G2 X0 Y160 Z-6 R40
+(FORCE OFF)
+G0 Z30
+M30
+%
+"""
+# the same path and forces, written down by hand: corners of each cut in mm, force in $BASE axes (None: FEED)
+LINES = [
+    ((0, 0, 2), (0, 0, -2), (-80, 60, 150, 0, 0, 0)),
+    ((0, 0, -2), (220, 0, -2), (-380, 250, 300, 3, -2, 8)),
+]
+
+
+@pytest.mark.parametrize("cell_file", ["cell_kr270.toml", "cell_kr16.toml"])
+def test_between_targets_the_path_is_held_within_the_tolerance(cell_file):
+    scale = 1.0 if "270" in cell_file else 0.25
+    text = CUTS if scale == 1.0 else _scaled(CUTS, scale)
+    result = convert({"cuts.nc": text.encode()}, cell_file, "gcode")
+    assert not result.failed, result.issues
+    sim, moves = simulator(cell_file), written(result)
+    rows = check_targets(result, sim, moves, every=2)
+    shares = (0.15, 0.5, 0.85, 1.0)
+    axis_moves = len(moves) - len(rows)
+    worst = 0.0
+    for index, share, _, q in sim.run(moves, shares):
+        row = rows[index - axis_moves]
+        cut = {6: 0, 8: 1}.get(int(row["source_line"]))
+        if cut is None or share == 1.0:
+            continue
+        begin, end, force = LINES[cut]
+        before = np.zeros(6) if cut == 0 else scale * np.array(LINES[0][2], dtype=float)
+        start_t = (
+            rows[index - axis_moves - 1]["t"]
+            if row["source_line"] == rows[index - axis_moves - 1]["source_line"]
+            else 0.0
+        )
+        t = start_t + share * (row["t"] - start_t)
+        length = np.linalg.norm(np.subtract(end, begin))
+        ramp = min(1.0, t * length / 1.0)
+        wrench = before + ramp * (scale * np.array(force, dtype=float) - before)
+        nominal = (np.array(begin) + t * np.subtract(end, begin)) / 1000
+        worst = max(worst, float(np.linalg.norm(sim.tip(moves[index], q, wrench) - nominal)))
+    assert 0.0 < worst <= 0.010e-3
+
+
+def _scaled(text, factor):
+    import re
+
+    return re.sub(r"(F[XYZ]|M[XYZ])=(-?[\d.]+)", lambda m: f"{m[1]}={float(m[2]) * factor:g}", text)
+
+
+def test_feed_force_on_the_arc_is_the_one_the_simulator_derives():
+    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode")
+    arc = [row for row in rows_of(result) if row["source_line"] == 12 and row["t"] > 0.2]
+    assert len(arc) >= 2
+    for row in arc:
+        angle = row["t"] * np.pi / 2  # from +X towards +Y about (180, 160)
+        travel = np.array([-np.sin(angle), np.cos(angle)])
+        across = np.array([-travel[1], travel[0]])  # z × x, z up along the spindle
+        expected = -250 * travel + 180 * across
+        np.testing.assert_allclose([row["Fx"], row["Fy"], row["Fz"]], [*expected, 90], atol=1e-3)
+
+
+def test_zero_force_gives_the_same_krl_byte_for_byte():
+    for names in (("inline.src", "inline.dat"), ("long_lin.src",)):
+        files = {name: (SAMPLES / name).read_bytes() for name in names}
+        quiet = {
+            name: b"\n".join(line for line in data.split(b"\n") if b"FORCE" not in line) for name, data in files.items()
+        }
+        cell = "cell_kr16.toml" if names == ("long_lin.src",) else "cell_kr270.toml"
+        result = convert(quiet, cell, "krl")
+        assert not result.failed, result.issues
+        assert {d.name: d.to_bytes() for d in result.documents} == quiet
+
+
+def test_nominal_krl_from_gcode_stands_on_the_nominal_path_without_force():
+    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode", mode="nominal")
+    sim = simulator("cell_kr270.toml")
+    rows, moves = rows_of(result), written(result)
+    for index, _, pose, _ in sim.run(moves):
+        row = rows[index - (len(moves) - len(rows))]
+        np.testing.assert_allclose(pose[:3, 3] * 1000, [row[k] for k in "XYZ"], atol=1e-4)
+    assert result.between > 1e-4
+
+
+def test_a_force_wrong_by_one_percent_is_seen_by_the_oracle():
+    """Proof that the checks above can fail."""
+    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode")
+    sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
+    off = []
+    for index, _, _, q in sim.run(moves):
+        row = rows[index - (len(moves) - len(rows))]
+        wrench = 1.01 * np.array([row[k] for k in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")])
+        off.append(np.linalg.norm(sim.tip(moves[index], q, wrench) * 1000 - [row[k] for k in "XYZ"]))
+    assert max(off) > 2e-3
+
+
+def test_the_simulated_base_is_the_cells():
+    assert abc(1500, -200, 700)[0, 3] == 1.5
+    assert forces.read_force_csv(SAMPLES / "freeform.forces.csv").wrench.any()
