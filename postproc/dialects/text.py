@@ -13,6 +13,7 @@ import numpy as np
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
 
+_LF, _CR = 10, 13
 _ENCODINGS = ("utf-8", "cp1252", "latin-1")
 
 
@@ -52,19 +53,21 @@ def line_spans(text: str) -> tuple[Ints, Ints]:
         units = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
     except UnicodeEncodeError:
         units = np.frombuffer(text.encode("utf-32-le", "surrogatepass"), dtype=np.uint32)
-    lf, cr = units == 10, units == 13
-    if not cr.any():
-        stops = np.flatnonzero(lf)
-        starts = np.concatenate([[0], stops + 1])
-    else:
-        cr1 = np.concatenate([[False], cr[:-1]])  # the character before is CR
-        cr2 = np.concatenate([[False, False], cr[:-2]])[: len(units)]
-        lf_next = np.concatenate([lf[1:], [False]])
-        cr_lf_next = np.concatenate([(cr[1:] & lf_next[1:]), [False]])
-        ends = np.flatnonzero(lf | (cr & ~lf_next & ~cr_lf_next))
-        width = np.where(lf[ends], 1 + cr1[ends] * (1 + cr2[ends].astype(np.int64)), 1)
-        stops = ends + 1 - width
-        starts = np.concatenate([[0], ends + 1])
+    stops = ends = np.flatnonzero(units == _LF)
+    carriage_returns = np.flatnonzero(units == _CR)
+    if len(carriage_returns):
+        following = np.concatenate([units, np.zeros(2, units.dtype)])
+        after, next_after = following[carriage_returns + 1], following[carriage_returns + 2]
+        alone = carriage_returns[(after != _LF) & ((after != _CR) | (next_after != _LF))]
+        before, one_before = units[ends - 1] == _CR, units[ends - 2] == _CR
+        before &= ends >= 1
+        one_before &= before & (ends >= 2)
+        stops = ends - before - one_before
+        if len(alone):
+            ends, stops = np.concatenate([ends, alone]), np.concatenate([stops, alone])
+            ends.sort()
+            stops.sort()
+    starts = np.concatenate([[0], ends + 1])
     if starts[-1] == len(units):
         starts = starts[:-1]
     else:

@@ -1,0 +1,133 @@
+"""G-code of three-axis milling: reading programs as CAM systems write them.
+
+Read like this: comments, line ends and white space are taken out of the text (`words`); plain motion blocks become
+columns of numbers in bulk (`words`), the few others go through pygcode (`blocks`) and change modes or make events
+(`modes`); then modal values are carried forward over all lines at once and become motions (`path`, `arcs`). Codes that
+are not known, or that could move a machine in a way not read here, are errors (`codes`).
+
+X, Y, Z are the tool tip in the program frame: `$BASE`, moved by the work offset in force. The tool axis points along
+−Z of that frame.
+
+Where this reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening
+one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number,
+more than four M codes in a block, G94 without a new F, and G15, G50.1, G69. Where it accepts less: a cutting or
+relative move before X, Y and Z have been programmed (rs274 begins at zero; a robot stands anywhere), parameters and
+expressions, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that
+moves nothing, and every code that `codes` refuses. Each of these is a test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from operator import itemgetter
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.dialects.gcode import words
+from postproc.dialects.gcode.blocks import Fault
+from postproc.dialects.gcode.codes import WORK_OFFSETS
+from postproc.dialects.gcode.modes import Modes, read_modes
+from postproc.dialects.gcode.path import Path, Setting, read_path
+from postproc.dialects.text import decode, line_spans, line_starts
+from postproc.errors import Issue, ProgramError
+from postproc.frames import M_PER_MM, Array, inverse
+from postproc.program import Document, Event, EventKind, ForceNote, Program, parse_force_note
+
+__all__ = ["decode", "read"]
+
+
+def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str) -> Program:
+    """Read a G-code program.
+
+    The first motion, if rapid, is `PTP` (the robot goes there from where it stands); later rapid ones are `LIN` with
+    ``rapid``. Arcs are `CIRC` with centre and end as programmed; their radii at start and end may differ by LinuxCNC's
+    tolerance. Moves that go nowhere are left out (issue ``"null-move"``). Coordinates that a rapid move leaves open
+    before all three were programmed are those of the start position (issue ``"start-position"``).
+
+    :param document: the program, see `decode`.
+    :param cell: `$BASE`, `$TOOL`, work offsets, speed of rapid moves, approximation distance.
+    :param start_flange_in_root: (4, 4) pose of the flange in the robot root where the program starts [m].
+    :param name: name of the program.
+    :returns: poses and lengths in metres, feeds in m/s, as `Motions` says.
+    :raises ProgramError: with file, line, text and advice: a code is not supported or not known, a word cannot be
+        read, an arc is impossible, a cutting move has no feed or begins where the position is not known, the
+        program is cut off, or it moves nothing.
+    :raises ForceError: a force comment cannot be read.
+    """
+    return _read(document, cell, start_flange_in_root, name, bulk=True)
+
+
+def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str, *, bulk: bool) -> Program:
+    source = words.split(document, line_starts(document.text))
+    columns, odd = words.read_plain(source) if bulk else words.leave_all(source)
+    approximation = cell.gcode.approximation_mm * M_PER_MM
+    modes = read_modes(source, odd, columns, tuple(cell.work_offsets), approximation)
+    base, tool = cell.base.pose(), cell.tool.pose()
+    offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
+    setting = Setting(
+        start=inverse(base) @ start_flange_in_root @ tool,
+        tool=cell.tool_pose_in_program(),
+        offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
+        rapid=cell.gcode.rapid_m_per_s,
+        approximation=approximation,
+    )
+    path = read_path(columns, modes, setting)
+    if isinstance(path, Fault):
+        starts, stops = line_spans(document.text)
+        text = document.text[starts[path.row] : stops[path.row]]
+        raise ProgramError(path.problem, file=document.name, line=path.row + 1, text=text, advice=path.advice)
+    if not len(path.motions):
+        advice = "Check that this is the right file, and that it is complete."
+        raise ProgramError("the program moves nothing", file=document.name, advice=advice)
+    notes, comments = _comments(source, modes.rows, document.name)
+    return Program(
+        name=name,
+        dialect="gcode",
+        documents=(document,),
+        motions=path.motions,
+        bases=base[None],
+        tools=tool[None],
+        notes=notes,
+        events=_events(path, modes, comments),
+        issues=(*_issues(path, modes), *modes.issues),
+    )
+
+
+def _comments(source: words.Source, rows: int, file: str) -> tuple[tuple[ForceNote, ...], list[tuple[int, str]]]:
+    """Return the force comments, and the others as (row, text), of the first `rows` lines."""
+    notes: list[ForceNote] = []
+    comments: list[tuple[int, str]] = []
+    for line, text in zip(source.comment_lines.tolist(), source.comments, strict=True):
+        if line > rows:
+            break
+        about_force = text.lstrip()[:5].upper() == "FORCE"
+        note = parse_force_note(text, line, file) if about_force else None
+        if note is None:
+            comments.append((line - 1, text.strip()))
+        else:
+            notes.append(note)
+    return tuple(notes), comments
+
+
+def _events(path: Path, modes: Modes, comments: list[tuple[int, str]]) -> tuple[Event, ...]:
+    """Return comments and happenings in order of their lines; in one line comments come first, stops last."""
+    told: list[tuple[int, int, EventKind, float, str]] = [(row, 0, "comment", 0.0, text) for row, text in comments]
+    done = [(h.row, 2 if h.after else 1, h.kind, h.value, "") for h in modes.happenings]
+    ordered = sorted([*told, *done], key=itemgetter(0, 1))
+    before = np.searchsorted(path.motions.line, [row + 2 if order == 2 else row + 1 for row, order, *_ in ordered])
+    return tuple(
+        Event(at, kind, row + 1, value, text)
+        for at, (row, _, kind, value, text) in zip(before.tolist(), ordered, strict=True)
+    )
+
+
+def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
+    if not modes.changes["units"]:
+        yield Issue("info", "units", "Neither G20 nor G21 is given: millimetres are assumed.")
+    if len(path.from_start):
+        message = "A rapid move leaves axes open before they were programmed: they stay at the start position."
+        yield Issue("info", "start-position", message, int(path.from_start[0]) + 1)
+    if len(path.still):
+        message = "A move that goes nowhere is left out."
+        yield Issue("info", "null-move", message, int(path.still[0]) + 1, count=len(path.still))

@@ -1,0 +1,168 @@
+"""G2 and G3: centre, axis and angle of arcs and helices, by the rules of LinuxCNC.
+
+What LinuxCNC accepts (its `interp_arc.cc`; verified against `rs274` to nine digits):
+
+- the radii at start and end may differ by 2·√2·0.01 mm (0.001 inch), and beyond that by 0.1 % of the larger one, but
+  never by more than a hundred times the first value;
+- a radius below 0.00127 mm (0.00005 inch) is none; an R may be too short to reach the end by that much;
+- an arc that ends where it began is a full circle with I, J, K, and an error with R.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.program import Bools, Ints
+
+CENTRE_TOLERANCE = {21.0: 0.02 * np.sqrt(2.0), 20.0: 0.002 * np.sqrt(2.0) * 25.4}
+"""What start and end radius may differ by in any case [mm], by the code of the units."""
+
+RADIUS_TOLERANCE_MM = 0.00127
+_RELATIVE, _CAP = 1e-3, 100.0
+SAME_MM = 1e-6
+"""Points closer than this are one point: rounding in incremental programs, far below any resolution."""
+
+PLANE_AXES = {17.0: (0, 1, 2), 18.0: (2, 0, 1), 19.0: (1, 2, 0)}
+"""First and second axis of the plane, and the axis about which G3 turns right-handed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArcWords:
+    """A arcs as they are programmed, lengths in mm, in the program frame.
+
+    :param start: (A, 3) where each begins.
+    :param end: (A, 3) where each ends.
+    :param given: (A, 3) True where X, Y, Z is programmed.
+    :param offset: (A, 3) I, J, K; NaN where absent.
+    :param radius: (A,) R; NaN where absent.
+    :param turns: (A,) P; NaN where absent.
+    :param clockwise: (A,) True for G2.
+    :param plane: (A,) 17, 18 or 19.
+    :param units: (A,) 20 or 21.
+    :param absolute: (A,) True where I, J, K are coordinates (G90.1).
+    """
+
+    start: Array
+    end: Array
+    given: Bools
+    offset: Array
+    radius: Array
+    turns: Array
+    clockwise: Bools
+    plane: Array
+    units: Array
+    absolute: Bools
+
+    def in_plane(self, vectors: Array) -> tuple[Array, Array, Array]:
+        """Return the components (A,) of (A, 3) along first and second axis of the plane and across it."""
+        axes = self._axes()
+        rows = np.arange(len(vectors))
+        return vectors[rows, axes[:, 0]], vectors[rows, axes[:, 1]], vectors[rows, axes[:, 2]]
+
+    def from_plane(self, first: Array, second: Array, across: Array) -> Array:
+        """Return vectors (A, 3) from their components: inverse of `in_plane`."""
+        out = np.empty((len(first), 3))
+        np.put_along_axis(out, self._axes(), np.stack([first, second, across], axis=1), axis=1)
+        return out
+
+    def _axes(self) -> Ints:
+        return np.array([PLANE_AXES[17.0], PLANE_AXES[18.0], PLANE_AXES[19.0]])[self.plane.astype(np.int64) - 17]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arcs:
+    """A arcs, lengths in mm, in the program frame; see `postproc.program.Motions`.
+
+    :param centre: (A, 3) at the height of the start.
+    :param normal: (A, 3) unit axis.
+    :param sweep: (A,) angle about `normal` [rad], > 0.
+    :param faults: (n, problem, advice): the first arc n of each kind of mistake; other values of it are meaningless.
+    """
+
+    centre: Array
+    normal: Array
+    sweep: Array
+    faults: tuple[tuple[int, str, str | None], ...]
+
+
+def read_arcs(words: ArcWords) -> Arcs:
+    """Return the geometry of arcs, and what is wrong with them."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        s1, s2, height = words.in_plane(words.start)
+        e1, e2, _ = words.in_plane(words.end)
+        o1, o2, across = words.in_plane(words.offset)
+        by_radius = np.isnan(o1) & np.isnan(o2) & np.isnan(across)
+        c1, c2 = (
+            np.where(words.absolute, 0.0, s1) + np.nan_to_num(o1),
+            np.where(words.absolute, 0.0, s2) + np.nan_to_num(o2),
+        )
+        r1, r2 = _centre_from_radius(s1, s2, e1, e2, words)
+        c1, c2 = np.where(by_radius, r1, c1), np.where(by_radius, r2, c2)
+
+        sign = np.where(words.clockwise, -1.0, 1.0)
+        a1, a2, b1, b2 = s1 - c1, s2 - c2, e1 - c1, e2 - c2
+        angle = np.arctan2(sign * (a1 * b2 - a2 * b1), a1 * b1 + a2 * b2)
+        full = np.hypot(e1 - s1, e2 - s2) <= SAME_MM
+        sweep = np.where(full, 2.0 * np.pi, np.where(angle > 0.0, angle, angle + 2.0 * np.pi))
+        turns = np.nan_to_num(words.turns, nan=1.0)
+        sweep = sweep + 2.0 * np.pi * (np.rint(turns) - 1.0)
+        zero = np.zeros_like(sign)
+        faults = _faults(words, by_radius, full, np.hypot(a1, a2), np.hypot(b1, b2), 0.5 * np.hypot(e1 - s1, e2 - s2))
+    return Arcs(words.from_plane(c1, c2, height), words.from_plane(zero, zero, sign), sweep, faults)
+
+
+def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWords) -> tuple[Array, Array]:
+    """Return the centres of arcs given by R: left of the chord for G3, right for G2; the other side for R < 0."""
+    d1, d2 = 0.5 * (e1 - s1), 0.5 * (e2 - s2)
+    half = np.hypot(d1, d2)
+    away = np.sqrt(np.maximum((np.abs(words.radius) - half) * (np.abs(words.radius) + half), 0.0)) / half
+    left = np.where(words.clockwise, -away, away) * np.sign(words.radius)
+    return s1 + d1 - left * d2, s2 + d2 + left * d1
+
+
+def _faults(
+    words: ArcWords, by_radius: Bools, full: Bools, r_start: Array, r_end: Array, half: Array
+) -> tuple[tuple[int, str, str | None], ...]:
+    faults: list[tuple[int, str, str | None]] = []
+
+    def check(wrong: Bools, problem: str, advice: str | None = None) -> None:
+        if wrong.any():
+            n = int(np.argmax(wrong))
+            values = {"r1": r_start[n], "r2": r_end[n], "reach": half[n], "radius": abs(words.radius[n])}
+            faults.append((n, problem.format(**values), advice))
+
+    has_radius = ~np.isnan(words.radius)
+    o1, o2, across = words.in_plane(words.offset)
+    g1, g2, _ = words.in_plane(words.given.astype(float))
+    difference, larger = np.abs(r_start - r_end), np.maximum(r_start, r_end)
+    tolerance = np.where(words.units == 20.0, CENTRE_TOLERANCE[20.0], CENTRE_TOLERANCE[21.0])
+    check(by_radius & ~has_radius, "arc without I, J, K or R")
+    check(~by_radius & has_radius, "arc with R and with I, J or K", "Give one or the other.")
+    check(~np.isnan(across), "arc with an offset across its plane", "G17 takes I and J, G18 I and K, G19 J and K.")
+    check(
+        ~by_radius & words.absolute & (np.isnan(o1) | np.isnan(o2)),
+        "arc with an incomplete absolute centre",
+        "With G90.1 both coordinates of the centre are needed.",
+    )
+    check(np.abs(np.rint(words.turns) - words.turns) > 1e-3, "P of an arc is not a whole number")
+    check(np.rint(words.turns) < 1.0, "P of an arc is below 1")
+    check(
+        by_radius & (g1 + g2 == 0.0),
+        "arc with R but without an end point in its plane",
+        "Give a full circle by I, J, K.",
+    )
+    check(by_radius & full, "arc with R that ends where it begins", "Give a full circle by I, J, K.")
+    check(
+        by_radius & (half - np.abs(words.radius) > RADIUS_TOLERANCE_MM),
+        "R too small to reach the end point: {radius:.4f} mm where {reach:.4f} mm is the least",
+    )
+    check(np.minimum(r_start, r_end) < RADIUS_TOLERANCE_MM, "arc with radius zero")
+    check(
+        ~by_radius & ((difference > _CAP * tolerance) | ((difference > tolerance) & (difference > _RELATIVE * larger))),
+        "radii of the arc disagree: {r1:.4f} mm at the start, {r2:.4f} mm at the end",
+        "Check the centre, G90.1/G91.1 and the plane (G17, G18, G19).",
+    )
+    return tuple(faults)

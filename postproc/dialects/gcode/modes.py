@@ -1,0 +1,228 @@
+"""What the blocks that are not plain motions mean: modes, events, and what the user should know.
+
+Decisions, where controls differ:
+
+- **G43** makes a control take X Y Z as those of the tool tip, by a stored length. On the robot `$TOOL` holds the
+  length and X Y Z are those of the tip anyway: G43 is accepted, changes nothing, and an issue says so. Nearly every
+  CAM file has one. G43.1, G43.2 and G44 would shift the tip: they are refused.
+- **/** (block delete): the block is read, as with the switch in its off position, the default of rs274; an issue says
+  so.
+- **G61, G61.1** switch approximate positioning off, **G64** on again; ``G64 P`` limits its distance to P.
+- **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first.
+- **G4 P** is in seconds, as in LinuxCNC. More than a minute gives a warning: some controls count milliseconds.
+- **M2, M30** end the program; spindle and coolant that still run are switched off there, as LinuxCNC does.
+- A new S while the spindle runs is an event like M3 with that speed.
+- **F** belongs to the units of its own block, also when G20 or G21 stands in the same block.
+- **%**: the first one opens the program (text after it is ignored), the next one ends it; a program that begins with
+  % and has no end is incomplete. A closing % without an opening one is accepted.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from postproc.dialects.gcode import codes
+from postproc.dialects.gcode.blocks import BlockError, Fault, words_of
+from postproc.dialects.gcode.words import COLUMNS, MARK, Source
+from postproc.errors import Issue, Level
+from postproc.frames import M_PER_MM, Array
+from postproc.program import EventKind, Ints
+
+MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
+_LONG_DWELL_S = 60.0
+_OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
+_DELETE = re.compile(rf"{MARK}*/[1-9]?")
+_SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
+
+
+class Happening(NamedTuple):
+    """An event of a line: row of the line, whether it follows the motion of that line, kind and value of `Event`."""
+
+    row: int
+    after: bool
+    kind: EventKind
+    value: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modes:
+    """What the blocks that are not plain say besides coordinates.
+
+    :param rows: number of lines that belong to the program (up to M2, M30, the closing ``%``, or a fault).
+    :param changes: for each modal group of `codes.GROUPS` its changes (row, code), in order.
+    :param blends: changes (row, approximation distance [m]), in order.
+    :param dwells: rows with G4.
+    :param happenings: events in order.
+    :param issues: what the user should know.
+    :param fault: why the program cannot be read from row `rows` on; None if it was read to its end.
+    """
+
+    rows: int
+    changes: Mapping[str, Sequence[tuple[int, float]]]
+    blends: Sequence[tuple[int, float]]
+    dwells: Sequence[int]
+    happenings: Sequence[Happening]
+    issues: Sequence[Issue]
+    fault: Fault | None
+
+
+def read_modes(
+    source: Source, odd: Ints, columns: Mapping[str, Array], offsets: Sequence[str], approximation: float
+) -> Modes:
+    """Read the lines `odd` and put their coordinates, feeds and motion codes into `columns`.
+
+    :param source: the program.
+    :param odd: (n,) rows of the lines to read, ascending.
+    :param columns: as `words.read_plain` returns them; rows of `odd` are filled in.
+    :param offsets: names of the work offsets in the cell, ``"G54"``….
+    :param approximation: approximation distance of the cell [m].
+    """
+    opening = _OPENING.match(source.code)
+    tape = -1 if opening is None else opening[0].count(b"\n") - 1
+    reader = _Reader(columns, offsets, approximation, tape)
+    rows, fault = len(source), None
+    for row in odd.tolist():
+        try:
+            reader.read(row, source.line(row))
+        except BlockError as cause:
+            rows, fault = row, Fault(row, *cause.args)
+            break
+        if reader.ended:
+            rows = row + 1
+            break
+    else:
+        if tape >= 0:
+            advice = "Check that the file was transferred completely."
+            fault = Fault(rows - 1, "the program begins with % but ends without %, M2 or M30", advice)
+        else:
+            message = "The program ends without M2, M30 or %: check that the file is complete."
+            reader.issues.append(Issue("warning", "program-end", message, rows))
+    return Modes(rows, reader.changes, reader.blends, reader.dwells, reader.happenings, reader.issues, fault)
+
+
+class _Reader:
+    """The state that carries over from block to block, and what was read so far."""
+
+    def __init__(self, columns: Mapping[str, Array], offsets: Sequence[str], approximation: float, tape: int) -> None:
+        self.columns, self.offsets, self.approximation, self.tape = columns, offsets, approximation, tape
+        self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
+        self.blends: list[tuple[int, float]] = []
+        self.dwells: list[int] = []
+        self.happenings: list[Happening] = []
+        self.issues: list[Issue] = []
+        self.mm_per_unit = 1.0
+        self.spindle: EventKind = "spindle_off"
+        self.coolant = self.ended = False
+        self.speed = self.tool = 0.0
+        self.mounted: set[float] = set()
+
+    def read(self, row: int, code: str) -> None:
+        if code.lstrip(MARK).startswith("%"):
+            self.ended = row != self.tape
+            return
+        deleted = _DELETE.match(code)
+        if deleted:
+            code = code[deleted.end() :]
+            self._tell("info", "block-delete", "Blocks with / are executed (block delete switched off).", row)
+        words = words_of(code)
+        g = [value for letter, value in words if letter == "G"]
+        m = [value for letter, value in words if letter == "M"]
+        values = {letter: value for letter, value in words if letter not in "GM"}
+        self._modes(row, g)
+        self._dwell_and_blending(row, g, values)
+        if codes.TOOL_LENGTH in g:
+            values.pop("H", None)
+            message = "G43 has no effect: $TOOL holds the tool length, and X Y Z are those of the tool tip."
+            self._tell("info", "tool-length", message, row)
+        self._machine(row, m, values)
+        for letter, value in values.items():
+            if letter not in COLUMNS:
+                raise BlockError(f"{letter} word without a code that uses it", codes.WORD_ADVICE.get(letter))
+            self.columns[letter][row] = value
+        if values.get("F", 0.0) < 0.0:
+            raise BlockError("negative feed", None)
+
+    def _tell(self, level: Level, kind: str, message: str, row: int) -> None:
+        self.issues.append(Issue(level, kind, message, row + 1))
+
+    def _modes(self, row: int, g: Sequence[float]) -> None:
+        for code in g:
+            group = codes.GROUP_OF.get(code)
+            if group is not None:
+                if group == "offset" and code != codes.WORK_OFFSETS[0] and f"G{code:g}" not in self.offsets:
+                    advice = f"Give its place in $BASE in the cell: [work_offsets.G{code:g}]."
+                    raise BlockError(f"work offset G{code:g} is not in the cell", advice)
+                self.changes[group].append((row, code))
+                if group == "units":
+                    self.mm_per_unit = MM_PER_UNIT[code]
+            elif code in codes.MOTION or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOTION)):
+                self.columns["G"][row] = code
+            elif code not in codes.ACCEPTED_G:
+                raise BlockError(*codes.refusal("G", code))
+
+    def _dwell_and_blending(self, row: int, g: Sequence[float], values: dict[str, float]) -> None:
+        if codes.DWELL in g:
+            if not values.get("P", -1.0) >= 0.0:
+                raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
+            if self.columns["G"][row] in (2.0, 3.0):
+                raise BlockError("G4 in one block with an arc", "Write one block for each.")
+            self.dwells.append(row)
+            seconds = values.pop("P")
+            self.happenings.append(Happening(row, False, "dwell", seconds))
+            if seconds > _LONG_DWELL_S:
+                message = f"Dwell of {seconds:g} s: P counts seconds here, on some controls milliseconds."
+                self._tell("warning", "dwell", message, row)
+        if codes.BLENDING in g:
+            limit = values.pop("P", None)
+            values.pop("Q", None)
+            distance = self.approximation
+            if limit is not None:
+                distance = min(distance, max(limit, 0.0) * self.mm_per_unit * M_PER_MM)
+            self.blends.append((row, distance))
+        elif set(g) & set(codes.EXACT):
+            self.blends.append((row, 0.0))
+
+    def _machine(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
+        for code in m:
+            if code not in codes.ACCEPTED_M:
+                raise BlockError(*codes.refusal("M", code))
+        self.tool = values.pop("T", self.tool)
+        if codes.CHANGE in m:
+            self._event(row, "tool_change", self.tool)
+            self.mounted.add(self.tool)
+            if len(self.mounted) > 1:
+                message = "More than one tool is used: the cell's [tool] is taken for all of them."
+                self._tell("warning", "tool-change", message, row)
+        self._spindle(row, m, values.pop("S", None))
+        for code in m:
+            if code in codes.COOLANT:
+                self.coolant = code != codes.COOLANT[-1]
+                self._event(row, "coolant_on" if self.coolant else "coolant_off")
+            elif code in codes.STOP:
+                self.happenings.append(Happening(row, True, "stop"))
+            elif code in codes.END:
+                self.ended = True
+                if self.spindle != "spindle_off":
+                    self.happenings.append(Happening(row, True, "spindle_off"))
+                if self.coolant:
+                    self.happenings.append(Happening(row, True, "coolant_off"))
+
+    def _spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
+        if speed is not None:
+            if speed < 0.0:
+                raise BlockError("negative spindle speed", None)
+            self.speed = speed
+        switched = next((kind for code, kind in _SPINDLE.items() if code in m), None)
+        self.spindle = switched or self.spindle
+        if switched == "spindle_off":
+            self._event(row, "spindle_off")
+        elif switched or (speed is not None and self.spindle != "spindle_off"):
+            self._event(row, self.spindle, self.speed)
+            if self.speed == 0.0:
+                self._tell("warning", "spindle-speed", "The spindle is started without a speed (S).", row)
+
+    def _event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
+        self.happenings.append(Happening(row, False, kind, value))

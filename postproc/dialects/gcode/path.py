@@ -1,0 +1,266 @@
+"""From columns of words to motions: modal values carried forward over all lines at once.
+
+Rows are lines of the program. Lengths are mm in the program frame until the last step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from postproc.dialects.gcode import codes
+from postproc.dialects.gcode.arcs import SAME_MM, ArcWords, read_arcs
+from postproc.dialects.gcode.blocks import Fault
+from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes
+from postproc.frames import M_PER_MM, Array, inverse
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions
+
+_S_PER_MIN = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """What the cell says about a program.
+
+    :param start: (4, 4) pose of the tool frame in `$BASE` when the program starts [m].
+    :param tool: (3, 3) orientation of the tool frame in the program frame.
+    :param offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
+    :param rapid: speed of G0 [m/s].
+    :param approximation: approximation distance [m].
+    """
+
+    start: Array
+    tool: Array
+    offsets: Mapping[float, Array]
+    rapid: float
+    approximation: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """The motions of a program, and what was noticed.
+
+    :param motions: see `Motions`.
+    :param still: (n,) rows of moves that go nowhere; they are not in `motions`.
+    :param from_start: (n,) rows of rapid moves that take coordinates from the start position.
+    """
+
+    motions: Motions
+    still: Ints
+    from_start: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,)."""
+
+    xyz: Array
+    ijk: Array
+    radius: Array
+    turns: Array
+    motion: Array
+    named: Bools
+    feed: Array
+    plane: Array
+    units: Array
+    incremental: Bools
+    absolute_centre: Bools
+    offset: Array
+    moving: Bools
+
+
+def held(values: Array, initial: float) -> Array:
+    """Carry the last value forward over NaN; `initial` holds before the first. (L,) → (L,)."""
+    last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(1, len(values) + 1)))
+    carried: Array = np.concatenate([[initial], values])[last]
+    return carried
+
+
+def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
+    """Return the value (rows,) in force in each line, of changes (row, value) in order of their rows."""
+    at = [0, *(row for row, _ in changes if row < rows), rows]
+    values = [initial, *(value for row, value in changes if row < rows)]
+    return np.repeat(np.array(values, dtype=float), np.diff(at))
+
+
+def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> Path | Fault:
+    """Return the motions of a program, or the first reason why it cannot be read.
+
+    :param columns: words of all lines, see `postproc.dialects.gcode.words.read_plain`.
+    :param modes: the other blocks.
+    :param setting: what the cell says.
+    """
+    if modes.rows == 0 and modes.fault is not None:
+        return modes.fault
+    rows = _rows(columns, modes)
+    before, after = _positions(rows, setting)
+    move = np.flatnonzero(rows.moving)
+    circular = move[rows.motion[move] >= 2.0]
+    arcs = read_arcs(
+        ArcWords(
+            start=before[circular],
+            end=after[circular],
+            given=~np.isnan(rows.xyz[circular]),
+            offset=rows.ijk[circular],
+            radius=rows.radius[circular],
+            turns=rows.turns[circular],
+            clockwise=rows.motion[circular] == 2.0,
+            plane=rows.plane[circular],
+            units=rows.units[circular],
+            absolute=rows.absolute_centre[circular],
+        )
+    )
+    complete = _complete_from(rows)
+    faults = [*_faults(rows, complete, modes.dwells)]
+    faults += [Fault(int(circular[n]), problem, advice) for n, problem, advice in arcs.faults]
+    if modes.fault is not None:
+        faults.append(modes.fault)
+    if faults:
+        return min(faults, key=lambda fault: fault.row)
+
+    distance = np.linalg.norm(after[move] - before[move], axis=1)
+    stays = (distance <= SAME_MM) & (rows.motion[move] < 2.0)
+    stays[:1] &= rows.motion[move[:1]] != 0.0  # the first rapid move turns the tool to the program's orientation
+    kept = move[~stays]
+    rapid = rows.motion[kept] == 0.0
+    kind = np.where(rapid, LIN, np.where(rows.motion[kept] == 1.0, LIN, CIRC))
+    kind[:1] = np.where(rapid[:1], PTP, kind[:1])
+    centre, normal, sweep = np.full((len(kept), 3), np.nan), np.full((len(kept), 3), np.nan), np.full(len(kept), np.nan)
+    target = np.zeros((len(kept), 4, 4))
+    target[:, 3, 3] = 1.0
+    is_arc = kind == CIRC
+    for code in np.unique(rows.offset[kept]).tolist():
+        pose = setting.offsets[code]
+        here, there = rows.offset[kept] == code, rows.offset[circular] == code
+        target[here, :3, :3] = pose[:3, :3] @ setting.tool
+        target[here, :3, 3] = _placed(pose, after[kept[here]])
+        centre[here & is_arc] = _placed(pose, arcs.centre[there])
+        normal[here & is_arc] = arcs.normal[there] @ pose[:3, :3].T
+        sweep[here & is_arc] = arcs.sweep[there]
+    feed = np.where(rapid, setting.rapid, rows.feed[kept] * (M_PER_MM / _S_PER_MIN))
+    feed[kind == PTP] = np.nan
+    blend = in_force(modes.blends, setting.approximation, modes.rows)[kept]
+    unset = np.full(len(kept), -1)
+    motions = Motions(
+        kind=kind.astype(np.int64),
+        rapid=rapid,
+        line=kept + 1,
+        target=target,
+        joints=np.full((len(kept), 6), np.nan),
+        centre=centre,
+        normal=normal,
+        sweep=sweep,
+        feed=feed,
+        base=np.zeros(len(kept), dtype=np.int64),
+        tool=np.zeros(len(kept), dtype=np.int64),
+        blend=blend,
+        status=unset,
+        turn=unset.copy(),
+    )
+    for name in Motions.__slots__:
+        getattr(motions, name).flags.writeable = False
+    partly = np.flatnonzero(rows.moving & (rows.motion == 0.0) & (np.arange(modes.rows) < complete))
+    return Path(motions, move[stays], partly)
+
+
+def _placed(pose: Array, mm: Array) -> Array:
+    placed: Array = mm @ (pose[:3, :3].T * M_PER_MM) + pose[:3, 3]
+    return placed
+
+
+def _rows(columns: Mapping[str, Array], modes: Modes) -> _Rows:
+    count = modes.rows
+    state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
+    factor = np.where(state["units"] == 20.0, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])
+    mm = {letter: columns[letter][:count] * factor for letter in "XYZIJKRF"}
+    xyz, ijk = np.stack([mm[a] for a in "XYZ"], axis=1), np.stack([mm[a] for a in "IJK"], axis=1)
+    code = columns["G"][:count]
+    motion = held(code, codes.CANCEL_CYCLE)
+    circular = (motion == 2.0) | (motion == 3.0)
+    named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
+    moving = ~np.isnan(xyz).all(axis=1) | (circular & (named | ~np.isnan(ijk).all(axis=1)))
+    return _Rows(
+        xyz=xyz,
+        ijk=ijk,
+        radius=mm["R"],
+        turns=columns["P"][:count],
+        motion=motion,
+        named=named,
+        feed=held(mm["F"], 0.0),
+        plane=state["plane"],
+        units=state["units"],
+        incremental=state["distance"] == 91.0,
+        absolute_centre=state["centre"] == 90.1,
+        offset=state["offset"],
+        moving=moving,
+    )
+
+
+def _positions(rows: _Rows, setting: Setting) -> tuple[Array, Array]:
+    """Return where each line begins and ends, (L, 3) each, in the program frame of its work offset [mm].
+
+    Within a run of lines of one work offset and one distance mode: the last coordinate holds (G90), or they add up in
+    order (G91), as a control does it.
+    """
+    before, after = np.empty_like(rows.xyz), np.empty_like(rows.xyz)
+    changed = (np.diff(rows.offset) != 0.0) | (rows.incremental[1:] != rows.incremental[:-1])
+    bounds = [0, *(np.flatnonzero(changed) + 1).tolist(), len(rows.xyz)]
+    frame = np.eye(4)
+    position = setting.start[:3, 3] / M_PER_MM
+    in_force_now: float | None = None
+    for begin, end in pairwise(bounds):
+        if rows.offset[begin] != in_force_now:
+            in_force_now = float(rows.offset[begin])
+            new = setting.offsets[in_force_now]
+            position = _placed(inverse(new) @ frame, position) / M_PER_MM
+            frame = new
+        for axis in range(3):
+            words = rows.xyz[begin:end, axis]
+            if rows.incremental[begin]:
+                steps = np.concatenate([position[axis : axis + 1], np.where(np.isnan(words), 0.0, words)])
+                after[begin:end, axis] = np.cumsum(steps)[1:]
+            else:
+                after[begin:end, axis] = held(words, position[axis])
+        before[begin] = position
+        before[begin + 1 : end] = after[begin : end - 1]
+        position = after[end - 1]
+    return before, after
+
+
+def _complete_from(rows: _Rows) -> int:
+    """Return the first row at whose end X, Y and Z have all been programmed (number of rows: never)."""
+    given = ~np.isnan(rows.xyz)
+    first = np.where(given.any(axis=0), given.argmax(axis=0), len(given))
+    return int(first.max())
+
+
+def _faults(rows: _Rows, complete: int, dwells: Sequence[int]) -> list[Fault]:
+    faults: list[Fault] = []
+
+    def check(wrong: Bools, problem: str, advice: str | None = None) -> None:
+        if wrong.any():
+            faults.append(Fault(int(np.argmax(wrong)), problem, advice))
+
+    count = len(rows.motion)
+    line = np.arange(count)
+    axes = ~np.isnan(rows.xyz).all(axis=1)
+    straight, circular = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
+    dwelling = np.zeros(count, dtype=bool)
+    dwelling[[row for row in dwells if row < count]] = True
+    check(axes & (rows.motion == codes.CANCEL_CYCLE), "coordinates without G0, G1, G2 or G3", "Say which motion it is.")
+    stray = ~(np.isnan(rows.ijk).all(axis=1) & np.isnan(rows.radius) & np.isnan(rows.turns))
+    check(stray & ~(rows.moving & circular), "I, J, K, R or P without an arc that uses it")
+    check(dwelling & rows.moving & circular, "G4 in one block with an arc", "Write one block for each.")
+    check(
+        (rows.named | rows.moving) & (straight | circular) & ~(rows.feed > 0.0),
+        "cutting move without a feed",
+        "Give F.",
+    )
+    advice = "Begin with G0 and X, Y and Z in G90: the tool may stand anywhere before."
+    check(axes & rows.incremental & (line <= complete), "incremental move before the position is known", advice)
+    check(axes & straight & (line < complete), "cutting move before the position is known", advice)
+    check(rows.moving & circular & (line <= complete), "arc before the position is known", advice)
+    return faults

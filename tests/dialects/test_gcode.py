@@ -1,0 +1,503 @@
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from postproc.dialects import gcode
+from postproc.errors import ForceError, ProgramError
+from postproc.program import CIRC, LIN, PTP, ForceNote
+from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
+
+HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\n"
+
+
+def kinds(program) -> list[str]:
+    return [issue.kind for issue in program.issues]
+
+
+def lines(program) -> list[int]:
+    return program.motions.line.tolist()
+
+
+def fault(text: str) -> ProgramError:
+    with pytest.raises(ProgramError) as caught:
+        read(text)
+    return caught.value
+
+
+# ---- motions
+
+
+def test_first_rapid_is_a_joint_move_and_later_ones_are_straight_with_the_speed_of_the_cell() -> None:
+    motions = read(HEAD + "G1 Z-1 F600\nG0 Z10\nM30\n").motions
+    assert motions.kind.tolist() == [PTP, LIN, LIN]
+    assert motions.rapid.tolist() == [True, False, True]
+    assert motions.line.tolist() == [2, 3, 4]
+    np.testing.assert_allclose(motions.feed, [np.nan, 0.01, 0.4])
+    assert motions.blend.tolist() == [5e-4] * 3
+    assert motions.base.tolist() == motions.tool.tolist() == [0, 0, 0]
+    assert motions.status.tolist() == motions.turn.tolist() == [-1, -1, -1]
+    assert np.isnan(motions.joints).all()
+
+
+def test_bases_and_tools_are_those_of_the_cell() -> None:
+    program = read(HEAD + "M30\n")
+    np.testing.assert_array_equal(program.bases, CELL.base.pose()[None])
+    np.testing.assert_array_equal(program.tools, CELL.tool.pose()[None])
+    assert (program.name, program.dialect) == ("part", "gcode")
+    assert program.documents[0].name == "part.nc"
+
+
+@pytest.mark.parametrize("axis", ["+Z", "-Z", "+X", "-X"])
+def test_tool_axis_points_down_in_the_program_frame(axis: str) -> None:
+    tool = msgspec.structs.replace(CELL.tool, axis=axis)
+    cell = msgspec.structs.replace(CELL, tool=tool, gcode=msgspec.structs.replace(CELL.gcode, redundancy_deg=37.0))
+    rotation = read(HEAD + "M30\n", cell).motions.target[0, :3, :3]
+    unit = np.zeros(3)
+    unit["XYZ".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
+    np.testing.assert_allclose(rotation @ unit, [0.0, 0.0, -1.0], atol=1e-15)
+    np.testing.assert_array_equal(rotation, cell.tool_pose_in_program())
+
+
+def test_a_first_cutting_move_with_all_axes_is_a_straight_move() -> None:
+    motions = read("G1 X1 Y2 Z3 F600\nM30\n").motions
+    assert (motions.kind.tolist(), motions.rapid.tolist()) == ([LIN], [False])
+
+
+def test_axes_not_yet_programmed_stay_at_the_start_position_and_the_user_is_told() -> None:
+    program = read("G21\nG0 Z60\nG0 X7\nG0 Y8 Z5\nM30\n")
+    np.testing.assert_allclose(ends(program), [[50, -100, 60], [7, -100, 60], [7, 8, 5]], atol=1e-9)
+    (issue,) = [issue for issue in program.issues if issue.kind == "start-position"]
+    assert (issue.level, issue.source_line) == ("info", 2)
+    assert "start-position" not in kinds(read("G0 X1 Y2 Z3\nM30\n"))
+
+
+def test_moves_that_go_nowhere_are_left_out_and_lines_stay_right() -> None:
+    program = read(HEAD + "G1 F100\nG1 X0\nX1\nX1 Y0\nX2\nG91 X0\nM30\n")
+    assert lines(program) == [2, 5, 7]
+    (issue,) = [issue for issue in program.issues if issue.kind == "null-move"]
+    assert (issue.level, issue.source_line, issue.count) == ("info", 4, 3)
+
+
+def test_inches_and_millimetres_may_change_within_a_program() -> None:
+    motions = read("G20 G0 X1 Y2 Z3\nG1 X2 F10\nG21 X2\nF60 Y0\nG20 F10 Y1\nG91 X.1\nM30\n").motions
+    expected = [
+        [25.4, 50.8, 76.2],
+        [50.8, 50.8, 76.2],
+        [2, 50.8, 76.2],
+        [2, 0, 76.2],
+        [2, 25.4, 76.2],
+        [4.54, 25.4, 76.2],
+    ]
+    np.testing.assert_allclose(motions.target[:, :3, 3] * 1e3, expected, atol=1e-12)
+    np.testing.assert_allclose(motions.feed[1:] * 60e3, [254, 254, 60, 254, 254], rtol=1e-12)
+
+
+def test_increments_add_up_from_the_last_absolute_position() -> None:
+    program = read("G0 X1 Y1 Z1\nG91 X1\nG1 Y.5 F9\nX-.25 Z1\nG90 X0\nG91 X1 Y1\nM30\n")
+    expected = [[1, 1, 1], [2, 1, 1], [2, 1.5, 1], [1.75, 1.5, 2], [0, 1.5, 2], [1, 2.5, 2]]
+    np.testing.assert_array_equal(ends(program).round(9), expected)
+
+
+def test_a_later_code_of_a_block_holds_for_the_coordinates_before_it() -> None:
+    np.testing.assert_allclose(ends(read("X1 Y1 Z1 G0 G20\nM2\n"))[0], [25.4] * 3)
+
+
+# ---- arcs
+
+
+@pytest.mark.parametrize(
+    ("plane", "words", "centre", "normal"),
+    [
+        ("G17", "X10 I5", [5, 0, 10], [0, 0, 1]),
+        ("G18", "X10 I5", [5, 0, 10], [0, 1, 0]),
+        ("G19", "Y10 J5", [0, 5, 10], [1, 0, 0]),
+    ],
+)
+def test_arcs_turn_about_the_normal_of_their_plane(plane: str, words: str, centre, normal) -> None:
+    motions = read(HEAD + f"{plane} G3 {words} F100\nG2 X0 Y0 {words[-2]}-5\nM30\n").motions
+    assert motions.kind.tolist() == [PTP, CIRC, CIRC]
+    np.testing.assert_allclose(motions.centre[1:] * 1e3, [centre, centre], atol=1e-12)
+    np.testing.assert_array_equal(motions.normal[1:], [normal, np.negative(normal)])
+    np.testing.assert_allclose(motions.sweep[1:], math.pi)
+    assert np.isnan(motions.centre[0]).all()
+    assert np.isnan(motions.sweep[0])
+
+
+@pytest.mark.parametrize("words", ["I5", "I5 J0", "X0 Y0 I5", "G91 X0 I5", "G90.1 I5 J0", "I5 P1"])
+def test_an_arc_that_ends_where_it_began_is_a_full_circle(words: str) -> None:
+    motions = read(HEAD + f"G2 {words} F100\nM30\n").motions
+    assert motions.sweep[1] == pytest.approx(2.0 * math.pi, abs=0.0)
+    np.testing.assert_allclose(motions.centre[1] * 1e3, [5, 0, 10], atol=1e-12)
+
+
+def test_helices_rise_along_the_normal_and_may_have_several_turns() -> None:
+    motions = read(HEAD + "G3 X10 Z4 I5 P3 F100\nG3 I-5 Z0\nM30\n").motions
+    np.testing.assert_allclose(motions.sweep[1:], [5.0 * math.pi, 2.0 * math.pi])
+    np.testing.assert_allclose(motions.centre[1:, 2] * 1e3, [10, 4])
+    np.testing.assert_allclose(motions.target[1:, 2, 3] * 1e3, [4, 0])
+
+
+@pytest.mark.parametrize(
+    ("words", "centre", "sweep"),
+    [
+        ("G2 X10 R6.25", [5, -3.75], 2 * math.asin(0.8)),
+        ("G3 X10 R6.25", [5, 3.75], 2 * math.asin(0.8)),
+        ("G2 X10 R-6.25", [5, 3.75], 2 * math.pi - 2 * math.asin(0.8)),
+        ("G3 X10 R-6.25", [5, -3.75], 2 * math.pi - 2 * math.asin(0.8)),
+        ("G3 X10 R4.9995", [5, 0], math.pi),
+    ],
+)
+def test_radius_arcs_lie_where_sign_and_direction_put_them(words: str, centre, sweep: float) -> None:
+    motions = read(HEAD + f"{words} F100\nM30\n").motions
+    np.testing.assert_allclose(motions.centre[1, :2] * 1e3, centre, atol=1e-12)
+    assert motions.sweep[1] == pytest.approx(sweep)
+
+
+def test_a_modal_arc_needs_only_its_words() -> None:
+    motions = read(HEAD + "G2 X10 I5 F100\nX20 I5\nI3\nM30\n").motions
+    np.testing.assert_allclose(motions.sweep[1:], [math.pi, math.pi, 2 * math.pi])
+
+
+def test_arc_ends_are_as_programmed_even_where_the_radii_differ_by_rounding() -> None:
+    motions = read(HEAD + "G2 X10.02 I5 F100\nM30\n").motions
+    assert motions.target[1, 0, 3] == pytest.approx(10.02e-3, abs=1e-15)
+    assert motions.centre[1, 0] == pytest.approx(5e-3, abs=1e-15)
+
+
+# ---- work offsets
+
+
+def test_g54_is_the_base_itself_and_others_come_from_the_cell() -> None:
+    program = read("G0 X1 Y2 Z3\nG55 X1\nG54 Y0\nG56 X0 Y0 Z0\nM30\n")
+    position = ends(program)
+    np.testing.assert_allclose(position[:3], [[1, 2, 3], [101, 2, 3], [101, 0, 3]], atol=1e-12)
+    np.testing.assert_allclose(position[3], [10, 20, 30], atol=1e-12)
+    pose = CELL.work_offsets["G56"].pose()
+    np.testing.assert_allclose(program.motions.target[3, :3, :3], pose[:3, :3] @ CELL.tool_pose_in_program())
+
+
+def test_axes_left_open_after_a_change_of_offset_stay_where_the_machine_is() -> None:
+    position = ends(read("G56 G0 X5 Y6 Z7\nG54 Z0\nG56 X5 Y6 Z7\nM30\n"))
+    np.testing.assert_allclose(position[1, :2], position[0, :2], atol=1e-12)
+    np.testing.assert_allclose(position[2], position[0], atol=1e-12)
+
+
+def test_arcs_are_turned_with_their_work_offset() -> None:
+    text = "{} G0 X0 Y0 Z0\nG3 X10 I5 F100\nM30\n"
+    plain, turned = read(text.format("G54")).motions, read(text.format("G56")).motions
+    pose = CELL.work_offsets["G56"].pose()
+    np.testing.assert_allclose(turned.centre[1], pose[:3, :3] @ plain.centre[1] + pose[:3, 3], atol=1e-15)
+    np.testing.assert_allclose(turned.normal[1], pose[:3, :3] @ plain.normal[1], atol=1e-15)
+    assert turned.sweep[1] == plain.sweep[1]
+
+
+def test_g54_too_may_be_given_in_the_cell() -> None:
+    cell = msgspec.structs.replace(CELL, work_offsets={"G54": CELL.work_offsets["G55"]})
+    np.testing.assert_allclose(ends(read("G0 X1 Y2 Z3\nM30\n", cell)), [[101, 2, -2]], atol=1e-12)
+
+
+# ---- events, comments, forces
+
+
+def events(program) -> list[tuple]:
+    return [(e.before, e.kind, e.line, e.value, e.text) for e in program.events]
+
+
+def test_events_stand_before_the_motion_of_their_line_and_stops_after_it() -> None:
+    text = "(part 1)\nT2 M6\nG0 X0 Y0 Z10 S9000 M3 M8 (go)\nG4 P1.5\nG1 Z0 F100 M0\nS8000\nM5 M9\nG0 Z10\nM30 (end)\n"
+    assert events(read(text)) == [
+        (0, "comment", 1, 0.0, "part 1"),
+        (0, "tool_change", 2, 2.0, ""),
+        (0, "comment", 3, 0.0, "go"),
+        (0, "spindle_on", 3, 9000.0, ""),
+        (0, "coolant_on", 3, 0.0, ""),
+        (1, "dwell", 4, 1.5, ""),
+        (2, "stop", 5, 0.0, ""),
+        (2, "spindle_on", 6, 8000.0, ""),
+        (2, "spindle_off", 7, 0.0, ""),
+        (2, "coolant_off", 7, 0.0, ""),
+        (3, "comment", 9, 0.0, "end"),
+    ]
+
+
+def test_the_end_of_the_program_switches_off_what_still_runs() -> None:
+    assert events(read("G0 X0 Y0 Z10 S100 M4 M7\nM30\n")) == [
+        (0, "spindle_ccw", 1, 100.0, ""),
+        (0, "coolant_on", 1, 0.0, ""),
+        (1, "spindle_off", 2, 0.0, ""),
+        (1, "coolant_off", 2, 0.0, ""),
+    ]
+
+
+def test_nothing_after_the_end_of_the_program_is_read() -> None:
+    for end in ("M30", "M2", "M02", "%", "G0 Z20 M30"):
+        program = read(HEAD + f"{end}\nG41 nonsense ( \n(FORCE FX=)\n#1=2\n")
+        assert program.events == program.notes == ()
+    assert len(program.motions) == 2
+
+
+def test_force_comments_become_notes_and_no_events() -> None:
+    program = read(HEAD + "G1 Z0 F100 (force FX=120 FY=-40.5 FRAME=TOOL)\nX1 ; FORCE OFF\n(FORCED COOLING)\nM30\n")
+    assert program.notes == (ForceNote(3, (120.0, -40.5, 0.0, 0.0, 0.0, 0.0), "TOOL"), ForceNote(4, (0.0,) * 6))
+    assert events(program) == [(3, "comment", 5, 0.0, "FORCED COOLING")]
+
+
+def test_a_force_comment_that_cannot_be_read_names_its_line() -> None:
+    with pytest.raises(ForceError, match=r"part\.nc:3: .*"):
+        read(HEAD + "(FORCE FX=abc)\nM30\n")
+
+
+def test_message_comments_are_plain_comments_and_semicolons_and_brackets_may_hold_each_other() -> None:
+    program = read(HEAD + "(MSG, hello; you) G1 (b) X1 F10 ; c (d) ; e\nM30\n")
+    assert [e.text for e in program.events] == ["MSG, hello; you", "b", "c (d) ; e"]
+    assert lines(program) == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("block", "blend"), [("G61", 0.0), ("G61.1", 0.0), ("G64", 5e-4), ("G64 P.02", 2e-5), ("G64 P9 Q1", 5e-4)]
+)
+def test_exact_stop_and_blending_modes_set_the_approximation_distance(block: str, blend: float) -> None:
+    motions = read(HEAD + f"G1 X1 F100\nG61\n{block}\nX2\nM30\n").motions
+    assert motions.blend[1] == 5e-4
+    assert motions.blend[2] == pytest.approx(blend, abs=1e-18)
+
+
+def test_blending_tolerance_is_in_the_units_of_the_program() -> None:
+    assert read("G20 G64 P.001\nG0 X0 Y0 Z1\nM30\n").motions.blend[0] == pytest.approx(25.4e-6)
+
+
+# ---- issues
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "level", "line"),
+    [
+        ("G21 G0 X0 Y0 Z0\nG43 H1 Z50\nM30\n", "tool-length", "info", 2),
+        ("G21\n/G0 X0 Y0 Z0\nM30\n", "block-delete", "info", 2),
+        ("G0 X0 Y0 Z0\nM30\n", "units", "info", None),
+        ("G21 G0 X0 Y0 Z0\n(no end)\n", "program-end", "warning", 2),
+        ("G21 G0 X0 Y0 Z0\nG4 P500\nM30\n", "dwell", "warning", 2),
+        ("G21 G0 X0 Y0 Z0\nM3\nM30\n", "spindle-speed", "warning", 2),
+        ("G21 G0 X0 Y0 Z0\nT1 M6\nT1 M6\nT2 M6\nM30\n", "tool-change", "warning", 4),
+    ],
+)
+def test_what_the_user_should_know_is_told(text: str, kind: str, level: str, line: int | None) -> None:
+    (issue,) = read(text).issues
+    assert (issue.kind, issue.level, issue.source_line) == (kind, level, line)
+
+
+def test_a_usual_program_gives_no_issue() -> None:
+    assert read("%\nO1000 (PART)\nG21 G90 G17 G40 G49 G80 G94 G54\nG0 X0 Y0 Z5\nG1 Z0 F100\nM30\n%\n").issues == ()
+
+
+# ---- real input
+
+
+REAL = "%\nO1000 (FRÄSEN)\nN10 G0 G17 G21 G40 G49 G80 G90 G98\nN20 G54 X0. Y0. S9000 M3\nN30 G43 H1 Z+5.\n"
+REAL += "N40 G1 Z-1 F300.\nN50 X -10 Y1 . 5\nN60 G2X0Y0I5.J-.75\nN70 M30\n%\n"
+CLEAN = "O1000\nG0 G21 G90\nG0 X0 Y0 S9000 M3\nG43 H1 Z5\nG1 Z-1 F300\nX-10 Y1.5\nG2 X0 Y0 I5 J-0.75\nM30\n"
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("case", [str, str.lower])
+def test_files_as_cam_systems_write_them_are_read_alike(end: str, encoding: str, case) -> None:
+    document = gcode.decode("part.nc", case(REAL).replace("\n", end).encode(encoding))
+    program = gcode.read(document, CELL, START_FLANGE, "part")
+    assert lines(program) == [4, 5, 6, 7, 8]
+    np.testing.assert_array_equal(program.motions.target, read(CLEAN).motions.target)
+    assert program.documents[0].to_bytes() == case(REAL).replace("\n", end).encode(encoding)
+    assert program.events[0].text == case("FRÄSEN")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "g0x1y2z3\nm2",
+        "G0 X1\tY2  Z3\nM2",
+        "  G 0 X + 1 Y 0 2 . Z 3\nM2",
+        "G00X01.Y+2.0Z3.000M2",
+        "N1 G0 (a) X1 (b) Y2 Z3 ; c\nM2",
+        "/ G0 X1 Y2 Z3\n/M2",
+        "G0 Z3 Y2 X1\nN2\n\n()\nM2",
+        "%\nG0 X1 Y2 Z3\n%",
+        "\n (head)\n % name\nG0 X1 Y2 Z3\n%\nrest",
+        "N9 O5 (name)\nG0 X1 Y2 Z3 M2",
+        "G0\nX1 Y2 Z3\nM2",
+    ],
+)
+def test_spellings_do_not_matter(text: str) -> None:
+    np.testing.assert_array_equal(ends(read(text)), ends(read("G0 X1 Y2 Z3\nM2\n")))
+    assert outcome(text, bulk=True) == outcome(text, bulk=False)
+
+
+def test_a_hundred_thousand_lines_keep_their_numbers() -> None:
+    body = [f"X{n / 1000:.3f} Y{n % 7}" if n % 1000 else f"(layer {n})" for n in range(100_000)]
+    program = read("G0 X0 Y0 Z0\r\nG1 F100\r\n" + "\r\n".join(body) + "\r\nM30\r\n")
+    expected = [1, *(n + 3 for n in range(100_000) if n % 1000)]
+    assert lines(program) == expected
+    np.testing.assert_allclose(ends(program)[1:, 0], [n / 1000 for n in range(100_000) if n % 1000], atol=1e-9)
+    assert len(program.events) == 100
+
+
+def test_arrays_cannot_be_changed() -> None:
+    motions = read(HEAD + "M30\n").motions
+    for name in type(motions).__slots__:
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(motions, name)[0] = 0
+
+
+# ---- errors
+
+
+def test_an_error_names_file_line_text_and_advice() -> None:
+    error = fault("(part)\r\nG0 X0 Y0 Z0\r\nN20 g41 D1 x5\r\n")
+    assert (error.file, error.line, error.text) == ("part.nc", 3, "N20 g41 D1 x5")
+    assert error.problem == "G41 is not supported"
+    assert "path of the tool centre" in str(error.advice)
+
+
+@pytest.mark.parametrize("data", [b"", b"\n\n", b"\xef\xbb\xbf \r\n", b"G0 X0\0"])
+def test_empty_and_binary_files_are_errors(data: bytes) -> None:
+    with pytest.raises(ProgramError, match=r"part\.nc: "):
+        read(data)
+
+
+@pytest.mark.parametrize(
+    ("block", "problem"),
+    [
+        ("G1 X5", "without a feed"),
+        ("G1 X5 F0", "without a feed"),
+        ("G1 X5 F-3", "negative feed"),
+        ("G2 X10 F9", "without I, J, K or R"),
+        ("G2 X10 I5 R5 F9", "with R and with I, J or K"),
+        ("G2 X10 K5 F9", "offset across its plane"),
+        ("G18 G2 X10 J5 F9", "offset across its plane"),
+        ("G19 G2 Y10 I5 F9", "offset across its plane"),
+        ("G90.1 G2 X10 I5 F9", "incomplete absolute centre"),
+        ("G2 X10 I4 F9", "radii of the arc disagree: 4.0000 mm at the start, 6.0000 mm at the end"),
+        ("G2 X10 R4 F9", "R too small to reach the end point: 4.0000 mm where 5.0000 mm is the least"),
+        ("G2 X0 Y0 R4 F9", "ends where it begins"),
+        ("G2 R4 F9", "without an end point"),
+        ("G2 X0 Y0 I0 J0 F9", "radius zero"),
+        ("G2 X10 I5 P1.5 F9", "not a whole number"),
+        ("G2 X10 I5 P0 F9", "below 1"),
+        ("G0 X1 I5", "without an arc"),
+        ("G0 P1", "without an arc"),
+        ("G0 X1 X2", "2 X words"),
+        ("G0 G1 X1 F9", "one modal group"),
+        ("M3 M5", "one modal group"),
+        ("M7 M8", "one modal group"),
+        ("G0 X", "X without a number"),
+        ("G0 XNAN", "X without a number"),
+        ("G0 Xinf", "X without a number"),
+        ("G0 X1e3", "E word"),
+        ("G0 X1,5", "unexpected character ','"),
+        ("G0 X1.2.3", "unexpected character '.'"),
+        ("G0 X=5", "X without a number"),
+        ("G0 X1*55", "unexpected character"),
+        ("G0 \N{FULLWIDTH LATIN CAPITAL LETTER X}1", "not ASCII"),
+        ("G0 X12345678", "plausible range"),
+        ("G0 X" + "9" * 400, "plausible range"),
+        ("G0 X#5", "parameters and expressions"),
+        ("#1=5", "parameters and expressions"),
+        ("G0 X[1+2]", "parameters and expressions"),
+        ("G80\nX5", "coordinates without G0, G1, G2 or G3"),
+        ("G4", "G4 without a time"),
+        ("G4 X1", "G4 without a time"),
+        ("G4 P1 G2 X10 I5 F9", "G4 in one block with an arc"),
+        ("G2 X10 I5 F9\nG4 P1 X20 I5", "G4 in one block with an arc"),
+        ("O100 sub", "O words"),
+        ("o<cut> call", "O words"),
+        ("M98 P1000", "M98 is not supported"),
+        ("M104 S200", "M104 is not known"),
+        ("M101", "M101 is not known"),
+        ("G57", "work offset G57 is not in the cell"),
+        ("G12.3", "G12.3 is not known"),
+        ("G1.25 X1", "not valid"),
+        ("G0 X1 N5", "N must stand first"),
+        ("N1.5 G0 X1", "not valid"),
+        ("T1.5", "not a valid block"),
+        ("N" + "9" * 5000 + " G0 X1", "plausible range"),
+        ("L" + "9" * 400, "plausible range"),
+        ("S-1", "negative spindle speed"),
+        ("H1", "H word without a code"),
+        ("G0 A90", "A word without a code"),
+        ("G0 U1", "U word without a code"),
+        ("G1 X1 E2 F9", "E word without a code"),
+        ("(a (b) c)", "bracket"),
+        ("(not closed", "bracket"),
+        ("G0 X1 )", "bracket"),
+        ("G0 X1 % Y1", "unexpected character '%'"),
+    ],
+)
+def test_what_cannot_be_read_is_an_error(block: str, problem: str) -> None:
+    error = fault(HEAD + block + "\nM30\n")
+    assert problem in error.problem
+    assert error.line == 3 + block.count("\n")
+    assert error.file == "part.nc"
+
+
+REFUSED_G = (
+    5.1,
+    7,
+    10,
+    16,
+    28,
+    30,
+    33,
+    38.2,
+    41,
+    42.1,
+    43.1,
+    44,
+    51,
+    52,
+    53,
+    54.1,
+    68,
+    73,
+    76,
+    81,
+    83,
+    89,
+    92,
+    93,
+    95,
+    96,
+)
+REFUSED_M = (19, 60, 61, 62, 68, 97, 98, 99)
+
+
+@pytest.mark.parametrize("code", [*(f"G{n}" for n in REFUSED_G), *(f"M{n}" for n in REFUSED_M)])
+def test_codes_that_could_change_the_motion_are_refused_with_advice(code: str) -> None:
+    error = fault(HEAD + f"{code}\nM30\n")
+    assert (error.line, error.problem) == (3, f"{code} is not supported")
+    assert error.advice
+
+
+@pytest.mark.parametrize(
+    ("text", "problem", "line"),
+    [
+        ("G0 X0 Y0\nG1 X5 F9\nG0 Z1\n", "cutting move before the position is known", 2),
+        ("G1 X5 Y5 F9\n", "cutting move before the position is known", 1),
+        ("G0 X0 Y0\nG2 X10 I5 F9\nG0 Z0\n", "arc before the position is known", 2),
+        ("G91\nG0 Z5\n", "incremental move before the position is known", 2),
+        ("G0 X0 Y0\nG91 Z5\n", "incremental move before the position is known", 2),
+        ("%\nG0 X0 Y0 Z0\n", "begins with %", 2),
+        ("(only a comment)\nM30\n", "moves nothing", None),
+    ],
+)
+def test_programs_that_begin_or_end_badly_are_errors(text: str, problem: str, line: int | None) -> None:
+    error = fault(text)
+    assert problem in error.problem
+    assert error.line == line
+
+
+def test_the_first_error_of_a_program_is_reported_whatever_its_kind() -> None:
+    assert fault(HEAD + "G1 X5\nG41\n").line == 3
+    assert fault(HEAD + "G41\nG1 X5\n").line == 3
+    assert fault("G41\nG1 X5\n").line == 1
+    assert fault(HEAD + "G2 X10 I1 F9\nG1 F0 X1\nG41\n").line == 3
