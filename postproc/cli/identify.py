@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from postproc.identification.identify import Depth, Method
 
 _FILE = click.Path(path_type=Path)
 
@@ -43,3 +47,65 @@ def compensator(markers: Path, output: Path) -> None:
     for warning in result.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"written: {output}")
+
+
+@identify.command()
+@click.argument("measurements", type=_FILE)
+@click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
+@click.option("--compensator", "compensator_file", type=_FILE, help="Geometry from `identify compensator`.")
+@click.option(
+    "--method",
+    type=click.Choice(["enhanced", "serial"]),
+    default="enhanced",
+    show_default=True,
+    help="enhanced: partial poses, compensator; serial: the strict serial chain of Dumas et al. 2011.",
+)
+@click.option(
+    "--structure",
+    type=click.Choice(["auto", "joints"]),
+    default="auto",
+    show_default=True,
+    help="auto: look for springs of links and stiffening gears where joint springs do not explain the readings.",
+)
+@click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
+@click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
+def elastostatics(
+    measurements: Path,
+    experiment: Path,
+    compensator_file: Path | None,
+    method: Method,
+    structure: Depth,
+    output: Path,
+    as_json: bool,
+) -> None:
+    r"""Compliances of joints, compensator, links and gears, with 95 % intervals (paper, Eq. (8)–(10)).
+
+    MEASUREMENTS is a CSV file of the positions of reference points on the tool, without load (load 0) and loaded, in
+    several configurations; the frame of the measuring device is free. Writes a model folder for `robot = …` of a cell,
+    with identification.json and report.html in it. What the readings do not determine keeps the robot's prior value
+    and is reported together with what to measure instead.
+
+    \b
+    Example:
+      postproc identify elastostatics measurements.csv --experiment experiment.toml \
+          --compensator compensator.toml -o my_robot
+    """
+    import json
+
+    from postproc.identification import identify_folder
+
+    done = identify_folder(measurements, experiment, output, compensator_file, method, structure, _say)
+    if as_json:
+        click.echo(json.dumps(done.data, indent=2, ensure_ascii=False))
+        return
+    click.echo(done.text)
+    for warning in done.data["warnings"]:
+        click.echo(f"warning: {warning}", err=True)
+    click.echo(f"written: {output}")
+
+
+def _say(message: str) -> None:
+    import sys
+
+    if sys.stderr.isatty():
+        click.echo(f"{message} …", err=True)

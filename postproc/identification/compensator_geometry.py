@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from postproc import files
@@ -349,6 +350,26 @@ def to_toml(result: CompensatorGeometry, source: str) -> str:
     for name, value, ci in zip(("L_mm", "a_x_mm", "a_y_mm"), result.value, result.ci95, strict=True):
         parts.append(f"\n[{name}]\nvalue = {value * MM_PER_M:.5f}\nci95 = {ci * MM_PER_M:.5f}\n")
     return "".join(parts)
+
+
+class _Value(msgspec.Struct, frozen=True):
+    value: float
+    ci95: float = 0.0
+
+
+class _File(msgspec.Struct, frozen=True):
+    L_mm: _Value
+    a_x_mm: _Value
+    a_y_mm: _Value
+
+
+def load(path: Path) -> Array:
+    """Return (3,) L, a_x, a_y [m] from a file that `save` wrote.
+
+    :raises MeasurementError: it is not such a file.
+    """
+    content = files.read_toml(path, _File, MeasurementError)
+    return np.array([content.L_mm.value, content.a_x_mm.value, content.a_y_mm.value]) * M_PER_MM
 
 
 def _quoted(text: str) -> str:

@@ -1,0 +1,150 @@
+"""Enhanced identification: partial poses, joint 2 per level of q2, compensator from the levels, then all at once.
+
+Source: Klimchik et al., section 3: Eq. (8) gives the extended set k1, k2 per level, k3…k6; Eq. (9), (10) give K⁰_θ2,
+K_c and s₀ from the levels. Both are linear in the load; a Gauss–Newton fit to the equilibrium takes out what they
+leave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from postproc.compensator import Compensator
+from postproc.errors import PostprocError
+from postproc.frames import RAD_PER_DEG, Array
+from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS, Structure
+from postproc.identification.errors import MeasurementError
+from postproc.identification.fit import Fit, gauss_newton
+from postproc.identification.measurements import Measurements
+from postproc.identification.observability import NotObservable, not_observable
+from postproc.identification.placement import Placement
+from postproc.program import Ints
+from postproc.robot import RobotModel
+
+_SAME_LEVEL = 2.0 * RAD_PER_DEG
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """Equivalent compliance of joint 2 at the levels of q2: first step of the paper.
+
+    :param q2: (m,) [rad].
+    :param compliance: (m,) [rad/(N·m)], compensator included.
+    :param covariance: (m, m).
+    """
+
+    q2: Array
+    compliance: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringOfJoint2:
+    """K⁰_θ2 [N·m/rad], K_c [N/m], s₀·K_c [N] from the levels: second step of the paper, with covariance (3, 3)."""
+
+    values: Array
+    covariance: Array
+
+
+def levels_of(data: Measurements) -> Ints:
+    """Group the configurations (C,) by q2; angles within 2° share a level."""
+    order = np.argsort(data.q[:, 1])
+    steps = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])
+    level = np.empty(len(order), dtype=np.int64)
+    level[order] = steps
+    return level
+
+
+def extended_set(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Fit, Levels] | None:
+    """First step: k1, k2 per level of q2, k3…k6 by Eq. (8), then iterated on the equilibrium.
+
+    The first iterate, from zero compliance, is Eq. (8) itself: there the derivative of the displacement by k_j is
+    J_j J_jᵀ F. Returns None if there are too few readings for a value per level.
+    """
+    level = levels_of(data)
+    count = int(level.max()) + 1
+    names = ("k1", *(f"k2#{index}" for index in range(count)), "k3", "k4", "k5", "k6")
+    if 3 * len(data.loaded) * len(data.points) <= len(names):
+        return None
+    structure = Structure(names, replace(robot, compensator=None), level)
+    try:
+        fit = gauss_newton(structure, data, placement, start=np.zeros(len(names)))
+    except PostprocError:
+        return None
+    q2 = np.array([data.q[level == index, 1].mean() for index in range(count)])
+    rows = np.arange(1, 1 + count)
+    return fit, Levels(q2, fit.values[rows], fit.covariance[np.ix_(rows, rows)])
+
+
+def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 | None:
+    """Second step: K⁰_θ2, K_c, s₀·K_c by Eq. (9), (10), weighted with the covariance of the levels.
+
+    :param law: gives L, a_x, a_y.
+    :returns: None with fewer than three usable levels.
+    """
+    good = np.isfinite(np.diag(levels.covariance)) & (levels.compliance > 0.0)
+    if np.count_nonzero(good) < 3:
+        return None
+    k = levels.compliance[good]
+    stiffness = 1.0 / k
+    slope = -(stiffness**2)
+    covariance = levels.covariance[np.ix_(good, good)] * np.outer(slope, slope)
+    unit = replace(law, stiffness=1.0, free_length=0.0)
+    constant = unit.stiffness_about_joint(levels.q2[good])
+    long = replace(unit, free_length=1.0).stiffness_about_joint(levels.q2[good]) - constant
+    c = np.column_stack([np.ones_like(k), constant, long])
+    weight = np.linalg.inv(covariance)
+    normal = c.T @ weight @ c
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    if np.linalg.cond(normal * np.outer(scale, scale)) > 1e12:
+        return None
+    inverse: Array = np.asarray(np.linalg.inv(normal))
+    return SpringOfJoint2(inverse @ c.T @ weight @ stiffness, inverse)
+
+
+def fit_joints(
+    robot: RobotModel, data: Measurements, placement: Placement, start: SpringOfJoint2 | None
+) -> tuple[Fit, list[NotObservable]]:
+    """Fit k1…k6, and K_c and s₀ where the robot has a compensator; fix to the prior what the data leave open.
+
+    :raises MeasurementError: there are fewer readings than unknowns.
+    """
+    names: list[str] = list(JOINT_NAMES)
+    if robot.compensator is not None:
+        names += [STIFFNESS, PRELOAD]
+    readings = 3 * len(data.loaded) * len(data.points)
+    if readings <= len(JOINT_NAMES):
+        raise MeasurementError(
+            f"{readings} loaded coordinates for {len(JOINT_NAMES)} compliances",
+            file=data.file,
+            advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
+        )
+    missing: list[NotObservable] = []
+    first = True
+    while True:
+        structure = Structure(tuple(names), robot)
+        values = structure.start()
+        if first and start is not None and STIFFNESS in names and start.values[0] > 0.0:
+            values[1], values[6], values[7] = 1.0 / start.values[0], start.values[1], start.values[2]
+        fit = _attempt(structure, data, placement, values)
+        left = [entry for entry in not_observable(fit, data) if entry.name in names]
+        if not left:
+            return fit, missing
+        worst = left[0]
+        missing.append(worst)
+        gone = (STIFFNESS, PRELOAD) if worst.name == STIFFNESS else (worst.name,)
+        names = [name for name in names if name not in gone]
+        first = False
+        if not names:
+            raise MeasurementError(
+                "none of the compliances can be determined", file=data.file, advice=missing[0].advice
+            )
+
+
+def _attempt(structure: Structure, data: Measurements, placement: Placement, values: Array) -> Fit:
+    try:
+        return gauss_newton(structure, data, placement, start=values)
+    except PostprocError:  # a start far off: the prior itself
+        return gauss_newton(structure, data, placement, iterations=2)

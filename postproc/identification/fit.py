@@ -1,0 +1,136 @@
+"""Weighted least squares for the parameters of the elastic model: Gauss–Newton, free or with bounds and a ridge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.identification.elastic import Structure, measured_displacements, predict, whitening
+from postproc.identification.measurements import Measurements
+from postproc.identification.placement import Placement
+
+_ITERATIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters that minimise the weighted squares of the residuals.
+
+    :param structure: what was fitted.
+    :param values: (p,) SI.
+    :param covariance: (p, p), for noise σ as stated; infinite where the data say nothing.
+    :param residual: (L, P, 3) measured − predicted displacements [m], root axes.
+    :param chi2: sum of squares of the whitened residuals, and `dof` its degrees of freedom.
+    :param design: (rows, p) whitened derivatives at the solution, and `target` (rows,) what they should give.
+    """
+
+    structure: Structure
+    values: Array
+    covariance: Array
+    residual: Array
+    chi2: float
+    dof: int
+    design: Array
+    target: Array
+
+    @property
+    def rms(self) -> float:
+        """RMS distance [m] of the points from their prediction."""
+        return float(np.sqrt(np.mean(np.sum(self.residual**2, axis=-1))))
+
+    @property
+    def ci95(self) -> Array:
+        """Half widths (p,) of the 95 % intervals."""
+        return np.asarray(1.959964 * np.sqrt(np.diag(self.covariance)))
+
+    def value(self, name: str) -> float:
+        """Return one parameter."""
+        return float(self.values[self.structure.names.index(name)])
+
+
+def gauss_newton(
+    structure: Structure,
+    data: Measurements,
+    placement: Placement,
+    start: Array | None = None,
+    ridge: Array | None = None,
+    iterations: int = _ITERATIONS,
+) -> Fit:
+    """Fit the parameters to loaded − unloaded displacements.
+
+    :param ridge: (p,) weights r: the sum of (r·p)² is added and all parameters are kept ≥ 0 (regularised fit).
+    """
+    values = structure.start() if start is None else start.copy()
+    displacement, w = measured_displacements(data, placement), whitening(data)
+    size = len(structure.names)
+    for _ in range(iterations):
+        moved, slopes = predict(structure, values, data, placement)
+        design = whiten(w, slopes).reshape(-1, size)
+        target = whiten(w, displacement - moved).ravel() + design @ values
+        new = solve(design, target, ridge)
+        scale = np.linalg.norm(design, axis=0)
+        change = float(np.max(np.abs((new - values) * scale), initial=0.0))
+        values = new
+        if change < 1e-4:
+            break
+    moved, slopes = predict(structure, values, data, placement)
+    design = whiten(w, slopes).reshape(-1, size)
+    left = displacement - moved
+    white = whiten(w, left).ravel()
+    return Fit(
+        structure,
+        values,
+        covariance_of(design, structure.typical(), ridge),
+        left,
+        float(white @ white),
+        int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0)) - size,
+        design,
+        white + design @ values,
+    )
+
+
+def whiten(w: Array, values: Array) -> Array:
+    """Apply (P, L, L) to the states of values (L, P, …)."""
+    return np.asarray(np.einsum("plm,mp...->lp...", w, values))
+
+
+def solve(design: Array, target: Array, ridge: Array | None = None) -> Array:
+    """Return the least-squares parameters; with a ridge the non-negative ones (Lawson and Hanson 1974)."""
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0.0] = 1.0
+    if ridge is None:
+        values, *_ = np.linalg.lstsq(design / scale, target, rcond=1e-9)
+        return np.asarray(values / scale)
+    from scipy.optimize import nnls
+
+    rows = np.vstack([design / scale, np.diag(ridge / scale)])
+    square = rows.T @ rows  # p×p instead of rows×p: the active-set loop is then small
+    right = rows.T @ np.concatenate([target, np.zeros(len(ridge))])
+    jitter = 1e-12 * np.trace(square) / len(square)
+    factor = np.linalg.cholesky(square + jitter * np.eye(len(square)))
+    values, _ = nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * len(ridge))
+    return np.asarray(values / scale)
+
+
+def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> Array:
+    """Return (DᵀD + R²)⁻¹; directions that the data leave open get infinite variance.
+
+    :param typical: (p,) usual sizes of the parameters: one that then moves the readings by less than 10⁻⁶ σ is dead.
+    """
+    scale = np.linalg.norm(design, axis=0)
+    dead = scale * typical < 1e-6
+    safe = np.where(dead, 1.0, scale)
+    rows = design / safe
+    if ridge is not None:
+        rows = np.vstack([rows, np.diag(ridge / safe)])
+    _, singular, vt = np.linalg.svd(rows, full_matrices=False)
+    good = singular > 1e-8 * singular.max(initial=0.0)
+    inverse = (vt[good].T / singular[good] ** 2) @ vt[good]
+    covariance = inverse / np.outer(safe, safe)
+    open_directions = np.sum(vt[~good] ** 2, axis=0) > 1e-6 if (~good).any() else np.zeros(len(scale), dtype=bool)
+    for index in np.flatnonzero(dead | open_directions):
+        covariance[index, :] = covariance[:, index] = 0.0
+        covariance[index, index] = np.inf
+    return np.asarray(covariance)

@@ -1,0 +1,219 @@
+"""From measurements to an identified robot: the order of the steps, and what is done when one says no."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from postproc.frames import MM_PER_M, Array
+from postproc.identification import outliers
+from postproc.identification.enhanced import (
+    Levels,
+    SpringOfJoint2,
+    compensator_from_levels,
+    extended_set,
+    fit_joints,
+)
+from postproc.identification.fit import Fit
+from postproc.identification.measurements import Measurements
+from postproc.identification.observability import NotObservable, not_observable
+from postproc.identification.placement import Placement
+from postproc.identification.plausibility import check_frames, check_loads, check_points
+from postproc.identification.serial import fit_serial
+from postproc.identification.structure import Choice, choose
+from postproc.robot import RobotModel
+
+Method = Literal["enhanced", "serial"]
+Depth = Literal["auto", "joints"]
+_MOST_OUTLIERS = 0.03
+_SIGNIFICANCE = 3.29
+"""Standard deviations of χ² beyond which joint springs do not explain the readings (one in a thousand)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified, from which readings, and how well.
+
+    :param method: enhanced or serial.
+    :param prior: the robot whose geometry, masses and compensator geometry were used, and whose values stand where
+        the data do not determine any.
+    :param data: the readings used; gross errors are left out.
+    :param placement: base transform and reference points.
+    :param fit: the parameters written into the model.
+    :param levels: equivalent compliance of joint 2 per level of q2 (enhanced).
+    :param spring: K⁰_θ2, K_c, s₀·K_c from the levels by Eq. (9), (10) (enhanced, if three levels are there).
+    :param missing: parameters that the data do not determine.
+    :param choice: structures tried, if joint springs did not suffice.
+    :param left_out: readings left out.
+    :param warnings: what the user should know.
+    """
+
+    method: Method
+    prior: RobotModel
+    data: Measurements
+    placement: Placement
+    fit: Fit
+    levels: Levels | None
+    spring: SpringOfJoint2 | None
+    missing: tuple[NotObservable, ...]
+    choice: Choice | None
+    left_out: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def robot(self) -> RobotModel:
+        """Return the identified robot (without the covariance, which the model file holds)."""
+        return self.fit.structure.robot(self.fit.values)
+
+
+def identify(
+    prior: RobotModel,
+    data: Measurements,
+    method: Method = "enhanced",
+    depth: Depth = "auto",
+    progress: Callable[[str], None] = lambda _: None,
+) -> Identification:
+    """Identify the compliances of a robot.
+
+    :param prior: the robot as shipped, with the compensator geometry to be used.
+    :param depth: "auto" looks for link springs and stiffening gears where joint springs do not explain the readings;
+        "joints" does not.
+    :param progress: told what is going on.
+    :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
+    """
+    check_points(data)
+    placement = check_frames(prior, data)
+    check_loads(prior, data, placement)
+    data, left_out = outliers.model_free(data)
+    data, warnings = _noise(data)
+    if left_out:
+        placement = check_frames(prior, data)
+    if method == "serial":
+        return _serial(prior, data, placement, left_out, warnings)
+
+    progress("joint springs and compensator")
+    fit, levels, spring, missing = _joints(prior, data, placement)
+    choice = None
+    if _unexplained(fit):
+        cleaned, fewer, names = _cleaned(prior, data, placement, fit)
+        if names and not _unexplained(fewer):
+            data, left_out = cleaned, left_out + names
+            placement = check_frames(prior, data)
+            fit, levels, spring, missing = _joints(prior, data, placement)
+    if _unexplained(fit):
+        ratio = fit.chi2 / fit.dof
+        note = f"joint springs and compensator leave {fit.rms * MM_PER_M:.3f} mm RMS, {ratio:.1f} times noise variance"
+        if depth == "joints":
+            warnings.append(note)
+            fit = replace(fit, covariance=fit.covariance * ratio)
+        else:
+            progress(f"{note}: looking for link springs and stiffening gears")
+            choice = choose(prior, data, placement)
+            for _ in range(3):
+                cleaned, names = outliers.against_model(data, placement, choice.fit)
+                if not names:
+                    break
+                data, left_out = cleaned, left_out + names
+                choice = choose(prior, data, placement)
+            fit = choice.fit
+            warnings.append(note + "; " + choice.reason)
+            missing = [entry for entry in missing if entry.name == "K_c" or fit.value(entry.name) == 0.0]
+            if "K_c" in fit.structure.names:
+                missing = [entry for entry in missing if entry.name != "K_c"]
+    warnings += [str(entry) for entry in missing]
+    warnings += [f"outlier: {name}" for name in left_out]
+    return Identification(
+        "enhanced",
+        prior,
+        data,
+        placement,
+        fit,
+        levels,
+        spring,
+        tuple(missing),
+        choice,
+        tuple(left_out),
+        tuple(warnings),
+    )
+
+
+def _joints(
+    prior: RobotModel, data: Measurements, placement: Placement
+) -> tuple[Fit, Levels | None, SpringOfJoint2 | None, list[NotObservable]]:
+    extended = extended_set(prior, data, placement)
+    levels = extended[1] if extended else None
+    spring = None
+    if levels is not None and prior.compensator is not None:
+        spring = compensator_from_levels(levels, prior.compensator)
+    fit, missing = fit_joints(prior, data, placement, spring)
+    return fit, levels, spring, missing
+
+
+def _serial(
+    prior: RobotModel, data: Measurements, placement: Placement, left_out: list[str], warnings: list[str]
+) -> Identification:
+    fit = fit_serial(prior, data, placement)
+    missing = [entry for entry in not_observable(fit, data) if entry.name != "K_c"]
+    values, covariance = fit.values.copy(), fit.covariance.copy()
+    for entry in missing:
+        index = fit.structure.names.index(entry.name)
+        values[index] = prior.compliance[index]
+        covariance[index] = covariance[:, index] = 0.0
+    fit = replace(fit, values=values, covariance=covariance)
+    warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
+    return Identification(
+        "serial", prior, data, placement, fit, None, None, tuple(missing), None, tuple(left_out), tuple(warnings)
+    )
+
+
+def _noise(data: Measurements) -> tuple[Measurements, list[str]]:
+    """Compare the stated noise with the scatter of the repeats; take the scatter where it is clearly larger."""
+    squares, dof = data.scatter()
+    if dof < 30:
+        return data, []
+    seen = float(np.sqrt(squares / dof))
+    if seen > data.sigma * (1.0 + 4.0 / np.sqrt(2.0 * dof)):
+        note = f"sigma_mm = {data.sigma * MM_PER_M:g} is stated; the repeats scatter by {seen * MM_PER_M:.3f} mm: used"
+        return replace(data, sigma=seen), [note]
+    if seen < data.sigma * (0.8 - 4.0 / np.sqrt(2.0 * dof)):
+        return data, [
+            f"sigma_mm = {data.sigma * MM_PER_M:g} is stated, the repeats scatter by {seen * MM_PER_M:.3f} mm only; "
+            "the stated noise is kept (repeats share what the set-up adds)"
+        ]
+    return data, []
+
+
+def _unexplained(fit: Fit) -> bool:
+    return fit.dof > 0 and fit.chi2 > fit.dof + _SIGNIFICANCE * np.sqrt(2.0 * fit.dof) + 7.0
+
+
+def _cleaned(
+    prior: RobotModel, data: Measurements, placement: Placement, fit: Fit
+) -> tuple[Measurements, Fit, list[str]]:
+    """Leave out gross errors against the joint model, one at a time, as long as that is what is wrong."""
+    names: list[str] = []
+    for _ in range(max(1, int(_MOST_OUTLIERS * len(data.state)))):
+        cleaned, found = outliers.against_model(data, placement, fit)
+        if not found:
+            break
+        data, names = cleaned, names + found
+        fit, *_ = _joints(prior, data, placement)
+        if not _unexplained(fit):
+            break
+    return data, fit, names
+
+
+def before_and_after(result: Identification) -> tuple[Array, Array]:
+    """Return the RMS distance (C,) of the points of each configuration without and with the model [m]."""
+    from postproc.identification.elastic import measured_displacements
+
+    seen = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
+    left = np.sum(result.fit.residual**2, axis=2).mean(axis=1)
+    config = result.data.state_config[result.data.loaded]
+    count = np.bincount(config, minlength=len(result.data.q))
+    return (
+        np.sqrt(np.bincount(config, weights=seen, minlength=len(count)) / count),
+        np.sqrt(np.bincount(config, weights=left, minlength=len(count)) / count),
+    )

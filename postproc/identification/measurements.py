@@ -1,0 +1,330 @@
+"""Measurements of a loaded robot: `experiment.toml` and `measurements.csv`, read and checked.
+
+Formats: formats.md, "Measurements". What can be told from the numbers alone is checked here; what needs the robot's
+kinematics (swapped points, a moved tracker, forces in kg) in `plausibility`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from postproc import files
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
+from postproc.identification.errors import MeasurementError
+from postproc.identification.site import Body, Box, Floor, MeshFile, Rig, Tracker
+from postproc.program import Bools, Ints
+
+_COLUMNS = (
+    *("config", "load", "repeat", "point"),
+    *("A1", "A2", "A3", "A4", "A5", "A6"),
+    *("Fx", "Fy", "Fz", "Mx", "My", "Mz"),
+    *("X", "Y", "Z"),
+)
+_ANGLES, _WRENCH = _COLUMNS[4:10], _COLUMNS[10:16]
+_SAME_ANGLE = 1e-3
+_NO_LOAD = 1e-6
+
+
+class FlangePoint(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A point in the flange frame [mm]."""
+
+    X: float
+    Y: float
+    Z: float
+
+    def position(self) -> Array:
+        """Return the point (3,) [m]."""
+        return np.array([self.X, self.Y, self.Z]) * M_PER_MM
+
+
+class Marker(FlangePoint, frozen=True):
+    """A reference point; `normal` (flange frame) is where its reflector looks, for `plan`; none: turned by hand."""
+
+    normal: tuple[float, float, float] | None = None
+
+
+class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`."""
+
+    robot: str
+    sigma_mm: Annotated[float, msgspec.Meta(gt=0)]
+    load_point: FlangePoint
+    points: dict[str, Marker]
+    rig: Rig | None = None
+    tracker: Tracker | None = None
+    floor: Floor = Floor()
+    boxes: list[Box] = []
+    meshes: list[MeshFile] = []
+    body: Body = Body()
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one coordinate of one reading [m]."""
+        return self.sigma_mm * M_PER_MM
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """Readings of P reference points in S states (a configuration without load, or with one of its loads).
+
+    :param file: name of the file.
+    :param config: (C,) numbers of the configurations as in the file.
+    :param q: (C, 6) joint angles [rad].
+    :param state_config: (S,) row of the configuration of each state.
+    :param load: (S,) number of the load; 0 without load.
+    :param wrench: (S, 6) force [N] and moment [N·m] at the load point, root axes.
+    :param points: names of the reference points.
+    :param guess: (P, 3) where they are in the flange frame, roughly [m].
+    :param load_point: (3,) in the flange frame [m].
+    :param sigma: noise of one coordinate of one reading [m], as stated.
+    :param state: (n,) state of each reading.
+    :param point: (n,) point of each reading.
+    :param repeat: (n,) number of the repeat.
+    :param position: (n, 3) in the frame of the measuring device [m].
+    :param line: (n,) line in the file.
+    :param used: (n,) False for readings left out as outliers.
+    """
+
+    file: str
+    config: Array
+    q: Array
+    state_config: Ints
+    load: Array
+    wrench: Array
+    points: tuple[str, ...]
+    guess: Array
+    load_point: Array
+    sigma: float
+    state: Ints
+    point: Ints
+    repeat: Array
+    position: Array
+    line: Array
+    used: Bools
+
+    @property
+    def loaded(self) -> Ints:
+        """States with load."""
+        return np.flatnonzero(self.load != 0)
+
+    @property
+    def unloaded(self) -> Ints:
+        """(C,) the state without load of each configuration."""
+        rest = np.flatnonzero(self.load == 0)
+        order = np.empty(len(self.q), dtype=np.int64)
+        order[self.state_config[rest]] = rest
+        return order
+
+    def means(self) -> tuple[Array, Array]:
+        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P)."""
+        shape = (len(self.load), len(self.points))
+        key = (self.state * shape[1] + self.point)[self.used]
+        count = np.bincount(key, minlength=shape[0] * shape[1]).astype(float)
+        total = np.stack(
+            [np.bincount(key, weights=self.position[self.used, axis], minlength=len(count)) for axis in range(3)]
+        )
+        mean = (total / np.maximum(count, 1.0)).T
+        return mean.reshape(*shape, 3), count.reshape(shape)
+
+    def scatter(self) -> tuple[float, int]:
+        """Return the sum of squares of the repeats about their means [m²] and its degrees of freedom."""
+        mean, count = self.means()
+        left = (self.position - mean[self.state, self.point])[self.used]
+        return float(np.sum(left**2)), int(3 * np.sum(np.maximum(count - 1, 0)))
+
+    def name(self, reading: int) -> str:
+        """Return how a user finds a reading: line, configuration, load, repeat, point."""
+        state = self.state[reading]
+        return (
+            f"line {int(self.line[reading])}: config {self.config[self.state_config[state]]:g}, "
+            f"load {self.load[state]:g}, repeat {self.repeat[reading]:g}, point {self.points[self.point[reading]]}"
+        )
+
+    def without(self, readings: list[int]) -> Measurements:
+        """Return the measurements with some readings left out."""
+        used = self.used.copy()
+        used[readings] = False
+        return replace(self, used=used)
+
+    def only(self, configurations: Ints) -> Measurements:
+        """Return the measurements of some configurations (rows of `q`)."""
+        new_config = np.full(len(self.q), -1)
+        new_config[configurations] = np.arange(len(configurations))
+        states = np.flatnonzero(new_config[self.state_config] >= 0)
+        new_state = np.full(len(self.load), -1)
+        new_state[states] = np.arange(len(states))
+        rows = np.flatnonzero(new_state[self.state] >= 0)
+        return replace(
+            self,
+            config=self.config[configurations],
+            q=self.q[configurations],
+            state_config=new_config[self.state_config[states]],
+            load=self.load[states],
+            wrench=self.wrench[states],
+            state=new_state[self.state[rows]],
+            point=self.point[rows],
+            repeat=self.repeat[rows],
+            position=self.position[rows],
+            line=self.line[rows],
+            used=self.used[rows],
+        )
+
+
+def read_experiment(path: Path) -> Experiment:
+    """Read `experiment.toml`.
+
+    :raises MeasurementError: unknown or missing keys, values out of range, fewer than three points.
+    """
+    experiment = files.read_toml(path, Experiment, MeasurementError)
+    if not experiment.points:
+        raise MeasurementError("no [points.NAME]", file=str(path), advice="Give the reference points on the tool.")
+    return experiment
+
+
+def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements:
+    """Read `measurements.csv` and check that it is complete.
+
+    :param loads: False if readings without load are enough (calibration of the geometry).
+    :raises MeasurementError: a reading is missing, stands twice, is not a number, belongs to a point that the
+        experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
+    """
+    numbers, texts, lines = files.read_csv(path, _COLUMNS, (), MeasurementError, ("point",))
+    where = str(path)
+    if len(lines) == 0:
+        raise MeasurementError("no readings", file=where)
+    names = tuple(experiment.points)
+    for row, name in enumerate(texts["point"]):
+        if name not in names:
+            raise MeasurementError(
+                f"unknown point {name!r}",
+                file=where,
+                line=int(lines[row]),
+                advice=f"The experiment names {', '.join(names)}.",
+            )
+    angles = np.column_stack([numbers[name] for name in _ANGLES])
+    wrench = np.column_stack([numbers[name] for name in _WRENCH])
+    config, inverse = np.unique(numbers["config"], return_inverse=True)
+    pairs, first, state = np.unique(
+        np.column_stack([inverse, numbers["load"]]), axis=0, return_index=True, return_inverse=True
+    )
+    state = state.ravel()
+    first_of_config = np.array([np.flatnonzero(inverse == c)[0] for c in range(len(config))])
+    _check_same(angles, first_of_config[inverse], _SAME_ANGLE, _ANGLES, numbers["config"], lines, where)
+    _check_same(wrench, first[state], 0.05, _WRENCH, numbers["config"], lines, where)
+    q = angles[first_of_config]
+    data = Measurements(
+        file=path.name,
+        config=config,
+        q=q * RAD_PER_DEG,
+        state_config=pairs[:, 0].astype(np.int64),
+        load=pairs[:, 1],
+        wrench=wrench[first],
+        points=names,
+        guess=np.array([experiment.points[name].position() for name in names]),
+        load_point=experiment.load_point.position(),
+        sigma=experiment.sigma,
+        state=state,
+        point=np.array([names.index(name) for name in texts["point"]]),
+        repeat=numbers["repeat"],
+        position=np.column_stack([numbers[axis] for axis in "XYZ"]) * M_PER_MM,
+        line=lines,
+        used=np.ones(len(lines), dtype=bool),
+    )
+    _check_units(q, data, where)
+    _check_complete(data, where, loads)
+    return data
+
+
+def _check_same(
+    values: Array, reference: Ints, tolerance: float, names: tuple[str, ...], config: Array, lines: Array, where: str
+) -> None:
+    off = np.abs(values - values[reference]) > tolerance
+    if off.any():
+        row, column = np.argwhere(off)[0]
+        raise MeasurementError(
+            f"config {config[row]:g}: {names[column]} is {values[row, column]:g} here and "
+            f"{values[reference[row], column]:g} at line {int(lines[reference[row]])}",
+            file=where,
+            line=int(lines[row]),
+            advice="One configuration has one set of angles, one load case one force: give it another number.",
+        )
+
+
+def _check_units(q: Array, data: Measurements, where: str) -> None:
+    if len(q) >= 2 and np.abs(q).max() <= 2.0 * np.pi:
+        raise MeasurementError(
+            f"no joint angle is larger than {np.abs(q).max():.3f}: these look like radians",
+            file=where,
+            advice="Give A1…A6 in degrees.",
+        )
+    span = float(np.ptp(data.position, axis=0).max())
+    if len(q) >= 2 and span < 10.0 * M_PER_MM:
+        raise MeasurementError(
+            f"all readings lie within {span / M_PER_MM:.3g} mm: these look like metres, or the robot did not move",
+            file=where,
+            advice="Give X, Y, Z in mm.",
+        )
+
+
+def _check_complete(data: Measurements, where: str, loads: bool) -> None:
+    for row in range(len(data.state)):
+        state = data.state[row]
+        if data.load[state] == 0 and np.abs(data.wrench[state]).max() > _NO_LOAD:
+            raise MeasurementError(
+                f"config {data.config[data.state_config[state]]:g}: load 0 means no load, but there is a force",
+                file=where,
+                line=int(data.line[row]),
+            )
+    keys, counts = np.unique(np.column_stack([data.state, data.point, data.repeat]), axis=0, return_counts=True)
+    if counts.max() > 1:
+        state, point, repeat = keys[np.argmax(counts)]
+        rows = np.flatnonzero((data.state == state) & (data.point == point) & (data.repeat == repeat))
+        raise MeasurementError(
+            f"{data.name(int(rows[1])).partition(': ')[2]} stands twice (also line {int(data.line[rows[0]])})",
+            file=where,
+            line=int(data.line[rows[1]]),
+            advice="Is a point name wrong?",
+        )
+    for state in range(len(data.load)):
+        for repeat in np.unique(data.repeat[data.state == state]):
+            rows = np.flatnonzero((data.state == state) & (data.repeat == repeat))
+            absent = [name for index, name in enumerate(data.points) if index not in data.point[rows]]
+            if absent:
+                raise MeasurementError(
+                    f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}, repeat {repeat:g}: "
+                    f"no reading of point {', '.join(absent)}",
+                    file=where,
+                    line=int(data.line[rows[0]]),
+                    advice="Measure it, or leave this repeat out.",
+                )
+    for index, config in enumerate(data.config):
+        loads_here = data.load[data.state_config == index]
+        line = int(data.line[data.state_config[data.state] == index][0])
+        if 0 not in loads_here:
+            raise MeasurementError(
+                f"config {config:g}: load {loads_here[0]:g} has no readings without load (load 0)",
+                file=where,
+                line=line,
+                advice="Measure the same configuration unloaded, or leave it out.",
+            )
+        if loads and len(loads_here) == 1:
+            raise MeasurementError(
+                f"config {config:g}: only readings without load",
+                file=where,
+                line=line,
+                advice="Measure the same configuration loaded, or leave it out.",
+            )
+    for state in data.loaded if loads else []:
+        if np.abs(data.wrench[state]).max() <= _NO_LOAD:
+            rows = np.flatnonzero(data.state == state)
+            raise MeasurementError(
+                f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: the force is zero",
+                file=where,
+                line=int(data.line[rows[0]]),
+                advice="Give the force on the load point in N, root axes.",
+            )

@@ -1,0 +1,119 @@
+"""What the data can tell: parameters that they cannot determine, the reason, and what to measure instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc import elastostatics, kinematics
+from postproc.frames import Array
+from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS
+from postproc.identification.fit import Fit
+from postproc.identification.measurements import Measurements
+from postproc.robot import RobotModel
+
+_UNCERTAIN = 0.5
+"""Half width of the 95 % interval over the value beyond which a parameter counts as not determined."""
+_NO_TORQUE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class NotObservable:
+    """A parameter that the data do not determine; the model keeps the robot's prior value."""
+
+    name: str
+    reason: str
+    advice: str
+
+    def __str__(self) -> str:
+        return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
+
+
+def not_observable(fit: Fit, data: Measurements) -> list[NotObservable]:
+    """Return the joint compliances and compensator values that the fit leaves open, worst first."""
+    robot = fit.structure.prior
+    torque = joint_torques(robot, data)
+    found = []
+    names = fit.structure.names
+    prior = dict(zip(JOINT_NAMES, robot.compliance, strict=True))
+    correlation = _correlation(fit.covariance)
+    for index, name in enumerate(names):
+        if name not in JOINT_NAMES:
+            continue
+        half = float(fit.ci95[index])
+        # an interval against the larger of value and prior: a noisy small value must not look determined
+        if half <= _UNCERTAIN * max(abs(fit.values[index]), prior[name]) and fit.values[index] > 0.0:
+            continue
+        joint = JOINT_NAMES.index(name)
+        found.append((half, _joint_reason(name, joint, torque, fit, index, correlation)))
+    if STIFFNESS in names:
+        index = names.index(STIFFNESS)
+        value, half = float(fit.values[index]), float(fit.ci95[index])
+        free = fit.value(PRELOAD) / value if value > 0.0 else -1.0
+        physical = value > 0.0 and 0.0 <= free <= 3.0
+        if not physical or half > _UNCERTAIN * value:
+            interval = "unbounded" if not np.isfinite(half) else f"± {half:.2g} N/m"
+            reason = f"the fit gives {value:.3g} N/m, 95 % interval {interval}"
+            if not physical:
+                reason += ", which no spring has"
+            levels = len(np.unique(np.round(np.degrees(data.q[:, 1]))))
+            found.append(
+                (
+                    np.inf,
+                    NotObservable(
+                        "K_c",
+                        f"its effect on joint 2 is too small against the noise ({reason})",
+                        f"Measure more and heavier loads at levels of q2 far apart (there are {levels}); a "
+                        "compensator that only balances the weights can not be seen in deflections.",
+                    ),
+                )
+            )
+    return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
+
+
+def joint_torques(robot: RobotModel, data: Measurements) -> Array:
+    """Return the torques (L, 6) of the loads about the joint axes [N·m]."""
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    config = data.state_config[data.loaded]
+    x = elastostatics.coordinates(robot, data.q[config])
+    _, jacobian = kinematics.tcp(robot.actual, x, tool)
+    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded])
+    return np.asarray(torque[:, list(robot.actuated)])
+
+
+def _joint_reason(name: str, joint: int, torque: Array, fit: Fit, index: int, correlation: Array) -> NotObservable:
+    largest = float(np.abs(torque[:, joint]).max())
+    reference = float(np.abs(torque).max())
+    if largest < _NO_TORQUE * reference:
+        reason = f"the loads put at most {largest:.2g} N·m on A{joint + 1}"
+        if joint == 0:
+            reason += " (they are vertical, parallel to its axis)"
+            advice = "Pull the arm sideways too, for instance by a cable over a pulley."
+        elif joint == 5:
+            reason += " (they act on its axis)"
+            advice = "Hang the load beside the axis of A6: on a bracket, with another load point."
+        else:
+            advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
+        return NotObservable(name, reason, advice)
+    others = np.abs(correlation[index].copy())
+    others[index] = 0.0
+    partner = fit.structure.names[int(np.argmax(others))]
+    reason = (
+        f"its 95 % interval is ± {fit.ci95[index] * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
+    )
+    if not np.isfinite(fit.ci95[index]):
+        reason = "the configurations leave it open"
+    if others.max() > 0.9:
+        reason += (
+            f", and it can hardly be told from {partner} (correlation {correlation[index, np.argmax(others)]:.2f})"
+        )
+    return NotObservable(name, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
+
+
+def _correlation(covariance: Array) -> Array:
+    deviation = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(deviation, deviation)
+    return np.asarray(np.nan_to_num(correlation))
