@@ -321,12 +321,12 @@ def long_lin() -> tuple[str, str]:
         z = 12.0 * (1.0 - (radius / outer) ** 2)
         if index == 0:
             out += [f"LIN {{X {x:.3f},Y {y:.3f},Z {z + 20.0:.3f},A 0.0,B 90.0,C 0.0}}", "$VEL.CP=0.03"]
-        if index % 50 == 0:
+        if index % 20 == 0:
             push = 40.0 + 15.0 * math.sin(7.0 * share)
             first = len(out) + 1
             rows.append(
                 f"{first},{push * math.sin(angle):.1f},{-push * math.cos(angle):.1f},{35.0 + 20.0 * share:.1f},"
-                f"{first + min(50, count - index) - 1}"
+                f"{first + min(20, count - index) - 1}"
             )
         out.append(f"LIN {{X {x:.3f},Y {y:.3f},Z {z:.3f},A 0.0,B 90.0,C 0.0}} C_DIS")
     out += ["$VEL.CP=0.2", f"LIN {{X {x:.3f},Y {y:.3f},Z {z + 30.0:.3f},A 0.0,B 90.0,C 0.0}}"]

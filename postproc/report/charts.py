@@ -104,14 +104,17 @@ def _band(horizontal: Array, vertical: Array, shown: Bools, style: str) -> str:
     """Return minimum and maximum in each column of pixels, as one area."""
     column = np.clip(horizontal[shown] - _LEFT, 0, _PLOT - 1).astype(np.int64)
     low, high = np.full(_PLOT, -np.inf), np.full(_PLOT, np.inf)
-    np.maximum.at(low, column, vertical[shown])
-    np.minimum.at(high, column, vertical[shown])
+    height = vertical[shown]
+    follows = np.flatnonzero(np.diff(np.flatnonzero(shown)) == 1)
+    for where, value in ((column, height), (column[follows + 1], height[follows])):  # the latter joins the columns
+        np.maximum.at(low, where, value)
+        np.minimum.at(high, where, value)
     filled = np.flatnonzero(np.isfinite(low))
     area = []
     for run in np.split(filled, np.flatnonzero(np.diff(filled) > 1) + 1):
-        there = "L".join(f"{_LEFT + k} {high[k]:.1f}" for k in run)
-        back = "L".join(f"{_LEFT + k + 1} {max(low[k], high[k] + 1.0):.1f}" for k in run[::-1])
-        area.append(f"M{there}L{back}Z")
+        there = "".join(f"V{high[k]:.1f}h1" for k in run)
+        back = "".join(f"V{max(low[k], high[k] + 1.5):.1f}h-1" for k in run[::-1])
+        area.append(f"M{_LEFT + run[0]} {high[run[0]]:.1f}{there}{back}Z")
     return f'<path class="band {style}" d="{"".join(area)}"/>'
 
 
@@ -123,30 +126,30 @@ def ticks(low: float, high: float, about: int) -> list[float]:
     """
     raw = (high - low) / about
     power = 10.0 ** np.floor(np.log10(raw))
-    step = float(next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= raw * 0.999))
+    step = float(next(factor * power for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if factor * power >= raw * 0.999))
     first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
     return [float(f"{index * step:.12g}") for index in range(first, last + 1)]
 
 
-def path_map(position: Array, value: Array, shown: Bools, label: str) -> tuple[str, float]:
-    """Return an SVG of the path seen from above, coloured by a value, and the value of the last colour.
+def path_map(position: Array, value: Array, shown: Bools, label: str) -> tuple[str, Array]:
+    """Return an SVG of the path seen from above, coloured by a value, and the limits between the colours.
 
-    :param position: (K, 2) X, Y [mm].
-    :param value: (K,) ≥ 0.
-    :param shown: (K,) False for moves drawn thin and grey.
+    :param position: (P, 2) X, Y [mm].
+    :param value: (P,) of the piece that ends at each point.
+    :param shown: (P,) False for moves drawn thin and grey.
+    :returns: the SVG, and as many limits as there are colours, less one; the hundredth part at either end is clipped.
     """
     low, high = position.min(axis=0), position.max(axis=0)
     size = np.maximum(high - low, 1e-9)
-    scale = min((WIDTH - _LEFT - _RIGHT) / size[0], (_MAP_HEIGHT - 60) / size[1])
+    scale = min(_PLOT / size[0], (_MAP_HEIGHT - 60) / size[1])
     height = max(int(size[1] * scale) + 60, 120)
     left = _LEFT + (_PLOT - size[0] * scale) / 2.0
     pixel = np.stack(
         [left + (position[:, 0] - low[0]) * scale, height - 40 - (position[:, 1] - low[1]) * scale], axis=1
     )
-    top_value = float(value[shown].max(initial=0.0))
-    colour = np.zeros(len(value), dtype=np.int64)
-    if top_value > 0.0:
-        colour = np.minimum((value / top_value * len(CLASSES)).astype(np.int64), len(CLASSES) - 1)
+    first, last = np.percentile(value[shown], [1, 99]) if shown.any() else (0.0, 0.0)
+    limits = np.linspace(first, last, len(CLASSES) + 1)[1:-1]
+    colour = np.searchsorted(limits, value)
     colour[~shown] = -1
     rows = _thinned(pixel, colour)
     pixel, colour = np.round(pixel[rows], 1), colour[rows]
@@ -158,7 +161,7 @@ def path_map(position: Array, value: Array, shown: Bools, label: str) -> tuple[s
     ]
     parts.append(_scale_bar(float(size.max()), scale, height))
     parts.append(f'<text class="tick" x="{WIDTH - _RIGHT}" y="{height - 8}" text-anchor="end">X →, Y ↑</text>')
-    return _svg(height, label, parts), top_value
+    return _svg(height, label, parts), limits
 
 
 def _scale_bar(extent: float, scale: float, height: int) -> str:
@@ -170,25 +173,29 @@ def _scale_bar(extent: float, scale: float, height: int) -> str:
 
 
 def _thinned(pixel: Array, colour: Ints) -> Ints:
-    """Return rows that show the same picture: where the direction or the colour changes, at most some thousands."""
+    """Return rows that show the same picture, at most some thousands: where direction or colour change.
+
+    Of several changes on a short piece of path only the first and the last are kept.
+    """
     if len(pixel) <= _MAP_POINTS:
         return np.arange(len(pixel))
     step = np.diff(pixel, axis=0)
     turn = np.zeros(len(pixel))
     angle = np.arctan2(step[:, 1], step[:, 0])
     turn[1:-1] = np.abs((np.diff(angle) + np.pi) % (2.0 * np.pi) - np.pi)
+    bend = np.cumsum(turn)
     travel = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
     change = np.concatenate([np.diff(colour) != 0, [True]])
-    fine = 1.0
+    change[0] = True
+    fine = 0.5
     while True:
-        bend = np.floor(np.cumsum(turn) / (0.05 * fine))
-        reach = np.floor(travel / fine)
-        keep = np.concatenate([[True], (np.diff(bend) != 0) | change[:-1]]) & np.concatenate(
-            [[True], np.diff(reach) != 0]
-        )
-        keep[-1] = True
-        if np.count_nonzero(keep) <= _MAP_POINTS:
-            return np.flatnonzero(keep)
+        turned = np.concatenate([[True], np.diff(np.floor(bend / (0.05 * max(fine, 1.0)))) != 0])
+        rows = np.flatnonzero(turned | change)
+        piece = np.floor(travel[rows] / fine)
+        new = np.diff(piece) != 0
+        rows = rows[np.concatenate([[True], new]) | np.concatenate([new, [True]])]
+        if len(rows) <= _MAP_POINTS:
+            return np.asarray(rows)
         fine *= 1.5
 
 

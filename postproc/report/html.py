@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from html import escape
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
 from postproc.pipeline import Result
+from postproc.program import Ints
 from postproc.report import charts
 from postproc.report.charts import Curve
+from postproc.report.drawn import drawn_path
 from postproc.report.style import CSS
 from postproc.report.summary import Summary, summary
-from postproc.report.text import number, percent, times
+from postproc.report.text import millimetres, number, percent, times
 
 _JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 _NARROW = 5.0
@@ -48,7 +51,8 @@ def page(result: Result, tolerance: float | None = None) -> bytes:
         _issues(content),
     ]
     if len(result):
-        body += [_along(result), _seen_from_above(result)]
+        position, row = drawn_path(result)
+        body += [_along(result, position, row), _seen_from_above(result, position, row)]
     body += [_joints(result), _notes(content)]
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{name}: deviation report</title>'
@@ -67,7 +71,7 @@ def _tiles(content: Summary) -> str:
     before, after = content["before"], content["after"]
     tiles = [("largest deviation before", f"{before['max_mm']:.3f}", "mm")]
     if content["mode"] == "convert":
-        tiles.append(("largest deviation after", f"{after['max_mm']:.4f}", "mm"))
+        tiles.append(("largest deviation after", millimetres(after["max_mm"]), "mm"))
         tiles.append(("compensated (RMS)", percent(content["compensated_percent"]).removesuffix(" %"), "%"))
     tiles.append(("largest force", f"{content['max_force_N']:.0f}", "N"))
     cells = (f"<div><dt>{label}</dt><dd>{value} <small>{unit}</small></dd></div>" for label, value, unit in tiles)
@@ -80,16 +84,17 @@ def _distances(content: Summary) -> str:
     rows = []
     for label, key in _MEASURES:
         before, after = content["before"][key], content["after"][key]
-        cells = [label, f"{before:.4f}"]
+        cells = [label, millimetres(before)]
         if not predict:
-            cells += [f"{after:.4f}", times(before / after if after > 0.0 else None)]
+            cells += [millimetres(after), times(before / after if after > 0.0 else None)]
         rows.append(cells)
     return f"<section><h2>Deviation of the tool tip at cutting targets</h2>{_table(head, rows)}</section>"
 
 
 def _facts(content: Summary) -> str:
     held = {None: "", True: " (held)", False: ' <strong class="error">exceeded</strong>'}[content["tolerance_held"]]
-    rows = [["Between targets too, at most", f"{number(content['between_max_mm'], 4)} mm"]]
+    between = content["between_max_mm"]
+    rows = [["Between targets too, at most", f"{'-' if between is None else millimetres(between)} mm"]]
     if content["tolerance_mm"] is not None:
         rows.append(["Tolerance", f"{content['tolerance_mm']:g} mm{held}"])
     if content["mode"] == "convert":
@@ -124,12 +129,11 @@ def _table(head: tuple[str, ...], rows: list[list[str]]) -> str:
     return f"<table>{f'<thead><tr>{titles}</tr></thead>' if titles else ''}<tbody>{body}</tbody></table>"
 
 
-def _along(result: Result) -> str:
-    position = _in_one_frame(result)
-    travelled = np.zeros(len(result))
+def _along(result: Result, position: Array, row: Ints) -> str:
+    travelled = np.zeros(len(row))
     np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1), out=travelled[1:])
+    travelled = travelled[np.flatnonzero(np.diff(row, append=len(result)))]
     unit, factor = ("mm", MM_PER_M) if travelled[-1] < 2.0 else ("m", 1.0)
-    cutting = ~result.rapid
     curves = [_deviation(result, result.before, "before: as programmed", "before")]
     if result.mode != "predict":
         title = "after: as written (own scale)" if result.mode == "convert" else "as written"
@@ -141,7 +145,7 @@ def _along(result: Result) -> str:
     picture = charts.strips(
         travelled * factor,
         f"path travelled, {unit}",
-        cutting,
+        ~result.rapid,
         curves,
         "Deviation of the tool tip along the path, with correction and force",
     )
@@ -160,34 +164,23 @@ def _deviation(result: Result, distance: Array, title: str, style: str) -> Curve
     return Curve(f"{title}, {unit}", distance * factor, style, mark=mark)
 
 
-def _seen_from_above(result: Result) -> str:
-    value = result.before * MM_PER_M
+def _seen_from_above(result: Result, position: Array, row: Ints) -> str:
     frame = "$BASE" if len(result.program.bases) == 1 else "the robot root"
-    picture, largest = charts.path_map(
-        _in_one_frame(result)[:, :2] * MM_PER_M,
-        value,
-        ~result.rapid,
+    picture, limits = charts.path_map(
+        position[:, :2] * MM_PER_M,
+        (result.before * MM_PER_M)[row],
+        ~result.rapid[row],
         "The path seen from above, coloured by the deviation as programmed",
     )
-    steps = len(charts.CLASSES)
+    texts = [f"{limit:.3g}" for limit in limits]
+    ranges = [f"below {texts[0]}", *(f"{a}–{b}" for a, b in pairwise(texts)), f"above {texts[-1]}"]
     legend = "".join(
-        f'<li><i class="{name}"></i>{largest * index / steps:.3g}–{largest * (index + 1) / steps:.3g}</li>'
-        for index, name in enumerate(charts.CLASSES)
+        f'<li><i class="{name}"></i>{text}</li>' for name, text in zip(charts.CLASSES, ranges, strict=True)
     )
     return (
         f"<section><h2>Seen from above: deviation as programmed</h2>{picture}"
         f'<ul class="legend">{legend}<li>mm</li></ul><p>X and Y of {frame}. Grey: rapid moves.</p></section>'
     )
-
-
-def _in_one_frame(result: Result) -> Array:
-    """Return nominal positions (K, 3) [m] in `$BASE`, or in the robot root if there is more than one base."""
-    position = result.nominal[:, :3, 3]
-    bases = result.program.bases
-    if len(bases) == 1:
-        return position
-    base = bases[result.program.motions.base[result.motion]]
-    return np.asarray(np.einsum("nij,nj->ni", base[:, :3, :3], position) + base[:, :3, 3])
 
 
 def _joints(result: Result) -> str:
@@ -196,11 +189,11 @@ def _joints(result: Result) -> str:
         margin = float(result.joint_margin[index]) * DEG_PER_RAD
         style = ' class="warning"' if margin < _NARROW else ""
         angles = result.q[:, index] * DEG_PER_RAD
-        cells = [f"{angles.min():.1f}", f"{angles.max():.1f}"] if len(angles) else ["-", "-"]
+        cells = [f"{angles.min():z.1f}", f"{angles.max():z.1f}"] if len(angles) else ["-", "-"]
         value = number(margin if np.isfinite(margin) else None, 1)
         rows.append([name, *cells, f"<span{style}>{value}</span>"])
     head = ("Joint", "from, °", "to, °", "margin to the nearest limit, °")
-    return f"<section><h2>Joints</h2>{_table(head, rows)}</section>"
+    return f'<section class="joints"><h2>Joints</h2>{_table(head, rows)}</section>'
 
 
 def _notes(content: Summary) -> str:

@@ -28,6 +28,7 @@ thead th{border-top:0;color:var(--soft);font-weight:500;font-size:13px}
 th:first-child{text-align:left;font-weight:500}
 .issues td:last-child,.issues thead th:last-child{text-align:left;padding-left:14px;width:78%}
 .error{color:var(--bad);font-weight:600}.warning{color:var(--warn);font-weight:600}.info{color:var(--soft)}
+.joints table{max-width:640px}
 .good{color:var(--good)}
 svg{display:block;width:100%;height:auto}
 svg text{font:12px system-ui,"Segoe UI",Roboto,Arial,sans-serif;fill:var(--soft)}

@@ -22,8 +22,8 @@ COLUMNS = (
 """Columns of the file, in order."""
 
 _NOMINAL = (6, 6, 6, 6, 6, 6)
-_COMMAND = (4, 4, 4, 5, 5, 5)
-"""Decimals of commanded poses: those of the KRL."""
+_COMMAND = {"gcode": (4, 4, 4, 5, 5, 5), "krl": (6, 6, 6, 6, 6, 6)}
+"""Decimals of commanded poses by dialect: those of the KRL written from G-code; the most that KRL input has."""
 _WRENCH = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 _CHUNK = 8192
@@ -49,7 +49,7 @@ def _rows(result: Result, part: slice) -> bytes:
         decimals.fixed(result.t[part], _PLACE),
         decimals.fixed(moved.rapid[motion].astype(float), 0),
         *_block(xyzabc_from_pose(result.nominal[part]), _NOMINAL),
-        *_block(xyzabc_from_pose(result.command[part]), _COMMAND),
+        *_block(xyzabc_from_pose(result.command[part]), _COMMAND[result.program.dialect]),
         *_block(result.wrench[part], _WRENCH),
         *_block(result.deflection[part] * MM_PER_M, (_LENGTH,) * 3),
         *(decimals.fixed(values * MM_PER_M, _LENGTH) for values in (result.before[part], result.after[part], bound)),

@@ -14,13 +14,13 @@ def of_one(content: Summary) -> str:
     lines = [f"{content['program']}  on {content['robot']}: {_targets(content)}", ""]
     if content["mode"] == "predict":
         lines.append(f"  {'deviation [mm]':<16}{'predicted':>12}")
-        lines += [f"  {label:<16}{content['before'][key]:>12.4f}" for label, key in _ROWS]  # type: ignore[literal-required]
+        lines += [f"  {label:<16}{millimetres(content['before'][key]):>12}" for label, key in _ROWS]  # type: ignore[literal-required]
     else:
         lines.append(f"  {'deviation [mm]':<16}{'before':>12}{'after':>12}{'improvement':>14}")
         for label, key in _ROWS:
             before, after = content["before"][key], content["after"][key]  # type: ignore[literal-required]
             factor = times(before / after if after > 0.0 else None)
-            lines.append(f"  {label:<16}{before:>12.4f}{after:>12.4f}{factor:>14}")
+            lines.append(f"  {label:<16}{millimetres(before):>12}{millimetres(after):>12}{factor:>14}")
     lines += ["", *_facts(content)]
     lines += [issue_line(issue, content["program"]) for issue in content["issues"]]
     return "\n".join(lines)
@@ -39,7 +39,7 @@ def _facts(content: Summary) -> list[str]:
     if content["mode"] != "predict" and content["between_max_mm"] is not None:
         held = {None: "", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
         stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
-        facts.append(f"between targets at most {content['between_max_mm']:.4f} mm{stated}")
+        facts.append(f"between targets at most {millimetres(content['between_max_mm'])} mm{stated}")
     elif content["tolerance_held"] is False:
         facts.append(f"tolerance {content['tolerance_mm']:g} mm EXCEEDED")
     limits = content["limits"]
@@ -73,7 +73,10 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
             (
                 name,
                 str(content["targets"]),
-                *(f"{value:.4f}" for value in (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])),
+                *(
+                    millimetres(value)
+                    for value in (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
+                ),
                 percent(content["compensated_percent"]),
                 word,
             )
@@ -94,6 +97,15 @@ def _aligned(row: tuple[str, ...], widths: Sequence[int]) -> str:
 def number(value: float | None, places: int) -> str:
     """Return a number with fixed decimals, or a dash where there is none."""
     return "-" if value is None else f"{value:.{places}f}"
+
+
+def millimetres(value: float) -> str:
+    """Return a distance in mm as text, with tenths of a micrometre, or nanometres where it is small.
+
+    >>> millimetres(8.28), millimetres(0.00008)
+    ('8.2800', '0.000080')
+    """
+    return f"{value:.4f}" if value >= 0.001 or value == 0.0 else f"{value:.6f}"
 
 
 def times(ratio: float | None) -> str:

@@ -60,7 +60,7 @@ def test_program_and_messages_are_escaped():
 
 def test_table_shows_before_after_and_improvement():
     text = _checked(fabricated.result())
-    assert "<td>1.5000</td><td>0.0002</td><td>7500</td>" in text
+    assert "<td>1.5000</td><td>0.000200</td><td>7500</td>" in text
 
 
 def test_largest_deviation_is_marked_with_its_line_and_small_ones_are_in_micrometres():
@@ -77,7 +77,7 @@ def test_a_single_peak_among_many_targets_is_still_drawn():
     assert f"5 mm, line {31_234 + 3}" in text
     band = re.search(r'class="band before" d="([^"]*)"', text)
     assert band is not None
-    heights = [float(pair.split()[1]) for pair in re.findall(r"[\d.]+ [\d.]+", band[1])]
+    heights = [float(height) for height in re.findall(r"V([\d.]+)", band[1])]
     assert max(heights) - min(heights) > 100
 
 
@@ -108,3 +108,29 @@ def test_ticks_are_round_and_within(low, high, count):
     values = ticks(low, high, count)
     assert 2 <= len(values) <= 2 * count + 1
     assert low <= min(values) <= max(values) <= high * (1 + 1e-9)
+
+
+def test_arcs_are_drawn_as_arcs_and_counted_by_their_length():
+    from dataclasses import replace
+
+    from postproc.program import CIRC
+    from postproc.report.drawn import drawn_path
+
+    base = fabricated.result(3)
+    end = base.nominal.copy()
+    end[0, :3, 3], end[1, :3, 3], end[2, :3, 3] = [0.01, 0, 0], [-0.01, 0, 0.002], [0.01, 0, 0.004]
+    motions = replace(
+        base.program.motions,
+        kind=np.array([0, CIRC, CIRC]),
+        centre=np.zeros((3, 3)),
+        normal=np.tile([0.0, 0.0, 1.0], (3, 1)),
+        sweep=np.array([np.nan, np.pi, np.pi]),
+    )
+    result = fabricated.with_changes(base, nominal=end, program=replace(base.program, motions=motions))
+    position, row = drawn_path(result)
+    assert np.hypot(position[:, 0], position[:, 1]) == pytest.approx(0.01)
+    assert np.all(np.diff(position[:, 2]) > 0.0)
+    assert position[np.flatnonzero(np.diff(row, append=3))] == pytest.approx(end[:, :3, 3])
+    length = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()
+    assert length == pytest.approx(2.0 * np.hypot(np.pi * 0.01, 0.002), rel=2e-3)
+    _checked(result)
