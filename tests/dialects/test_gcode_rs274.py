@@ -3,6 +3,7 @@
 import math
 from decimal import Decimal
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +12,16 @@ from hypothesis import strategies as st
 
 from postproc.errors import ProgramError
 from postproc.frames import Array
-from postproc.program import CIRC
+from postproc.program import CIRC, Program
 from tests.dialects.gcode_reading import CELL, ends, read
-from tests.oracle.rs274 import RejectedError, accepts, canonical, needs_rs274
+from tests.oracle.rs274 import Move, RejectedError, accepts, canonical, needs_rs274
 
 pytestmark = needs_rs274
 
 SCALE = 2000
 """rs274 prints four decimals. It gets the program with all lengths times this, so that it prints 5e-8 units."""
 
+SAMPLES = Path(__file__).parents[2] / "samples"
 PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 TICK = Fraction(1, 10_000)
 
@@ -139,32 +141,41 @@ def sweep_of(start: Array, end: Array, centre: Array, plane: str, rotation: int)
     return turned + 2.0 * math.pi * (abs(rotation) - 1)
 
 
-@settings(max_examples=250, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
-@given(programs())
-def test_generated_programs_have_the_moves_of_rs274(writer: Writer) -> None:
-    program = read(writer.text(1))
-    expected = canonical(writer.text(SCALE))
-    starts = [np.full(3, np.nan), *[move.end / SCALE for move in expected]]
+def assert_same_moves(program: Program, expected: list[Move], scale: float) -> None:
+    """Compare motions with canonical moves of a program whose lengths are `scale` times as long."""
+    starts = [np.full(3, np.nan), *[move.end / scale for move in expected]]
     pairs = [
         (start, move)
         for n, (start, move) in enumerate(zip(starts, expected, strict=False))
-        if n == 0 or move.command == "ARC_FEED" or np.linalg.norm(move.end / SCALE - start) > 2e-6
+        if n == 0 or move.command == "ARC_FEED" or np.linalg.norm(move.end / scale - start) > 2e-6
     ]
     motions = program.motions
     assert len(motions) == len(pairs)
-    for n, (start, move) in enumerate(pairs):
-        np.testing.assert_allclose(ends(program)[n], move.end / SCALE, rtol=0.0, atol=1e-6)
-        assert motions.rapid[n] == (move.command == "STRAIGHT_TRAVERSE")
-        assert (motions.kind[n] == CIRC) == (move.command == "ARC_FEED")
-        if move.command != "STRAIGHT_TRAVERSE":
-            assert motions.feed[n] * 60e3 == pytest.approx(move.feed, rel=1e-9)
-        if move.centre is not None:
-            np.testing.assert_allclose(motions.centre[n] * 1e3, move.centre / SCALE, rtol=0.0, atol=1e-6)
-            normal = np.zeros(3)
-            normal["XYZ".index(({"X", "Y", "Z"} - set(move.plane)).pop())] = math.copysign(1.0, move.rotation)
-            np.testing.assert_array_equal(motions.normal[n], normal)
-            expected_sweep = sweep_of(start, move.end / SCALE, move.centre / SCALE, move.plane, move.rotation)
-            assert motions.sweep[n] == pytest.approx(expected_sweep, abs=1e-5)
+    position, rapid, circular = ends(program), motions.rapid, motions.kind == CIRC
+    np.testing.assert_allclose(position, [move.end / scale for _, move in pairs], rtol=0.0, atol=1e-6)
+    assert rapid.tolist() == [move.command == "STRAIGHT_TRAVERSE" for _, move in pairs]
+    assert circular.tolist() == [move.command == "ARC_FEED" for _, move in pairs]
+    np.testing.assert_allclose(motions.feed[~rapid] * 60e3, [m.feed for _, m in pairs if m.command[-4:] == "FEED"])
+    for n in np.flatnonzero(circular):
+        start, move = pairs[n]
+        np.testing.assert_allclose(motions.centre[n] * 1e3, move.centre / scale, rtol=0.0, atol=1e-6)
+        normal = np.zeros(3)
+        normal["XYZ".index(({"X", "Y", "Z"} - set(move.plane)).pop())] = math.copysign(1.0, move.rotation)
+        np.testing.assert_array_equal(motions.normal[n], normal)
+        expected_sweep = sweep_of(start, move.end / scale, move.centre / scale, move.plane, move.rotation)
+        assert motions.sweep[n] == pytest.approx(expected_sweep, abs=1e-5)
+
+
+@settings(max_examples=250, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(programs())
+def test_generated_programs_have_the_moves_of_rs274(writer: Writer) -> None:
+    assert_same_moves(read(writer.text(1)), canonical(writer.text(SCALE)), SCALE)
+
+
+@pytest.mark.parametrize("path", sorted(SAMPLES.glob("*.nc")), ids=lambda path: path.name)
+def test_samples_have_the_moves_of_rs274(path: Path) -> None:
+    text = path.read_text()
+    assert_same_moves(read(text), canonical(text), 1.0)
 
 
 WORDS = (
