@@ -18,6 +18,7 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, twist_between
+from postproc.parallel import Run, here
 from postproc.program import Ints
 from postproc.robot import RobotModel
 
@@ -45,7 +46,9 @@ class Compensation:
     theta: Array
 
     def at(self, rows: Ints) -> Compensation:
-        """Return the given rows."""
+        """Return the given rows (this, if they are all)."""
+        if len(rows) == len(self.q) and (np.diff(rows) == 1).all():
+            return self
         return Compensation(self.q[rows], self.pose[rows], self.jacobian[rows], self.theta[rows])
 
 
@@ -55,7 +58,9 @@ def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
     return Compensation(q, pose, jacobian, np.zeros((len(q), robot.actual.nv)))
 
 
-def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
+def compensate(
+    robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array, run: Run = here
+) -> Compensation:
     """Find the commands under which the loaded tool stands at its targets.
 
     :param robot: the robot (with its payload).
@@ -63,20 +68,35 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     :param q_nominal: (N, 6) joint angles of the uncorrected targets by the nominal geometry [rad]: they fix the branch.
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :param run: where the chunks are worked on.
     :raises NotConvergedError: some target cannot be held; `rows` says which.
     """
-    q = np.empty_like(q_nominal)
-    theta = np.empty((len(q), robot.actual.nv))
-    pose = np.empty_like(target)
-    jacobian = np.empty((len(q), 6, 6))
-    for begin in range(0, len(target), _CHUNK):
-        rows = slice(begin, begin + _CHUNK)
-        part = tool if tool.ndim == 2 else tool[rows]
-        try:
-            q[rows], theta[rows] = _solve(robot, target[rows], q_nominal[rows], part, wrench[rows])
-        except NotConvergedError as cause:
-            raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
-        pose[rows], jacobian[rows] = kinematics.tcp(robot.nominal, q[rows], part)
+    chunks = [
+        (robot, begin, target[rows], q_nominal[rows], tool if tool.ndim == 2 else tool[rows], wrench[rows])
+        for begin, rows in slices(len(target))
+    ]
+    parts = run(_compensate_chunk, chunks)
+    return Compensation(
+        q=np.concatenate([part.q for part in parts]),
+        pose=np.concatenate([part.pose for part in parts]),
+        jacobian=np.concatenate([part.jacobian for part in parts]),
+        theta=np.concatenate([part.theta for part in parts]),
+    )
+
+
+def slices(count: int) -> list[tuple[int, slice]]:
+    """Return begin and slice of chunks that fit the cache; one, empty, for no rows."""
+    return [(begin, slice(begin, begin + _CHUNK)) for begin in range(0, max(count, 1), _CHUNK)]
+
+
+def _compensate_chunk(
+    robot: RobotModel, begin: int, target: Array, q_nominal: Array, tool: Array, wrench: Array
+) -> Compensation:
+    try:
+        q, theta = _solve(robot, target, q_nominal, tool, wrench)
+    except NotConvergedError as cause:
+        raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
+    pose, jacobian = kinematics.tcp(robot.nominal, q, tool)
     return Compensation(q, pose, jacobian, theta)
 
 

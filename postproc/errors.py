@@ -85,6 +85,10 @@ class NotConvergedError(PostprocError):
         super().__init__(message)
         self.rows = tuple(rows)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle with the rows, so that the exception survives a process pool."""
+        return type(self), (str(self), self.rows)
+
 
 @dataclass(frozen=True, slots=True)
 class Issue:

@@ -186,5 +186,10 @@ def _on_arc(program: Program, path: Segments, motion: Ints, t: Array) -> tuple[A
     across = np.cross(normal, radial)
     climb = np.einsum("ni,ni->n", m.target[motion, :3, 3] - path.start[motion, :3, 3], normal)[:, None] * normal
     sin, cos = np.sin(sweep * t[:, None]), np.cos(sweep * t[:, None])
-    spot = m.centre[motion] + height + cos * radial + sin * across + climb * t[:, None]
-    return spot, sweep * (cos * across - sin * radial) + climb
+    # programmed radii at start and end may differ by the tolerance of the control: the radius then changes linearly
+    end = m.target[motion, :3, 3] - m.centre[motion] - height - climb
+    growth = (np.linalg.norm(end, axis=1) / np.linalg.norm(radial, axis=1) - 1.0)[:, None]
+    scale = 1.0 + growth * t[:, None]
+    spot = m.centre[motion] + height + scale * (cos * radial + sin * across) + climb * t[:, None]
+    turning = sweep * scale * (cos * across - sin * radial)
+    return spot, turning + growth * (cos * radial + sin * across) + climb

@@ -256,3 +256,18 @@ def test_a_scheduler_without_dask_says_what_to_install(folder, monkeypatch):
     _touch("a.nc")
     with pytest.raises(PostprocError, match=r"pip install 'postproc\[dask\]'"):
         list(convert_all(find_jobs(["a.nc"]), Settings(CELL), scheduler="tcp://127.0.0.1:1"))
+
+
+def test_a_cluster_does_the_same_work(folder):
+    distributed = pytest.importorskip("distributed")
+    for name in ("a.nc", "b.nc"):
+        Path(name).write_bytes((CELL.parent / "pocket.nc").read_bytes())
+    Path("bad.nc").write_text("G999 X1\n")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        jobs = find_jobs(["a.nc", "b.nc", "bad.nc"], output=Path("out"))
+        outcomes = {
+            outcome.program: outcome
+            for outcome in convert_all(jobs, Settings(CELL), scheduler=cluster.scheduler_address)
+        }
+    assert {name: outcome.code for name, outcome in outcomes.items()} == {"a.nc": 0, "b.nc": 0, "bad.nc": 1}
+    assert len(list(Path("out").iterdir())) == 8

@@ -78,7 +78,9 @@ def test_gravity_torque_and_stiffness_are_derivatives_of_the_potential_energy(mo
     stiffness = kinematics.gravity_stiffness(model.loaded, q)
     for joint in range(6):
         change = np.eye(6)[joint] * STEP
-        slope = kinematics.gravity_torque(model.loaded, q + change) - kinematics.gravity_torque(model.loaded, q - change)
+        slope = kinematics.gravity_torque(model.loaded, q + change) - kinematics.gravity_torque(
+            model.loaded, q - change
+        )
         np.testing.assert_allclose(slope / (2 * STEP), stiffness[:, :, joint], atol=1e-4)
 
 

@@ -2,62 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from postproc import cell as cells
-from postproc import files, pipeline, report
+from postproc import files, parallel, pipeline, report
 from postproc import robot as robots
 from postproc.batch.inputs import Job, dialect_of, is_input, read_documents
+from postproc.batch.interrupts import Interrupted, held_back
+from postproc.batch.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.cell import Cell
-from postproc.errors import InputError, Issue, PostprocError, ProgramError
+from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
-from postproc.pipeline import Mode, Result
+from postproc.pipeline import Result
 from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
 
-GOOD, FAILED, EXCEEDED = 0, 1, 3
-"""Exit codes of one program."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What is to be done with every program of a batch.
-
-    :param cell: cell file.
-    :param mode: see `pipeline.process`.
-    :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
-    :param linearize_arcs: write arcs as lines.
-    """
-
-    cell: Path
-    mode: Mode = "convert"
-    tolerance_mm: float | None = None
-    linearize_arcs: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of one program.
-
-    :param program: its file as the user named it.
-    :param code: 0 good, 1 nothing was written, 3 written but a stated tolerance is exceeded.
-    :param summary: content of `report.json`; None if nothing was written.
-    :param message: why nothing was written, where that is not told by `issues`.
-    :param issues: what stands against the program, where it was read but not written.
-    :param written: files written.
-    """
-
-    program: str
-    code: int
-    summary: Summary | None = None
-    message: str = ""
-    issues: tuple[Issue, ...] = ()
-    written: tuple[str, ...] = ()
+_LARGE = 1_000_000
+"""Bytes from which on a program is worth the start of a helper process."""
 
 
 def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
@@ -84,13 +49,17 @@ def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
     return robots.load(robots.find(name, Path(relative_to)))
 
 
-def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
+def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel, *, alone: bool = False) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
     Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
+
+    :raises Interrupted: an interrupt came while the files were written; they are whole.
+
+    :param alone: no other program is worked on meanwhile: a large one may use a second core.
     """
     try:
-        return _converted(job, settings, cell, robot)
+        return _converted(job, settings, cell, robot, alone)
     except PostprocError as cause:
         return Outcome(str(job.program), FAILED, message=str(cause))
     except MemoryError:
@@ -126,20 +95,29 @@ def read_program(path: str | Path, robot: RobotModel, cell: Cell, dialect: str |
         ) from cause
 
 
-def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
-    program = read_program(job.program, robot, cell, job.dialect)
-    rows = None if job.forces is None else read_force_csv(job.forces)
-    result = pipeline.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
+def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, alone: bool) -> Outcome:
+    large = alone and job.program.is_file() and job.program.stat().st_size > _LARGE
+    with parallel.helper_process("postproc.pipeline.verify", wanted=large) as run:
+        program = read_program(job.program, robot, cell, job.dialect)
+        rows = None if job.forces is None else read_force_csv(job.forces)
+        result = pipeline.process(
+            program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs, run=run
+        )
     if result.failed:
         return Outcome(str(job.program), FAILED, issues=result.issues)
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     content = report.summary(result, tolerance)
-    written = files.write_whole(job.output, _contents(job, result, content, tolerance))
+    contents = _contents(job, result, content, tolerance)
+    with held_back() as interrupts:
+        written = files.write_whole(job.output, contents)
     exceeded = settings.mode != "predict" and content["tolerance_held"] is False
-    return Outcome(
+    outcome = Outcome(
         str(job.program), EXCEEDED if exceeded else GOOD, summary=content, written=tuple(str(path) for path in written)
     )
+    if interrupts:
+        raise Interrupted(outcome)
+    return outcome
 
 
 def _contents(job: Job, result: Result, content: Summary, tolerance: float | None) -> dict[str, bytes | list[bytes]]:

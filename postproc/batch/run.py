@@ -6,16 +6,18 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import threading
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
+from multiprocessing.process import BaseProcess
 from typing import Any
 
-from postproc.batch.convert import FAILED, Outcome, Settings, convert_one, load_setup
+from postproc.batch.convert import convert_one, load_setup
 from postproc.batch.inputs import Job
+from postproc.batch.interrupts import Interrupted, be_deaf, hear_once, ignored_by_children
+from postproc.batch.outcome import FAILED, Outcome, Settings
 from postproc.cell import Cell
 from postproc.errors import PostprocError
 from postproc.robot import RobotModel
@@ -27,7 +29,7 @@ def convert_all(
     """Work through jobs; yield each outcome as soon as it is known (not in the order of the jobs).
 
     A program that fails does not stop the others. An interrupt (Ctrl-C) is passed on to the workers; programs written
-    by then are whole, of the others there is nothing.
+    by then are whole, of the others there is nothing (a cluster finishes the programs that its workers have begun).
 
     :param jobs: from `find_jobs`.
     :param settings: for all of them.
@@ -44,7 +46,7 @@ def convert_all(
         yield from _in_processes(jobs, settings, min(workers, len(jobs)))
     else:
         for job in jobs:
-            yield convert_one(job, settings, cell, robot)
+            yield convert_one(job, settings, cell, robot, alone=True)
 
 
 @lru_cache(maxsize=1)
@@ -63,23 +65,31 @@ def _work(job: Job, settings: Settings, batch: str) -> Outcome:
 
 def _in_processes(jobs: Sequence[Job], settings: Settings, workers: int) -> Iterator[Outcome]:
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_deaf)
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=be_deaf)
     batch = uuid.uuid4().hex
+    waiting: dict[Future[Outcome], Job] = {}
     try:
-        with _interrupts_held_back():
-            waiting: dict[Future[Outcome], Job] = {pool.submit(_hearing, job, settings, batch): job for job in jobs}
-        for future in as_completed(waiting):
-            yield _outcome(future, waiting[future])
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        if os.name == "posix":  # on Windows Ctrl-C has reached every process of the console by itself
-            for child in set(multiprocessing.active_children()) - others:
-                if child.pid is not None:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(child.pid, signal.SIGINT)
+        with ignored_by_children():
+            waiting |= {pool.submit(_hearing, job, settings, batch): job for job in jobs}
+        for future in as_completed(list(waiting)):
+            yield _outcome(future, waiting.pop(future))
+    except KeyboardInterrupt:
+        _end_work(pool, set(multiprocessing.active_children()) - others)
+        yield from (_outcome(future, job) for future, job in waiting.items() if not future.cancelled())
         raise
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        _end_work(pool, set(multiprocessing.active_children()) - others if waiting else set())
+
+
+def _end_work(pool: ProcessPoolExecutor, workers: Iterable[BaseProcess]) -> None:
+    """Interrupt workers at their programs, and wait for the end of the pool."""
+    pool.shutdown(wait=False, cancel_futures=True)
+    if os.name == "posix":  # on Windows Ctrl-C has reached every process of the console by itself
+        for worker in workers:
+            if worker.pid is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(worker.pid, signal.SIGINT)
+    pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _outcome(future: Future[Outcome], job: Job) -> Outcome:
@@ -90,32 +100,17 @@ def _outcome(future: Future[Outcome], job: Job) -> Outcome:
         return Outcome(str(job.program), FAILED, message=message)
 
 
-@contextlib.contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """While worker processes start: what they inherit keeps them from dying noisily at Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _deaf() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 def _hearing(job: Job, settings: Settings, batch: str) -> Outcome:
     """Work in a process of the pool: an interrupt ends the job at once and leaves nothing half-written."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
+        hear_once()
         return _work(job, settings, batch)
+    except Interrupted as cause:
+        return cause.outcome
     except KeyboardInterrupt:
         return Outcome(str(job.program), FAILED, message=f"{job.program}: interrupted")
     finally:
-        _deaf()
+        be_deaf()
 
 
 def _on_cluster(jobs: Sequence[Job], settings: Settings, address: str) -> Iterator[Outcome]:
@@ -138,7 +133,7 @@ def _on_cluster(jobs: Sequence[Job], settings: Settings, address: str) -> Iterat
             )
             waiting[client.submit(_work, absolute, _absolute(settings), batch, pure=False)] = job
         try:
-            for future in distributed.as_completed(waiting):
+            for future in distributed.as_completed(waiting, loop=client.loop):
                 yield _from_cluster(future, waiting[future])
         except BaseException:
             client.cancel(list(waiting))

@@ -145,10 +145,8 @@ def _worked(
             known[outcome.program] = outcome
     except KeyboardInterrupt:
         done = [outcome for outcome in known.values() if outcome.written]
-        click.echo(
-            f"Interrupted: {len(done)} of {len(jobs)} programs are written, and whole; of the others nothing is.",
-            err=True,
-        )
+        rest = "of the others nothing is" if scheduler is None else "the cluster may still finish those it has begun"
+        click.echo(f"Interrupted: {len(done)} of {len(jobs)} programs are written, and whole; {rest}.", err=True)
         ctx.exit(130)
     return [known[str(job.program)] for job in jobs]
 

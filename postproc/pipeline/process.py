@@ -9,12 +9,13 @@ import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
-from postproc.compensation import Compensation, compensate, uncorrected
+from postproc.compensation import Compensation, compensate, slices, uncorrected
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, twist_between
 from postproc.kinematics import JointPath, UnreachableError
+from postproc.parallel import Run, here
 from postproc.pipeline import checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
@@ -26,7 +27,6 @@ _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
-_CHUNK = 8192
 
 
 def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str, dialect: str) -> Program:
@@ -75,6 +75,7 @@ def process(
     mode: Mode = "convert",
     *,
     linearize_arcs: bool = False,
+    run: Run = here,
 ) -> Result:
     """Correct a program, or predict what it does as it stands.
 
@@ -85,12 +86,13 @@ def process(
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
         nothing.
     :param linearize_arcs: write arcs as lines.
+    :param run: where the chunks of a large program are worked on.
     :returns: a result; with an issue of level error it holds no documents.
     :raises ForceError: forces that cannot be given to the motions.
     """
     place = InRoot.of(robot, cell)
     try:
-        sampled = _sample(program, place, rows, mode, linearize_arcs)
+        sampled = _sample(program, place, rows, mode, linearize_arcs, run)
     except _BlockedError as cause:
         return _nothing(program, robot, mode, cause.issue)
     issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
@@ -107,12 +109,12 @@ def process(
         written = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
     issues += written.issues
     chosen = sampled.command.at(row)
-    before, deflection = _uncorrected(program, place, sampled, row)
+    before, deflection = _uncorrected(program, place, sampled, row, run)
     after, between = before, float(before.max(initial=0.0))
     if written.documents:
         again = verify.read_back(written, place, program.name)
         simulated = verify.simulate(
-            program, sampled.path, sampled.load, targets, again, place, chosen, corrected=mode == "convert"
+            program, sampled.path, sampled.load, targets, again, place, chosen, run, corrected=mode == "convert"
         )
         after, between = simulated.after, simulated.between
         issues += simulated.issues
@@ -152,7 +154,9 @@ def process(
     )
 
 
-def _sample(program: Program, place: InRoot, rows: ForceRows | None, mode: Mode, linearize_arcs: bool) -> _Sampled:
+def _sample(
+    program: Program, place: InRoot, rows: ForceRows | None, mode: Mode, linearize_arcs: bool, run: Run
+) -> _Sampled:
     path = toolpath.segments(program, place.start_flange)
     load = forces.per_motion(program, rows)
     kinks = forces.kinks(program, path, load, place.axis, place.ramp)
@@ -175,7 +179,7 @@ def _sample(program: Program, place: InRoot, rows: ForceRows | None, mode: Mode,
     else:
         movable = np.isnan(m.joints[motion, 0])
         try:
-            command = _compensated(program, place, sample, wrench, joints, movable)
+            command = _compensated(program, place, sample, wrench, joints, movable, run)
         except NotConvergedError as cause:
             message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
             rows_at = np.flatnonzero(movable)[list(cause.rows)]
@@ -192,7 +196,7 @@ def _at_rows(kind: str, message: str, program: Program, motion: Ints) -> Issue:
 
 
 def _compensated(
-    program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools
+    program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools, run: Run
 ) -> Compensation:
     """Correct all samples but axis targets, which are left as they stand."""
     motion = sample.motion[movable]
@@ -202,6 +206,7 @@ def _compensated(
         joints.q[movable],
         place.tool(program, motion),
         place.wrench(program, motion, wrench[movable]),
+        run,
     )
     if movable.all():
         return solved
@@ -276,31 +281,40 @@ def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q
     return status, turn
 
 
-def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints) -> tuple[Array, Array]:
+def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints, run: Run) -> tuple[Array, Array]:
     """Return what the targets (K rows of the samples) would do uncorrected.
 
     :returns: distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
     """
-    before, deflection = np.empty(len(row)), np.empty((len(row), 3))
-    robot = place.robot
-    for begin in range(0, len(row), _CHUNK):
-        part = row[begin : begin + _CHUNK]
-        motion = sampled.sample.motion[part]
-        tool = place.tool(program, motion)
-        wrench = place.wrench(program, motion, sampled.wrench[part])
-        q = sampled.joints.q[part]
-        rest = sampled.sample.pose[part]
-        unloaded = place.pose(program, motion, rest) if robot.geometry_is_nominal else None
-        guess = sampled.command.theta[part]
-        state = elastostatics.deflect(robot, q, tool, wrench, guess=guess, unloaded=unloaded)
-        tip = place.back(program, motion, state.pose)[:, :3, 3]
-        resting = rest[:, :3, 3]
-        if not place.rest_is_nominal:
-            free = elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), unloaded=unloaded)
-            resting = place.back(program, motion, free.pose)[:, :3, 3]
-        before[begin : begin + _CHUNK] = np.linalg.norm(tip - rest[:, :3, 3], axis=1)
-        deflection[begin : begin + _CHUNK] = tip - resting
-    return before, deflection
+    motion = sampled.sample.motion[row]
+    nominal = sampled.sample.pose[row]
+    tool, wrench = place.tool(program, motion), place.wrench(program, motion, sampled.wrench[row])
+    unloaded = place.pose(program, motion, nominal) if place.robot.geometry_is_nominal else None
+    chunks = [
+        (
+            place.robot,
+            sampled.joints.q[row[rows]],
+            tool if tool.ndim == 2 else tool[rows],
+            wrench[rows],
+            sampled.command.theta[row[rows]],
+            None if unloaded is None else unloaded[rows],
+            place.rest_is_nominal,
+        )
+        for _, rows in slices(len(row))
+    ]
+    parts = run(_deflected, chunks)
+    tip, rest = (place.back(program, motion, np.concatenate([part[i] for part in parts]))[:, :3, 3] for i in (0, 1))
+    return np.linalg.norm(tip - nominal[:, :3, 3], axis=1), tip - rest
+
+
+def _deflected(
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array, unloaded: Array | None, rest_is_nominal: bool
+) -> tuple[Array, Array]:
+    """Return the tool frame (n, 4, 4) in the root under the wrench, and without it."""
+    loaded = elastostatics.deflect(robot, q, tool, wrench, guess=guess, unloaded=unloaded)
+    if rest_is_nominal:
+        return loaded.pose, loaded.rest
+    return loaded.pose, elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), unloaded=unloaded).pose
 
 
 def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
-from postproc.compensation import Compensation
+from postproc.compensation import Compensation, slices
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, twist_between
+from postproc.parallel import Run
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
+from postproc.robot import RobotModel
 from postproc.toolpath import Segments
 
 _PRINTED = 1e-6
@@ -29,7 +31,8 @@ _LONG = 0.005
 """Runs longer than this [m] are looked at between their ends; on shorter ones the deflection is a straight line."""
 _SPACING = 0.010
 _TURNED = 0.02
-_CHUNK = 8192
+_REACHED = 1e-9
+"""How near joint angles must come to a commanded pose [m, rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +57,7 @@ def simulate(
     written: Program,
     place: InRoot,
     command: Compensation,
+    run: Run,
     *,
     corrected: bool,
 ) -> Simulated:
@@ -64,6 +68,7 @@ def simulate(
     :param written: the written program as read back.
     :param place: robot, cell and start.
     :param command: the K commands as computed: where the search for those of the text begins, and its branch.
+    :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
     m = written.motions
@@ -79,19 +84,13 @@ def simulate(
     nominal = toolpath.at(program, path, targets.motion[index], t)
     printed = toolpath.at(written, written_path, row[index], share)
     wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
-    off = np.empty((len(index), 3))
-    for start in range(0, len(index), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        motion = nominal.motion[part]
-        try:
-            tip = _tip(place, program, motion, printed.pose[part], wrench[part], command, index[part], share[part])
-        except NotConvergedError as cause:
-            line = int(program.motions.line[motion[cause.rows[0]]])
-            message = f"the written program cannot be simulated: {cause}"
-            return Simulated(
-                np.full(len(targets), np.nan), np.inf, (Issue("error", "read-back", message, source_line=line),)
-            )
-        off[part] = tip[:, :3, 3] - nominal.pose[part, :3, 3]
+    try:
+        tip = _tips(place, program, nominal.motion, printed.pose, wrench, command, index, share, run)
+    except NotConvergedError as cause:
+        line = int(program.motions.line[nominal.motion[cause.rows[0]]])
+        issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
+        return Simulated(np.full(len(targets), np.nan), np.inf, (issue,))
+    off = tip - nominal.pose[:, :3, 3]
     after = np.linalg.norm(off[share == 1.0], axis=1)
     inner = np.flatnonzero(share < 1.0)
     arcs = inner[m.kind[row[index[inner]]] == CIRC]
@@ -103,7 +102,7 @@ def simulate(
     return Simulated(after, float(distance[settled].max(initial=0.0)), issues)
 
 
-def _tip(
+def _tips(
     place: InRoot,
     program: Program,
     motion: Ints,
@@ -112,25 +111,49 @@ def _tip(
     command: Compensation,
     index: Ints,
     share: Array,
+    run: Run,
 ) -> Array:
-    """Return where the loaded tool stands (n, 4, 4), `$BASE`, under commanded poses (n, 4, 4), `$BASE`."""
-    robot = place.robot
-    tool = place.tool(program, motion)
+    """Return where the loaded tip stands (n, 3), `$BASE` [m], under commanded poses `printed` (n, 4, 4), `$BASE`."""
     commanded = place.pose(program, motion, printed)
-    near = command.at(index)
-    if (share == 1.0).all():
-        q, pose, _ = kinematics.refine(robot.nominal, near.q, range(6), tool, commanded, (near.pose, near.jacobian))
-    else:
-        behind = command.q[np.maximum(index - 1, 0)]
-        guess = share[:, None] * near.q + (1.0 - share[:, None]) * behind
-        q, pose, _ = kinematics.refine(robot.nominal, guess, range(6), tool, commanded)
-    missed = np.abs(twist_between(pose, commanded)).max(axis=1) > 1e-9
-    if missed.any():
-        raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(missed).tolist())
-    unloaded = pose if robot.geometry_is_nominal else None
     force = place.wrench(program, motion, wrench)
-    state = elastostatics.deflect(robot, q, tool, force, guess=near.theta, unloaded=unloaded)
-    return place.back(program, motion, state.pose)
+    tool = place.tool(program, motion)
+    chunks = []
+    for begin, rows in slices(len(index)):
+        at = index[rows]
+        near = command.at(at)
+        start: tuple[Array, Array] | None = (near.pose, near.jacobian)
+        inner = share[rows] < 1.0
+        q = near.q
+        if inner.any():  # between targets: begin between the joint angles of both
+            behind = command.q[np.maximum(at - 1, 0)]
+            q = np.where(inner[:, None], share[rows, None] * q + (1.0 - share[rows, None]) * behind, q)
+            start = None
+        part = tool if tool.ndim == 2 else tool[rows]
+        chunks.append((place.robot, begin, commanded[rows], part, force[rows], q, start, near.theta))
+    tip = np.concatenate(run(_tip, chunks))
+    return place.back(program, motion, tip)[:, :3, 3]
+
+
+def _tip(
+    robot: RobotModel,
+    begin: int,
+    commanded: Array,
+    tool: Array,
+    wrench: Array,
+    q: Array,
+    start: tuple[Array, Array] | None,
+    theta: Array,
+) -> Array:
+    """Return the loaded tool frame (n, 4, 4) in the root under commanded poses (n, 4, 4) in the root."""
+    q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded, start)
+    missed = np.abs(twist_between(pose, commanded)).max(axis=1) > _REACHED
+    if missed.any():
+        raise NotConvergedError("a commanded pose is out of reach", (begin + np.flatnonzero(missed)).tolist())
+    unloaded = pose if robot.geometry_is_nominal else None
+    try:
+        return elastostatics.deflect(robot, q, tool, wrench, guess=theta, unloaded=unloaded).pose
+    except NotConvergedError as cause:
+        raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
 
 
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:

@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -237,6 +239,36 @@ def test_unusable_program_exits_with_1_and_names_the_line(folder, content, messa
     assert done.exit_code == 1
     assert message in done.stderr
     assert "report it" not in done.stderr
+    assert not Path("corrected").exists()
+
+
+def _aggregate(joints: list[float]) -> str:
+    """Where the tool of the KR 270 cell stands at A1…A6 [deg], as KRL."""
+    from postproc import batch, kinematics
+    from postproc.frames import inverse, xyzabc_from_pose
+
+    cell, model = batch.load_setup(batch.Settings(Path(CELL_270)))
+    pose = kinematics.tcp(model.nominal, np.radians([joints]), cell.tool.pose())[0][0]
+    values = xyzabc_from_pose(inverse(cell.base.pose()) @ pose)
+    return "{" + ",".join(f"{name} {value:.5f}" for name, value in zip("XYZABC", values, strict=True)) + "}"
+
+
+@pytest.mark.parametrize(
+    ("moves", "line", "message"),
+    [
+        (["LIN {X 5000,Y 0,Z 0,A 180,B 0,C 180}"], 3, "out of reach"),
+        ([[0, -70, 110, 0, 30, 0], "PTP {A1 0,A2 10,A3 110,A4 0,A5 50,A6 0}"], 4, "A2 = 10.000° is outside its limits"),
+        ([[0, -70, 110, 0, 20, 0], [0, -70, 110, 0, -20, 0]], 4, "singularity"),
+    ],
+)
+def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(folder, moves, line, message):
+    texts = [f"LIN {_aggregate(move)}" if isinstance(move, list) else move for move in moves]
+    head = ["DEF part()", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 20,A6 0}"]
+    Path("part.src").write_text("\n".join([*head, *texts, "END", ""]))
+    done = _run("convert", "part.src", "--cell", CELL_270)
+    assert done.exit_code == 1
+    assert f"part.src:{line}" in done.stderr
+    assert re.search(message, done.stderr)
     assert not Path("corrected").exists()
 
 

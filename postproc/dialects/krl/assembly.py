@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from postproc.dialects.krl.geometry import circle, same_orientation
+from postproc.dialects.krl.geometry import circles, same_orientation
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.positions import EXTERNAL
-from postproc.dialects.krl.rows import Rows, of_moves
+from postproc.dialects.krl.rows import Rows
 from postproc.dialects.krl.sequence import Sequence, arc_points, follow
 from postproc.dialects.krl.settings import DEFAULT_SPEED, Settings, State
 from postproc.dialects.krl.source import Source
@@ -36,14 +36,14 @@ def assemble(
         is not what the controller could follow.
     """
     settings, statements = walker.settings, walker.moves
-    states, state_plain, state_moves = _states(settings, plain.line, statements)
-    others = of_moves(statements)
+    states, state_plain, state_moves = _states(settings, plain.line, statements.states)
+    others = statements.rows()
     place = np.searchsorted(plain.line, others.line) + np.arange(len(others))
     place_plain = np.delete(np.arange(len(plain) + len(others)), place)
     rows = plain.merged(others, place_plain, place)
     state = np.empty(len(rows), dtype=np.int64)
     state[place_plain], state[place] = state_plain, state_moves
-    moves = {row: move for row, move in zip(place.tolist(), statements, strict=True) if not move.plain}
+    moves = {int(place[index]): move for index, move in statements.special}
 
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
@@ -97,17 +97,17 @@ def assemble(
     return motions, layout, _assumptions(rows.line, missing, assumed, moves)
 
 
-def _states(settings: Settings, line: Ints, statements: list[Move]) -> tuple[list[State], Ints, Ints]:
+def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints]:
     """Return all states, and for plain lines and then statements which one is in force."""
     states = [state for _, state in settings.changes]
     changed = np.array([line for line, _ in settings.changes])
     index: dict[State, int] = {}
     own = []
-    for move in statements:
-        if move.state not in index:
-            index[move.state] = len(states)
-            states.append(move.state)
-        own.append(index[move.state])
+    for state in own_states:
+        if state not in index:
+            index[state] = len(states)
+            states.append(state)
+        own.append(index[state])
     return states, np.searchsorted(changed, line) - 1, np.array(own, dtype=np.int64)
 
 
@@ -167,20 +167,24 @@ def _check_orientation(source: Source, rows: Rows, states: list[State], state: I
 def _arcs(source: Source, chain: Sequence, moves: Mapping[int, Move], count: int) -> tuple[Array, Array, Array]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
     centre, normal, sweep = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
-    for row, move in moves.items():
-        if move.kind != CIRC:
-            continue
-        via, end = arc_points(move)
-        centre[row], axis, angle = circle(source, move.line, chain.start[row, :3, 3], via, end)
-        if move.angle is not None:
-            if not same_orientation(chain.start[row, :3, :3], chain.pose[row, :3, :3]):
-                raise source.line_error(
-                    "the orientation changes on a circle with CA: where it is reached is not certain",
-                    move.line,
-                    "Give the end of the arc as its end point, without CA.",
-                )
-            axis, angle = axis * np.sign(move.angle), abs(move.angle) * RAD_PER_DEG
-        normal[row], sweep[row] = axis, angle
+    rows = [row for row, move in moves.items() if move.kind == CIRC]
+    if not rows:
+        return centre, normal, sweep
+    points = [arc_points(moves[row]) for row in rows]
+    line = np.array([moves[row].line for row in rows])
+    via, end = (np.array([pair[k] for pair in points]) for k in (0, 1))
+    centre[rows], axis, angle = circles(source, line, chain.start[rows, :3, 3], via, end)
+    own = np.array([moves[row].angle or np.nan for row in rows]) * RAD_PER_DEG
+    given = ~np.isnan(own)
+    turning = given & ~same_orientation(chain.start[rows, :3, :3], chain.pose[rows, :3, :3])
+    if turning.any():
+        raise source.line_error(
+            "the orientation changes on a circle with CA: where it is reached is not certain",
+            int(line[turning][0]),
+            "Give the end of the arc as its end point, without CA.",
+        )
+    normal[rows] = np.where(given, np.sign(own), 1.0)[:, None] * axis
+    sweep[rows] = np.where(given, np.abs(own), angle)
     return centre, normal, sweep
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from postproc.decimals import Bytes
 from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, none
 from postproc.dialects.krl.source import Source
+from postproc.frames import Array
 from postproc.program import LIN, PTP, Bools, Ints
 
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
@@ -25,7 +26,7 @@ _NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 def _runs_of(number: str) -> re.Pattern[str]:
     """Return the expression for lines in sequence that are plain, with a given expression for their numbers."""
     components = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
-    components += [rf"[{name}{name.lower()}][ \t]++[0-9]{{1,2}}+" for name in "ST"]
+    components += [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
     line = (
         r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])[ \t]*+"
@@ -75,9 +76,7 @@ def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
     begins = source.starts[index] - shift
 
     digits = _digits(body)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # numpy's word for: not all of it is numbers
-        values = np.fromstring(digits.tobytes(), sep=" ")
+    values = _values(digits)
     number = digits != ord(" ")
     borders = np.flatnonzero(number[1:] != number[:-1]) + 1
     starts, stops = borders[0::2], borders[1::2]
@@ -124,6 +123,16 @@ def _digits(body: bytes) -> Bytes:
     return digits
 
 
+def _values(digits: Bytes) -> Array:
+    """Return the numbers in a text of numbers and blanks; none if one of them is no number."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # numpy before 2.4 stops at what it cannot read
+        try:
+            return np.fromstring(digits.tobytes(), sep=" ")
+        except ValueError:
+            return np.zeros(0)
+
+
 def _before(raw: Bytes, position: Ints) -> Ints:
     """Return the characters before each position, blanks skipped."""
     return raw[_skip_blanks(raw, position - 1, -1)].astype(np.int64)
@@ -131,11 +140,10 @@ def _before(raw: Bytes, position: Ints) -> Ints:
 
 def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
     """Return the first places from each position on, in the direction of `step`, that hold no blank."""
-    position = position.copy()
-    rows = np.flatnonzero(_BLANK[raw[position]])
-    while len(rows):
-        position[rows] += step
-        rows = rows[_BLANK[raw[position[rows]]]]
+    blank = _BLANK[raw[position]]
+    while blank.any():
+        position = position + (step * blank if not blank.all() else step)
+        blank = _BLANK[raw[position]]
     return position
 
 

@@ -6,35 +6,36 @@ import numpy as np
 
 from postproc.dialects.krl.source import Source
 from postproc.frames import RAD_PER_DEG, Array, rotation_from_vector
-from postproc.program import Bools
+from postproc.program import Bools, Ints
 
+_FLAT = 1e-9
+"""Three points whose triangle is lower than this, in its longest side, lie on a line."""
 _UNCHANGED = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
 
 
-def circle(source: Source, line: int, start: Array, via: Array, end: Array) -> tuple[Array, Array, float]:
-    """Return centre (3,), axis (3,) and angle > 0 [rad] of the arc from `start` through `via` to `end`, (3,) each [m].
+def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
+    """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
 
+    :param line: (n,) 1-based lines, for messages.
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
     a, b = via - start, end - start
+    aa, bb, cc = (np.einsum("ni,ni->n", v, v) for v in (a, b, b - a))
     cross = np.cross(a, b)
-    size = np.linalg.norm(cross)
-    if not size > 1e-9 * max(a @ a, b @ b, (b - a) @ (b - a)) or size == 0.0:
+    size = np.linalg.norm(cross, axis=1)
+    flat = np.flatnonzero(~(size > _FLAT * np.maximum(np.maximum(aa, bb), cc)))
+    if len(flat):
         raise source.line_error(
             "the three points of the circle lie on a line or coincide",
-            line,
+            int(line[flat[0]]),
             "Choose an auxiliary point well between start and end; for a full circle give CA.",
         )
-    to_centre = np.cross((a @ a) * b - (b @ b) * a, cross) / (2.0 * size**2)
-    centre, normal = start + to_centre, cross / size
-    return centre, normal, _angle(start - centre, end - centre, normal)
-
-
-def _angle(u: Array, v: Array, normal: Array) -> float:
-    """Return the angle from u to v about a unit normal, in (0, 2π)."""
-    angle = float(np.arctan2(np.cross(u, v) @ normal, u @ v))
-    return angle if angle > 0.0 else angle + 2.0 * np.pi
+    centre = start + np.cross(aa[:, None] * b - bb[:, None] * a, cross) / (2.0 * size**2)[:, None]
+    normal = cross / size[:, None]
+    u, v = start - centre, end - centre
+    angle = np.arctan2(np.einsum("ni,ni->n", np.cross(u, v), normal), np.einsum("ni,ni->n", u, v))
+    return centre, normal, np.where(angle > 0.0, angle, angle + 2.0 * np.pi)
 
 
 def turned(start: Array, centre: Array, normal: Array, angle: float) -> Array:

@@ -13,6 +13,7 @@ from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 CARTESIAN = ("X", "Y", "Z", "A", "B", "C")
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+_AXES = frozenset(AXES)
 _EXTERNAL = frozenset(EXTERNAL)
 _CARTESIAN_COMPONENTS = frozenset({*CARTESIAN, "S", "T", *EXTERNAL})
 _AXIS_COMPONENTS = frozenset({*AXES, *EXTERNAL})
@@ -63,7 +64,7 @@ def from_aggregate(aggregate: Aggregate) -> Position:
         out of range.
     """
     items = aggregate.items
-    axis = "A1" in items or (aggregate.tag in _AXIS_TAGS[1:]) or any(name in items for name in AXES)
+    axis = aggregate.tag in _AXIS_TAGS[1:] or not _AXES.isdisjoint(items)
     known, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
     if aggregate.tag not in tags:
         what = "an axis position" if axis else "a Cartesian position"

@@ -64,7 +64,7 @@ def read(
     others[plain.line - 1] = False
     walker.walk((np.flatnonzero(others) + 1).tolist())
     plain = _executed(source, walker, plain)
-    if not len(plain) and not walker.moves:
+    if not len(plain) and not len(walker.moves):
         raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
     motions, layout, assumptions = assemble(source, walker, plain, cell.start_joints, forward)
     issues = [*walker.issues, *assumptions]

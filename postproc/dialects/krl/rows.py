@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.positions import CARTESIAN
+from postproc.dialects.krl.settings import State
 from postproc.dialects.krl.syntax import Number
 from postproc.frames import Array
 from postproc.program import Bools, Ints
@@ -17,6 +18,7 @@ from postproc.program import Bools, Ints
 COLUMNS = (*CARTESIAN, "S", "T")
 """Components whose places in the text are kept."""
 Offsets = NDArray[np.int32]
+_BATCH = 1000
 NUMBERS = len(COLUMNS) + 6
 """Those and E1 … E6."""
 
@@ -62,11 +64,45 @@ class Rows:
         return Rows(*columns)
 
 
-def of_moves(moves: Sequence[Move]) -> Rows:
-    """Return statements as rows: the same, for a plain line, as the bulk path gives.
+class Collector:
+    """Takes statements one by one; keeps the plain ones as rows only.
 
-    Numbers of axis and relative targets are left out, except E1…E6.
+    :ivar states: what is in force at each.
+    :ivar special: (index, statement) of those that are not plain.
     """
+
+    def __init__(self) -> None:
+        self.states: list[State] = []
+        self.special: list[tuple[int, Move]] = []
+        self._waiting: list[Move] = []
+        self._done: list[Rows] = []
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def add(self, move: Move) -> None:
+        """Take the next statement."""
+        if not move.plain:
+            self.special.append((len(self.states), move))
+        self.states.append(move.state)
+        self._waiting.append(move)
+        if len(self._waiting) == _BATCH:
+            self._convert()
+
+    def _convert(self) -> None:
+        self._done.append(_of_moves(self._waiting))
+        self._waiting = []
+
+    def rows(self) -> Rows:
+        """Return all statements as rows: for a plain line the same as the bulk path gives.
+
+        Numbers of axis and relative targets are left out, except E1…E6.
+        """
+        self._convert()
+        return Rows(*(np.concatenate([getattr(rows, column.name) for rows in self._done]) for column in fields(Rows)))
+
+
+def _of_moves(moves: Sequence[Move]) -> Rows:
     numbers = np.full((len(moves), NUMBERS), np.nan)
     spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
     for row, move in enumerate(moves):
@@ -102,4 +138,4 @@ def _ints(values: Sequence[object]) -> Ints:
 
 def none() -> Rows:
     """Return no motions."""
-    return of_moves([])
+    return _of_moves([])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.dialects.krl.geometry import circle, turned
+from postproc.dialects.krl.geometry import circles, turned
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.source import Source
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
@@ -164,14 +164,15 @@ class _Follower:
     def _arc_end(self, move: Move, start: Array) -> Array:
         """Return where a circle with CA ends (3,) [m]."""
         via, end = arc_points(move)
-        centre, normal, _ = circle(self.source, move.line, start, via, end)
-        return turned(start, centre, normal, (move.angle or 0.0) * RAD_PER_DEG)
+        line = np.array([move.line])
+        centre, normal, _ = circles(self.source, line, start[None], via[None], end[None])
+        return turned(start, centre[0], normal[0], (move.angle or 0.0) * RAD_PER_DEG)
 
 
 def arc_points(move: Move) -> tuple[Array, Array]:
     """Return auxiliary and end point of a CIRC statement as written, (3,) each [m]."""
-    via, end = (np.array(p.position.values[:3]) * M_PER_MM if p else np.full(3, np.nan) for p in (move.via, move.end))
-    return via, end
+    via = np.array(move.via.position.values[:3]) if move.via else np.full(3, np.nan)
+    return via * M_PER_MM, np.array(move.end.position.values[:3]) * M_PER_MM
 
 
 def follow(

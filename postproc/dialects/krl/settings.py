@@ -72,6 +72,7 @@ class Settings:
         self.bases: list[Array] = [cell.base.pose()]
         self.tools: list[Array] = [cell.tool.pose()]
         self.reasons: list[ProgramError] = []
+        self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
 
     def change(self, line: int, state: State) -> None:
         """Put a state into force behind a line."""
@@ -158,11 +159,14 @@ class Settings:
         return Position(tuple(values))
 
     def _put(self, state: State, name: str, position: Position) -> State:
-        frames = self.bases if name == "$BASE" else self.tools
-        pose = position.pose()
-        row = next((row for row, known in enumerate(frames) if np.abs(known - pose).max() < _SAME), len(frames))
-        if row == len(frames):
-            frames.append(pose)
+        row = self._rows.get((name, position.values))
+        if row is None:
+            frames = self.bases if name == "$BASE" else self.tools
+            pose = position.pose()
+            row = next((row for row, known in enumerate(frames) if np.abs(known - pose).max() < _SAME), len(frames))
+            if row == len(frames):
+                frames.append(pose)
+            self._rows[name, position.values] = row
         return state._replace(base=row) if name == "$BASE" else state._replace(tool=row)
 
     def _unknown(self, state: State, name: str, line: int, why: str) -> State:

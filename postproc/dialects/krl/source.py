@@ -15,13 +15,14 @@ from postproc.program import Document, Ints
 class Source:
     """A document and where its lines are.
 
-    :param document: the file.
+    :param document: the file; `text` is its content.
     :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind its last character, the line end not included.
     """
 
     document: Document
+    text: str
     index: int
     starts: Ints
     stops: Ints
@@ -30,12 +31,7 @@ class Source:
     def of(cls, document: Document, index: int) -> Source:
         """Return the document with its lines."""
         starts, stops = line_spans(document.text)
-        return cls(document, index, starts, stops)
-
-    @property
-    def text(self) -> str:
-        """Content of the file."""
-        return self.document.text
+        return cls(document, document.text, index, starts, stops)
 
     def line_at(self, offset: int) -> int:
         """Return the 1-based line that holds an offset."""

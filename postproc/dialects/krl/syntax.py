@@ -26,7 +26,6 @@ _STRING = re.compile(r'"[^"]*"')
 _ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
 _INDEX = re.compile(r"[ \t]*\[([^\]]*)\]")
 _FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
-_BLANK = re.compile(r"[ \t]*")
 _OPERATORS = "+-*/<>=&|"
 
 
@@ -111,12 +110,12 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
     text = source.text
-    value, end = operand(source, _skip(text, start, stop), stop)
+    value, end = operand(source, start, stop)
     after = _skip(text, end, stop)
     if after < stop and text[after] == ":":
         operands: list[Value] = [value]
         while after < stop and text[after] == ":":
-            value, end = operand(source, _skip(text, after + 1, stop), stop)
+            value, end = operand(source, after + 1, stop)
             operands.append(value)
             after = _skip(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
@@ -126,13 +125,15 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
 
 
 def _skip(text: str, start: int, stop: int) -> int:
-    match = _BLANK.match(text, start, stop)
-    return match.end() if match else start
+    while start < stop and text[start] in " \t":
+        start += 1
+    return start
 
 
 def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
     """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind."""
     text = source.text
+    start = _skip(text, start, stop)
     if start >= stop:
         raise source.error("a value is missing", min(start, len(text) - 1))
     first = text[start]

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 
-from postproc.dialects.krl.moves import KINDS, Move, MoveReader
+from postproc.dialects.krl.moves import KINDS, MoveReader
 from postproc.dialects.krl.names import NAME, OPENING, TYPES, WITHOUT_MOTION, fault_of, words
+from postproc.dialects.krl.rows import Collector
 from postproc.dialects.krl.settings import RELEVANT, Settings
 from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.syntax import Call, Reference, operand, parse
 from postproc.dialects.krl.variables import Unknown
 from postproc.errors import Issue, ProgramError
 
-_DEF = re.compile(r"(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
+_DEF = re.compile(r"(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)", re.I | re.A)
 _MOTION = frozenset(KINDS) | {f"{word}_REL" for word in KINDS}
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _SPLINES = frozenset({"SPLINE", "PTP_SPLINE", "SPL", "SPL_REL"})
@@ -20,6 +21,8 @@ _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
 _DO = re.compile(r"\bDO\b[ \t]*", re.I)
 _CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.A)
 _EFFECT = re.compile(r"\$(?:BASE|TOOL|VEL|APO|ORI_TYPE|CIRC_TYPE|IPO_MODE)\b|\bBAS[ \t]*\(", re.I)
+_UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
+"""A declaration without DECL: type and name."""
 _EQUALS = re.compile(r"[ \t]*=(?!=)")
 _LABEL = re.compile(r"[ \t]*:[ \t]*$")
 _KNOWN_CALLS = words(
@@ -43,7 +46,7 @@ class Walker:
     def __init__(self, source: Source, settings: Settings, moves: MoveReader, name: str) -> None:
         self.source, self.settings, self.variables = source, settings, settings.variables
         self.reader, self.name = moves, name
-        self.moves: list[Move] = []
+        self.moves = Collector()
         self.blocked: list[tuple[int, int, str]] = []
         self.triggers: list[int] = []
         self.issues: list[Issue] = []
@@ -156,7 +159,7 @@ class Walker:
             raise self.misplaced(line, "RETURN", self._returned)
         move = self.reader.read(line, word, start, stop)
         if move is not None:
-            self.moves.append(move)
+            self.moves.add(move)
 
     def misplaced(self, line: int, opener: str, opened: int) -> ProgramError:
         """Return the error for a motion inside a control structure or behind RETURN."""
@@ -255,7 +258,7 @@ class Walker:
                         self.variables.forget(name.upper(), line)
         elif isinstance(target, Reference) and _LABEL.match(text, position, stop):
             return
-        elif isinstance(target, Reference) and NAME.match(text, start) and NAME.match(text[position:stop].lstrip()):
+        elif _UNDECLARED.match(text, start, stop):
             self._declare(start, stop)
         else:
             raise self.source.line_error("the statement is not understood", line, "Check its spelling.")

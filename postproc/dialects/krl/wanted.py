@@ -44,8 +44,8 @@ class Wanted:
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
         """Return the numbers of a target as printed, by component."""
-        numbers, decimals, least = self.numbers[k], self.decimals[k], self.least[k]
-        return {CARTESIAN[c]: printed(numbers[c], int(decimals[c]), int(least[c])) for c in columns}
+        numbers, decimals, least = self.numbers[k].tolist(), self.decimals[k].tolist(), self.least[k].tolist()
+        return {CARTESIAN[c]: printed(numbers[c], decimals[c], least[c]) for c in columns}
 
     def via_texts(self, k: int) -> dict[str, str]:
         """Return X, Y, Z of the auxiliary point of a target as printed; empty if it has none."""
