@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -243,6 +244,18 @@ def test_an_interrupt_while_writing_leaves_nothing_and_is_passed_on(folder, comp
     with pytest.raises(KeyboardInterrupt):
         list(convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL)))
     assert list(Path("out").iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a POSIX signal")
+def test_an_interrupt_while_writing_waits_for_the_program_to_be_whole(folder, computed, monkeypatch):
+    _touch("a.nc", "b.nc")
+    monkeypatch.setattr("os.fsync", lambda _: signal.raise_signal(signal.SIGINT))
+    outcomes = convert_all(find_jobs(["a.nc", "b.nc"], output=Path("out")), Settings(CELL))
+    assert len(next(outcomes).written) == 4
+    with pytest.raises(KeyboardInterrupt):
+        next(outcomes)
+    assert {path.name.split(".")[0] for path in Path("out").iterdir()} == {"a", "part"}
+    assert len(list(Path("out").iterdir())) == 4
 
 
 def test_an_unusable_cell_is_one_error_for_all(folder):

@@ -366,4 +366,4 @@ def test_an_interrupt_leaves_whole_programs_or_nothing_and_no_traceback(folder, 
     stems = {name.split(".")[0] for name in names}
     assert 0 < len(stems) < count
     assert names == {stem + end for stem in stems for end in (".src", ".report.json", ".targets.csv", ".report.html")}
-    assert f"of {count} programs are written" in stderr
+    assert f"Interrupted: {len(stems)} of {count} programs are written" in stderr

@@ -1,0 +1,49 @@
+"""What is to be done with the programs of a batch, and what came of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from postproc.errors import Issue
+from postproc.pipeline import Mode
+from postproc.report import Summary
+
+GOOD, FAILED, EXCEEDED = 0, 1, 3
+"""Exit codes of one program."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What is to be done with every program of a batch.
+
+    :param cell: cell file.
+    :param mode: see `pipeline.process`.
+    :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
+    :param linearize_arcs: write arcs as lines.
+    """
+
+    cell: Path
+    mode: Mode = "convert"
+    tolerance_mm: float | None = None
+    linearize_arcs: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one program.
+
+    :param program: its file as the user named it.
+    :param code: 0 good, 1 nothing was written, 3 written but a stated tolerance is exceeded.
+    :param summary: content of `report.json`; None if nothing was written.
+    :param message: why nothing was written, where that is not told by `issues`.
+    :param issues: what stands against the program, where it was read but not written.
+    :param written: files written.
+    """
+
+    program: str
+    code: int
+    summary: Summary | None = None
+    message: str = ""
+    issues: tuple[Issue, ...] = ()
+    written: tuple[str, ...] = ()
