@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
@@ -35,14 +36,14 @@ class Compensation:
     """Corrected commands of N targets, converged.
 
     :param q: (N, 6) joint angles that the controller will hold [rad].
-    :param pose: (N, 4, 4) commanded tool frame in the robot root, by the nominal geometry [m].
-    :param jacobian: (N, 6, 6) of the nominal geometry there.
+    :param pose: (N, 4, 4) commanded tool frame by the nominal geometry [m]; from `compensate` in the robot root.
+    :param jacobian: (N, 6, 6) of the nominal geometry there, root axes, in single precision.
     :param theta: (N, nv) deflections of the springs at the target [rad, m].
     """
 
     q: Array
     pose: Array
-    jacobian: Array
+    jacobian: NDArray[np.float32]
     theta: Array
 
     def at(self, rows: Ints) -> Compensation:
@@ -55,7 +56,7 @@ class Compensation:
 def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
     """Return joint angles (N, 6) as commands without any correction."""
     pose, jacobian = kinematics.tcp(robot.nominal, q, tool)
-    return Compensation(q, pose, jacobian, np.zeros((len(q), robot.actual.nv)))
+    return Compensation(q, pose, jacobian.astype(np.float32), np.zeros((len(q), robot.actual.nv)))
 
 
 def compensate(
@@ -71,11 +72,13 @@ def compensate(
     :param run: where the chunks are worked on.
     :raises NotConvergedError: some target cannot be held; `rows` says which.
     """
-    chunks = [
-        (robot, begin, target[rows], q_nominal[rows], tool if tool.ndim == 2 else tool[rows], wrench[rows])
-        for begin, rows in slices(len(target))
-    ]
-    parts = run(_compensate_chunk, chunks)
+
+    def chunk(index: int) -> tuple[object, ...]:
+        rows = chunk_rows(index)
+        part = tool if tool.ndim == 2 else tool[rows]
+        return robot, rows.start, target[rows], q_nominal[rows], part, wrench[rows]
+
+    parts = run(_compensate_chunk, chunk_count(len(target)), chunk)
     return Compensation(
         q=np.concatenate([part.q for part in parts]),
         pose=np.concatenate([part.pose for part in parts]),
@@ -84,9 +87,14 @@ def compensate(
     )
 
 
-def slices(count: int) -> list[tuple[int, slice]]:
-    """Return begin and slice of chunks that fit the cache; one, empty, for no rows."""
-    return [(begin, slice(begin, begin + _CHUNK)) for begin in range(0, max(count, 1), _CHUNK)]
+def chunk_count(count: int) -> int:
+    """Return how many chunks that fit the cache `count` rows make; one, empty, for none."""
+    return max(1, -(-count // _CHUNK))
+
+
+def chunk_rows(index: int) -> slice:
+    """Return the rows of a chunk."""
+    return slice(index * _CHUNK, (index + 1) * _CHUNK)
 
 
 def _compensate_chunk(
@@ -97,7 +105,7 @@ def _compensate_chunk(
     except NotConvergedError as cause:
         raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
     pose, jacobian = kinematics.tcp(robot.nominal, q, tool)
-    return Compensation(q, pose, jacobian, theta)
+    return Compensation(q, pose, jacobian.astype(np.float32), theta)
 
 
 def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:

@@ -191,6 +191,7 @@ class Program:
     :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
     :param notes: force comments in order of their lines.
     :param events: what a G-code program does besides moving, in order (KRL keeps its text instead).
+    :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
     :param layout: what only the dialect that read the program understands (KRL: where its numbers stand).
     """
@@ -203,6 +204,7 @@ class Program:
     tools: Array
     notes: tuple[ForceNote, ...] = ()
     events: tuple[Event, ...] = ()
+    still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
     layout: object = field(default=None, repr=False)
 

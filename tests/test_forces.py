@@ -95,6 +95,14 @@ def test_csv_row_wins_over_the_comment_for_its_lines(tmp_path):
     np.testing.assert_allclose(along(made, 2, 50, rows), [100, 0, 0, 0, 0, 0])
 
 
+def test_a_row_for_a_move_that_goes_nowhere_is_no_error(tmp_path):
+    from dataclasses import replace
+
+    made = replace(program(SQUARE), still=np.array([77]))
+    rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n2,1,0,0\n77,1,0,0\n"))
+    assert forces.per_motion(made, rows).wrench[:, 0].tolist() == [0, 1, 0, 0]
+
+
 def test_cutting_moves_without_a_force_are_counted():
     load = forces.per_motion(program(SQUARE), None)
     (issue,) = load.issues

@@ -125,7 +125,7 @@ def per_motion(program: Program, rows: ForceRows | None) -> MotionForces:
 
 def _check_rows(program: Program, rows: ForceRows) -> None:
     """Every row must name at least one line on which a motion starts."""
-    lines = np.sort(program.motions.line)
+    lines = np.sort(np.concatenate([program.motions.line, program.still]))
     empty = np.searchsorted(lines, rows.first, side="left") == np.searchsorted(lines, rows.last, side="right")
     bad = np.flatnonzero(empty)
     if len(bad):

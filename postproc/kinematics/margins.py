@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from postproc.frames import Array
 from postproc.robot import RobotModel
@@ -15,7 +16,7 @@ def joint_margin(robot: RobotModel, q: Array) -> Array:
     return np.minimum(q - robot.lower, robot.upper - q)
 
 
-def smallest_singular_value(jacobian: Array) -> float:
+def smallest_singular_value(jacobian: NDArray[np.floating]) -> float:
     """Return the smallest singular value of all square Jacobians (N, 6, 6): metres and radians per radian.
 
     Along a dense path it changes slowly: of more than some ten thousand rows only every n-th is decomposed at first,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
-from postproc.compensation import Compensation, compensate, slices, uncorrected
+from postproc.compensation import Compensation, chunk_count, chunk_rows, compensate, uncorrected
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
@@ -56,7 +56,10 @@ class _BlockedError(PostprocError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sampled:
-    """The nominal path with its forces and joint angles, and the commands found for it. Row i: sample i."""
+    """The nominal path with its forces and joint angles, and the commands found for it. Row i: sample i.
+
+    Poses, those of `command` too, are in `$BASE`.
+    """
 
     path: Segments
     load: MotionForces
@@ -64,7 +67,6 @@ class _Sampled:
     wrench: Array
     joints: JointPath
     command: Compensation
-    command_in_base: Array
 
 
 def process(
@@ -96,7 +98,7 @@ def process(
     except _BlockedError as cause:
         return _nothing(program, robot, mode, cause.issue)
     issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
-    moved = np.abs(twist_between(sampled.sample.pose, sampled.command_in_base)).max(axis=1)
+    moved = np.abs(twist_between(sampled.sample.pose, sampled.command.pose)).max(axis=1)
     if mode == "predict":
         targets, row = _targets(program, place, sampled, moved, np.ones(len(program.motions), dtype=bool), False)
         written = Written((), program.motions.line[targets.motion])
@@ -173,20 +175,17 @@ def _sample(
     except UnreachableError as cause:
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
         raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
-    in_base = sample.pose
     if mode != "convert":
-        command = uncorrected(place.robot, joints.q, place.tool(program, motion))
-    else:
-        movable = np.isnan(m.joints[motion, 0])
-        try:
-            command = _compensated(program, place, sample, wrench, joints, movable, run)
-        except NotConvergedError as cause:
-            message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
-            rows_at = np.flatnonzero(movable)[list(cause.rows)]
-            raise _BlockedError(_at_rows("not-converged", message, program, motion[rows_at])) from None
-        in_base = sample.pose.copy()
-        in_base[movable] = place.back(program, motion[movable], command.pose[movable])
-    return _Sampled(path, load, sample, wrench, joints, command, in_base)
+        command = replace(uncorrected(place.robot, joints.q, place.tool(program, motion)), pose=sample.pose)
+        return _Sampled(path, load, sample, wrench, joints, command)
+    movable = np.isnan(m.joints[motion, 0])
+    try:
+        command = _compensated(program, place, sample, wrench, joints, movable, run)
+    except NotConvergedError as cause:
+        message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
+        rows_at = np.flatnonzero(movable)[list(cause.rows)]
+        raise _BlockedError(_at_rows("not-converged", message, program, motion[rows_at])) from None
+    return _Sampled(path, load, sample, wrench, joints, command)
 
 
 def _at_rows(kind: str, message: str, program: Program, motion: Ints) -> Issue:
@@ -208,9 +207,11 @@ def _compensated(
         place.wrench(program, motion, wrench[movable]),
         run,
     )
+    solved = replace(solved, pose=place.back(program, motion, solved.pose))
     if movable.all():
         return solved
     out = uncorrected(place.robot, joints.q.copy(), place.tool(program, sample.motion))
+    out = replace(out, pose=sample.pose.copy())
     for whole, part in (
         (out.q, solved.q), (out.pose, solved.pose), (out.jacobian, solved.jacobian), (out.theta, solved.theta)
     ):  # fmt: skip
@@ -221,8 +222,8 @@ def _compensated(
 def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     """Return the issues of the path as commanded."""
     robot, sample, q = place.robot, sampled.sample, sampled.command.q
-    flange = toolpath.flange_from_tcp(program, sample.motion, sampled.command_in_base)
-    position = sampled.command_in_base[:, :3, 3]
+    flange = toolpath.flange_from_tcp(program, sample.motion, sampled.command.pose)
+    position = sampled.command.pose[:, :3, 3]
     correction = np.linalg.norm(position - sample.pose[:, :3, 3], axis=1)
     return [
         *checks.joint_limits(program, robot, sample, q),
@@ -247,10 +248,10 @@ def _targets(
 ) -> tuple[Targets, Ints]:
     """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
-    end = sampled.command_in_base[sample.ends]
+    end = sampled.command.pose[sample.ends]
     start = toolpath.starts(program, end, place.start_flange)[:, :3, 3]
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    position = sampled.command_in_base[:, :3, 3]
+    position = sampled.command.pose[:, :3, 3]
     chosen = select.choose(
         program, sampled.path, kind, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole
     )
@@ -262,7 +263,7 @@ def _targets(
     via[arcs] = position[via_row[arcs]]
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
     keep = whole[motion] & (program.dialect == "krl")
-    return Targets(motion, sample.t[row], target_kind, sampled.command_in_base[row], via, keep, status, turn), row
+    return Targets(motion, sample.t[row], target_kind, sampled.command.pose[row], via, keep, status, turn), row
 
 
 def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:
@@ -290,31 +291,34 @@ def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints, 
     nominal = sampled.sample.pose[row]
     tool, wrench = place.tool(program, motion), place.wrench(program, motion, sampled.wrench[row])
     unloaded = place.pose(program, motion, nominal) if place.robot.geometry_is_nominal else None
-    chunks = [
-        (
+
+    def chunk(index: int) -> tuple[object, ...]:
+        rows = chunk_rows(index)
+        at = row[rows]
+        return (
             place.robot,
-            sampled.joints.q[row[rows]],
+            sampled.joints.q[at],
             tool if tool.ndim == 2 else tool[rows],
             wrench[rows],
-            sampled.command.theta[row[rows]],
+            sampled.command.theta[at],
             None if unloaded is None else unloaded[rows],
             place.rest_is_nominal,
         )
-        for _, rows in slices(len(row))
-    ]
-    parts = run(_deflected, chunks)
-    tip, rest = (place.back(program, motion, np.concatenate([part[i] for part in parts]))[:, :3, 3] for i in (0, 1))
+
+    parts = run(_deflected, chunk_count(len(row)), chunk)
+    tip, rest = (place.points_back(program, motion, np.concatenate([part[i] for part in parts])) for i in (0, 1))
     return np.linalg.norm(tip - nominal[:, :3, 3], axis=1), tip - rest
 
 
 def _deflected(
     robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array, unloaded: Array | None, rest_is_nominal: bool
 ) -> tuple[Array, Array]:
-    """Return the tool frame (n, 4, 4) in the root under the wrench, and without it."""
+    """Return the tip (n, 3) in the root under the wrench, and without it [m]."""
     loaded = elastostatics.deflect(robot, q, tool, wrench, guess=guess, unloaded=unloaded)
-    if rest_is_nominal:
-        return loaded.pose, loaded.rest
-    return loaded.pose, elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), unloaded=unloaded).pose
+    rest = loaded.rest
+    if not rest_is_nominal:
+        rest = elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), unloaded=unloaded).pose
+    return loaded.pose[:, :3, 3], rest[:, :3, 3]
 
 
 def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:

@@ -75,6 +75,11 @@ class InRoot:
         """Return poses (n, 4, 4) in `$BASE` of their motions of poses in the root."""
         return np.asarray(inverse(self._base(program, motion)) @ pose_in_root)
 
+    def points_back(self, program: Program, motion: Ints, point_in_root: Array) -> Array:
+        """Return points (n, 3) in `$BASE` of their motions of points in the root [m]."""
+        base = self._base(program, motion)
+        return np.asarray(((point_in_root - base[..., :3, 3])[:, None] @ base[..., :3, :3])[:, 0])
+
     def wrench(self, program: Program, motion: Ints, wrench_in_base: Array) -> Array:
         """Return wrenches (n, 6) in root axes of wrenches in `$BASE` axes."""
         rotation = self._base(program, motion)[..., :3, :3]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
-from postproc.compensation import Compensation, slices
+from postproc.compensation import Compensation, chunk_count, chunk_rows
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError
 from postproc.forces import MotionForces
@@ -67,7 +67,8 @@ def simulate(
     :param targets: what was to be written (K rows).
     :param written: the written program as read back.
     :param place: robot, cell and start.
-    :param command: the K commands as computed: where the search for those of the text begins, and its branch.
+    :param command: the K commands as computed: where the search for those of the text begins, and its branch;
+        poses in `$BASE`.
     :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
@@ -117,21 +118,21 @@ def _tips(
     commanded = place.pose(program, motion, printed)
     force = place.wrench(program, motion, wrench)
     tool = place.tool(program, motion)
-    chunks = []
-    for begin, rows in slices(len(index)):
-        at = index[rows]
+
+    def chunk(number: int) -> tuple[object, ...]:
+        rows = chunk_rows(number)
+        at, inner = index[rows], share[rows] < 1.0
         near = command.at(at)
-        start: tuple[Array, Array] | None = (near.pose, near.jacobian)
-        inner = share[rows] < 1.0
         q = near.q
+        start: tuple[Array, Array] | None = (place.pose(program, motion[rows], near.pose), near.jacobian.astype(float))
         if inner.any():  # between targets: begin between the joint angles of both
             behind = command.q[np.maximum(at - 1, 0)]
             q = np.where(inner[:, None], share[rows, None] * q + (1.0 - share[rows, None]) * behind, q)
             start = None
         part = tool if tool.ndim == 2 else tool[rows]
-        chunks.append((place.robot, begin, commanded[rows], part, force[rows], q, start, near.theta))
-    tip = np.concatenate(run(_tip, chunks))
-    return place.back(program, motion, tip)[:, :3, 3]
+        return place.robot, rows.start, commanded[rows], part, force[rows], q, start, near.theta
+
+    return place.points_back(program, motion, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
 
 
 def _tip(
@@ -144,14 +145,14 @@ def _tip(
     start: tuple[Array, Array] | None,
     theta: Array,
 ) -> Array:
-    """Return the loaded tool frame (n, 4, 4) in the root under commanded poses (n, 4, 4) in the root."""
+    """Return the loaded tip (n, 3) in the root [m] under commanded poses (n, 4, 4) in the root."""
     q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded, start)
     missed = np.abs(twist_between(pose, commanded)).max(axis=1) > _REACHED
     if missed.any():
         raise NotConvergedError("a commanded pose is out of reach", (begin + np.flatnonzero(missed)).tolist())
     unloaded = pose if robot.geometry_is_nominal else None
     try:
-        return elastostatics.deflect(robot, q, tool, wrench, guess=theta, unloaded=unloaded).pose
+        return elastostatics.deflect(robot, q, tool, wrench, guess=theta, unloaded=unloaded).pose[:, :3, 3]
     except NotConvergedError as cause:
         raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
 

@@ -90,6 +90,7 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         tools=tool[None],
         notes=notes,
         events=_events(path, modes, comments),
+        still=path.still + 1,
         issues=(*_issues(path, modes), *modes.issues),
     )
 

@@ -1,0 +1,76 @@
+"""Work on the chunks of one large array in two places at once: here and in a helper process."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from multiprocessing import get_context
+from typing import Any, Protocol, TypeVar
+
+T = TypeVar("T")
+
+_AHEAD = 2
+"""Chunks that wait at the helper, so that it never does."""
+
+
+class Run(Protocol):
+    """Calls a function for chunk 0…count − 1 of its arguments and returns the results in order."""
+
+    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+        """Call `function(*chunk(i))` for each i; a chunk is made only when it is its turn."""
+        ...
+
+
+def here(function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+    """Work on one chunk after the other in this process."""
+    return [function(*chunk(index)) for index in range(count)]
+
+
+def shared(helper: Executor) -> Run:
+    """Return a `Run` that works from the front in this process while `helper` works from the back.
+
+    The function and its arguments must be picklable. An exception of any chunk is raised here; if the helper dies, its
+    chunks are worked on here.
+    """
+
+    def run(function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+        front: list[T] = []
+        waiting: list[Future[T]] = []
+        last = count
+        while len(front) < last:
+            while sum(not future.done() for future in waiting) < _AHEAD and len(front) + 1 < last:
+                last -= 1
+                waiting.append(helper.submit(function, *chunk(last)))
+            front.append(function(*chunk(len(front))))
+        try:
+            return front + [future.result() for future in reversed(waiting)]
+        except BrokenExecutor:
+            return front + [function(*chunk(index)) for index in range(last, count)]
+
+    return run
+
+
+@contextmanager
+def helper_process(module: str, *, wanted: bool) -> Iterator[Run]:
+    """Start a helper process that gets ready while this one goes on; without one if not wanted or on one core.
+
+    :param module: what the helper imports first: the slow part of its start.
+    """
+    if not wanted or (os.cpu_count() or 1) < 2:
+        yield here
+        return
+    helper = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_import, initargs=(module,))
+    helper.submit(int)  # a pool starts its process with its first task
+    try:
+        yield shared(helper)
+    finally:
+        helper.shutdown(wait=False, cancel_futures=True)
+
+
+def _import(module: str) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
+    import_module(module)
