@@ -54,9 +54,8 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel, *, 
 
     Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
 
-    :raises Interrupted: an interrupt came while the files were written; they are whole.
-
     :param alone: no other program is worked on meanwhile: a large one may use a second core.
+    :raises Interrupted: an interrupt came while the files were written; they are whole.
     """
     try:
         return _converted(job, settings, cell, robot, alone)

@@ -46,7 +46,11 @@ def convert_all(
         yield from _in_processes(jobs, settings, min(workers, len(jobs)))
     else:
         for job in jobs:
-            yield convert_one(job, settings, cell, robot, alone=True)
+            try:
+                yield convert_one(job, settings, cell, robot, alone=True)
+            except Interrupted as cause:
+                yield cause.outcome
+                raise
 
 
 @lru_cache(maxsize=1)
