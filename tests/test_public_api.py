@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import postproc
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_every_public_name_is_there():
+    assert sorted(postproc.__all__) == list(postproc.__all__)
+    assert all(getattr(postproc, name) is not None for name in postproc.__all__)
+    assert set(postproc.__all__) <= set(dir(postproc))
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'undo'"):
+        _ = postproc.undo
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = "import sys, postproc; print(sorted({'numpy', 'scipy', 'pinocchio', 'msgspec', 'click'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_ten_lines_correct_a_program():
+    cell = postproc.load_cell(ROOT / "samples" / "cell_kr270.toml")
+    robot = postproc.load_robot(cell.robot, cell.folder)
+    program = postproc.read_program(ROOT / "samples" / "pocket.nc", robot, cell)
+    result = postproc.process(program, robot, cell)
+    assert result.before.max() > 1e-4
+    assert result.after.max() < 1e-6
+    assert result.documents[0].name == "pocket.src"
+    assert postproc.summary(result)["improvement"]["rms"] > 100.0
