@@ -256,6 +256,12 @@ def follow(
     return JointPath(q, branch)
 
 
+def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints, near: Array) -> Array:
+    """Return joint angles (N, 6) of poses on given branches, in the turns nearest to `near` (N, 6); NaN out of reach."""
+    angles = closed_form(robot).branches(pose_flange_in_root)[np.arange(len(branch)), branch]
+    return np.asarray(angles + _TURN * np.round((near - angles) / _TURN))
+
+
 def _slot(robot: RobotModel, candidates: Array, slot: int, status: int) -> int:
     if status < 0:
         return slot

@@ -116,7 +116,16 @@ def process(
     if written.documents:
         again = verify.read_back(written, place, program.name)
         simulated = verify.simulate(
-            program, sampled.path, sampled.load, targets, again, place, chosen, run, corrected=mode == "convert"
+            program,
+            sampled.path,
+            sampled.load,
+            targets,
+            again,
+            place,
+            chosen,
+            sampled.joints.branch[row],
+            run,
+            corrected=mode == "convert",
         )
         after, between = simulated.after, simulated.between
         issues += simulated.issues

@@ -57,6 +57,7 @@ def simulate(
     written: Program,
     place: InRoot,
     command: Compensation,
+    branch: Ints,
     run: Run,
     *,
     corrected: bool,
@@ -69,6 +70,7 @@ def simulate(
     :param place: robot, cell and start.
     :param command: the K commands as computed: where the search for those of the text begins, and its branch;
         poses in `$BASE`.
+    :param branch: (K,) branch of the inverse kinematics of each.
     :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
@@ -83,10 +85,9 @@ def simulate(
     t = begin[index] + share * (targets.t - begin)[index]
     t = np.where(share == 1.0, targets.t[index], t)
     nominal = toolpath.at(program, path, targets.motion[index], t)
-    printed = toolpath.at(written, written_path, row[index], share)
     wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
     try:
-        tip = _tips(place, program, nominal.motion, printed.pose, wrench, command, index, share, run)
+        tip = _tips(place, written, written_path, row, wrench, command, branch, index, share, run)
     except NotConvergedError as cause:
         line = int(program.motions.line[nominal.motion[cause.rows[0]]])
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
@@ -105,34 +106,36 @@ def simulate(
 
 def _tips(
     place: InRoot,
-    program: Program,
-    motion: Ints,
-    printed: Array,
+    written: Program,
+    path: Segments,
+    row: Ints,
     wrench: Array,
     command: Compensation,
+    branch: Ints,
     index: Ints,
     share: Array,
     run: Run,
 ) -> Array:
-    """Return where the loaded tip stands (n, 3), `$BASE` [m], under commanded poses `printed` (n, 4, 4), `$BASE`."""
-    commanded = place.pose(program, motion, printed)
-    force = place.wrench(program, motion, wrench)
-    tool = place.tool(program, motion)
+    """Return where the loaded tip stands (n, 3), `$BASE` [m], at shares (n,) of the runs to targets `index` (n,)."""
+    motion = row[index]
+    force = place.wrench(written, motion, wrench)
+    tool = place.tool(written, motion)
 
     def chunk(number: int) -> tuple[object, ...]:
         rows = chunk_rows(number)
-        at, inner = index[rows], share[rows] < 1.0
-        near = command.at(at)
+        near = command.at(index[rows])
+        printed = toolpath.at(written, path, motion[rows], share[rows]).pose
+        commanded = place.pose(written, motion[rows], printed)
         q = near.q
-        start: tuple[Array, Array] | None = (place.pose(program, motion[rows], near.pose), near.jacobian.astype(float))
-        if inner.any():  # between targets: begin between the joint angles of both
-            behind = command.q[np.maximum(at - 1, 0)]
-            q = np.where(inner[:, None], share[rows, None] * q + (1.0 - share[rows, None]) * behind, q)
+        start: tuple[Array, Array] | None = (place.pose(written, motion[rows], near.pose), near.jacobian.astype(float))
+        if (share[rows] < 1.0).any():  # between targets the joint angles are not known yet
+            flange = toolpath.flange_from_tcp(written, motion[rows], printed)
+            q = kinematics.on_branch(place.robot, flange, branch[index[rows]], q)
             start = None
         part = tool if tool.ndim == 2 else tool[rows]
-        return place.robot, rows.start, commanded[rows], part, force[rows], q, start, near.theta
+        return place.robot, rows.start, commanded, part, force[rows], q, start, near.theta
 
-    return place.points_back(program, motion, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
+    return place.points_back(written, motion, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
 
 
 def _tip(
