@@ -23,8 +23,8 @@ from postproc.identification.placement import Placement
 from postproc.robot import BASE, JOINTS, LINK_AXES, RobotModel
 
 _FOLDS = 10
-_RIDGES = (0.003, 0.03, 0.1)
-_TORQUE_STEPS = (0.1, 0.3, 1.0, 3.0)
+_RIDGES = (0.001, 0.003, 0.01, 0.03)
+_TORQUE_STEPS = (0.2, 0.6, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def _along(robot: RobotModel) -> set[str]:
 
 
 def gear_names(robot: RobotModel, data: Measurements) -> list[str]:
-    """Return the fading parts of the gears, at a tenth to three times the largest torque measured on the joint."""
+    """Return the fading parts of the gears, at a fifth to twice the largest torque measured on the joint."""
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     return [
         f"{name}@{float(f'{step * torque:.2g}'):g}"

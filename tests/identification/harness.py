@@ -1,0 +1,42 @@
+"""From the simulator to the identification without rewriting files for every Monte-Carlo run; and the milling job."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from postproc import elastostatics, robot
+from postproc.identification.measurements import read, read_experiment
+from tests.identification import simulator
+
+PRIOR = robot.load(robot.find("kuka_kr270"))
+TOOL = np.eye(4)
+TOOL[:3, 3] = [0.0, 0.0, 0.35]
+
+
+def load(folder):
+    experiment = read_experiment(folder / "experiment.toml")
+    return read(folder / "measurements.csv", experiment)
+
+
+def with_readings(data, raw):
+    """The same measurements with other noise: raw (m, 2, repeats, p, 3) in the order in which the file is written."""
+    return replace(data, position=np.round(raw.reshape(-1, 3) * 1e3, 4) / 1e3)
+
+
+def true_deflection(true, q, f):
+    tip = [pose[:, :3, 3] + pose[:, :3, :3] @ TOOL[:3, 3] for pose in (
+        true.solve(q, 0 * f, point=TOOL[:3, 3]), true.solve(q, f, point=TOOL[:3, 3]))]  # fmt: skip
+    return tip[1] - tip[0]
+
+
+def job_factor(true, model, rng, jobs=3):
+    """RMS of what the load does to the tool tip over RMS of what the model leaves, on milling jobs at 600 N."""
+    seen, left = 0.0, 0.0
+    for _ in range(jobs):
+        q, f = simulator.milling_job(rng)
+        moved = true_deflection(true, q, f)
+        predicted = elastostatics.deflect(model, q, TOOL, np.c_[f, 0 * f]).twist[:, :3]
+        seen, left = seen + np.sum(moved**2), left + np.sum((moved - predicted) ** 2)
+    return float(np.sqrt(seen / left))
