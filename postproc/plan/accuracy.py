@@ -1,0 +1,111 @@
+"""What to expect of a plan: accuracy after compensation with its interval, intervals of the parameters.
+
+Here the parameters are those that the identification ends with: k1…k6, and K_c, s₀K_c where they can be determined, all
+readings weighted by their noise (Gauss–Markov): Cov = (Σ DᵀBᵀB D)⁻¹. The criterion, which follows the paper's two
+steps, is never smaller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.plan.criterion import Done
+from postproc.plan.law import Joint2
+from postproc.plan.milling import TestPoses
+from postproc.plan.sensitivity import Bench
+
+NORMAL_95 = 1.959964
+UNCERTAIN = 0.5
+"""Half width of an interval over its value beyond which the identification keeps the robot's prior value."""
+_OPEN = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Accuracy:
+    """Expected error of the tool tip after compensation, over the test poses with their weights.
+
+    :param rms: root of the expected mean square [m].
+    :param interval: 95 % interval of the RMS that one identification with this plan reaches [m].
+    :param poses: (T,) expected RMS at each test pose [m].
+    :param names: parameters.
+    :param relative: (P,) half widths of their 95 % intervals over the robot's values.
+    """
+
+    rms: float
+    interval: tuple[float, float]
+    poses: Array
+    names: tuple[str, ...]
+    relative: Array
+
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Parameters that the identification would not take from such measurements."""
+        return tuple(name for name, half in zip(self.names, self.relative, strict=True) if not half <= UNCERTAIN)
+
+
+def expected(
+    tests: TestPoses, bench: Bench, law: Joint2, q: Array, information: Array, done: tuple[Array, Done] | None = None
+) -> Accuracy:
+    """Return what a plan is expected to reach.
+
+    :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
+    :param done: what was measured already: its configurations (d, 6), and their information.
+    """
+    keep = list(bench.keep)
+    if done is not None:
+        q, information = np.vstack([q, done[0]]), np.concatenate([information, done[1].information])
+    spread = _parameters(law, keep, q)
+    normal = np.einsum("nia,nij,njb->ab", spread, information, spread)
+    a = (tests.regressor[:, :, keep] * bench.scale[keep]) @ _parameters(law, keep, tests.q)
+    covariance = _inverse(normal)
+    each = np.einsum("tka,ab,tkb->t", a, covariance, a)
+    moment = np.einsum("t,tka,tkb->ab", tests.weight, a, a)
+    mean = float(tests.weight @ each)
+    # the mean square error of one identification is a sum of squares of normal numbers: g·χ²_h (Satterthwaite 1946)
+    product = covariance @ moment
+    square = float(np.sum(product * product.T))
+    h, g = mean**2 / square, square / mean
+    interval = tuple(float(np.sqrt(g * _chi2(h, z))) for z in (-NORMAL_95, NORMAL_95))
+    names = [f"k{index + 1}" for index in keep] + (["K_c", "s_0·K_c"] if law.free else [])
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    if law.free and law.compensator is not None:
+        stiffness = law.compensator.stiffness * law.compliance
+        half[len(keep) :] /= np.maximum([stiffness, stiffness * law.compensator.free_length], 1e-300)
+    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(each), tuple(names), half)
+
+
+def not_visible(bench: Bench, information: Array, count: int) -> tuple[int, ...]:
+    """Return the joints whose compliance no plan of `count` poses could determine.
+
+    :param information: (N, 6, 6) of many poses that can be measured.
+    """
+    most = np.diagonal(information, axis1=1, axis2=2).max(axis=0) * count
+    return tuple(int(j) for j in np.flatnonzero(most < (NORMAL_95 / UNCERTAIN) ** 2))
+
+
+def _parameters(law: Joint2, keep: list[int], q: Array) -> Array:
+    """Return D (n, p, P): how the compliances at configurations q depend on the parameters."""
+    size = len(keep)
+    own = law.parameters(q[:, 1])
+    out = np.zeros((len(q), size, size + own.shape[1] - 1))
+    out[:, range(size), range(size)] = 1.0
+    two = keep.index(1)
+    out[:, two, two] = own[:, 0]
+    out[:, two, size:] = own[:, 1:]
+    return out
+
+
+def _inverse(normal: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
+    return np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+
+
+def _chi2(freedom: float, z: float) -> float:
+    """Return the quantile of χ² at z standard deviations."""
+    from scipy.special import gammaincinv, ndtr
+
+    return float(2.0 * gammaincinv(0.5 * freedom, ndtr(z)))

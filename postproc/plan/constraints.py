@@ -1,0 +1,223 @@
+"""Which poses can be measured: room, sight and torques; and which constraint blocks when none can.
+
+The arm is a chain of capsules (segments with a radius), tool and rope are capsules too, the weight is a ball.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc import kinematics
+from postproc.frames import Array
+from postproc.plan.arm import Posed
+from postproc.plan.sensitivity import direction
+from postproc.plan.shapes import BoxShape, MeshShape, along, between_segments
+from postproc.plan.site import Site
+from postproc.program import Bools, Ints
+
+_ROPE = 0.01
+_PARTS = ("column", "link 2", "elbow", "forearm", "hand")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capsule:
+    """A part in N configurations: segment from `start` (N, 3) to `end` (N, 3) and radius [m]."""
+
+    name: str
+    start: Array
+    end: Array
+    radius: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """N configurations with their loads.
+
+    :param q: (N, 6) [rad].
+    :param down: (N, 3) unit direction of the load; None without load.
+    :param posed: where the arm is.
+    """
+
+    q: Array
+    down: Array | None
+    posed: Posed
+
+    @classmethod
+    def of(cls, site: Site, q: Array, tilt: Array | None) -> State:
+        """Pose the arm; `tilt` (N, 2) [rad] of the load, None without load."""
+        return cls(q, None if tilt is None else direction(tilt), site.arm.pose(q))
+
+    def take(self, rows: Ints) -> State:
+        """Return some of the configurations."""
+        p = self.posed
+        down = None if self.down is None else self.down[rows]
+        return State(self.q[rows], down, Posed(p.origin[rows], p.axis[rows], p.flange[rows]))
+
+
+def feasible(site: Site, q: Array, tilt: Array) -> Bools:
+    """Return (N,) which configurations q (N, 6) [rad] under loads `tilt` (N, 2) [rad] can be measured."""
+    state = State.of(site, q, tilt)
+    good = within_limits(site, q) & (np.linalg.norm(tilt, axis=1) <= site.rig.largest_tilt + 1e-9)
+    rows = np.flatnonzero(good)
+    for group in _GROUPS:
+        state = State.of(site, q[rows], tilt[rows]) if len(rows) < len(state.q) else state
+        allowed = np.ones(len(rows), dtype=bool)
+        for _, by_this in group(site, state):
+            allowed &= by_this
+        good[rows] = allowed
+        rows = rows[allowed]
+    return np.asarray(good)
+
+
+def passable(site: Site, q: Array) -> Bools:
+    """Return (N,) where the arm can stand without load, whether seen or not."""
+    state = State.of(site, q, None)
+    good = within_limits(site, q)
+    for group in (_floor, _itself, _room):
+        for _, allowed in group(site, state):
+            good &= allowed
+    return good
+
+
+def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
+    """Return for each constraint which configurations (N,) it forbids by itself."""
+    state = State.of(site, q, tilt)
+    found = {"joint limits": ~within_limits(site, q)}
+    for group in _GROUPS:
+        for name, allowed in group(site, state):
+            found[name] = found.get(name, np.zeros(len(q), dtype=bool)) | ~allowed
+    return found
+
+
+def within_limits(site: Site, q: Array) -> Bools:
+    """Return (N,) which configurations keep the margin to the joint limits."""
+    return np.asarray(((q >= site.lower - 1e-9) & (q <= site.upper + 1e-9)).all(axis=1))
+
+
+def arm_parts(site: Site, state: State) -> list[Capsule]:
+    """Return column, link 2, elbow, forearm, hand."""
+    o = state.posed.origin
+    ends = [np.zeros_like(o[:, 0]), *(o[:, row] for row in (1, 2, 3, 4)), state.posed.flange[:, :3, 3]]
+    pairs = zip(_PARTS, ends[:-1], ends[1:], site.radius, strict=True)
+    return [Capsule(name, start, end, float(radius)) for name, start, end, radius in pairs]
+
+
+def tool_parts(site: Site, state: State) -> list[Capsule]:
+    """Return what carries the load point and the markers."""
+    start = state.posed.flange[:, :3, 3]
+    ends = state.posed.point(np.vstack([site.load_point, site.points]))
+    return [
+        Capsule(name, start, ends[:, row], site.tool_radius) for row, name in enumerate(("load point", *site.names))
+    ]
+
+
+def load_parts(site: Site, state: State) -> list[Capsule]:
+    """Return rope and weight."""
+    if state.down is None:
+        return []
+    start = state.posed.point(site.load_point[None])[:, 0]
+    end = start + state.down * site.rig.rope
+    rope = Capsule("rope", start, end, _ROPE)
+    return [rope, Capsule("weight", end, end, site.rig.weight_radius)] if site.rig.weight_radius > 0.0 else [rope]
+
+
+def torques(site: Site, state: State) -> Array:
+    """Return static torques (N, 6) that hold weights, load and compensator [N·m]."""
+    torque = kinematics.gravity_torque(site.robot.nominal, state.q)
+    if site.robot.compensator is not None:
+        torque[:, 1] += site.robot.compensator.gradient(state.q[:, 1])
+    if state.down is not None:
+        lever = state.posed.velocity(state.posed.point(site.load_point[None]))[:, 0]
+        torque -= site.rig.force * np.einsum("nij,nj->ni", lever, state.down)
+    return torque
+
+
+def _floor(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    good = np.ones(len(state.q), dtype=bool)
+    for part in (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state)):
+        good &= np.minimum(part.start[:, 2], part.end[:, 2]) - part.radius >= site.floor + site.clearance
+    yield "floor", good
+
+
+def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    if site.torque_limit is not None:
+        within = np.abs(torques(site, state)) <= site.torque_limit
+        for joint in range(6):
+            yield f"static torque of A{joint + 1}", within[:, joint]
+
+
+def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    column, link, elbow, forearm, hand = arm_parts(site, state)
+    tool, load = tool_parts(site, state), load_parts(site, state)
+    if len(state.q) == 0:
+        return
+    front = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
+    # hand and tool begin where the forearm ends: its round end must not count against them
+    back = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
+    forearm = Capsule("forearm", forearm.start, forearm.start + back * (forearm.end - forearm.start), forearm.radius)
+    for near, others in (
+        (column, (front, hand, *tool, *load)),
+        (link, (front, hand, *tool, *load)),
+        (elbow, (hand, *tool, *load)),
+        (forearm, (*tool, *load)),
+    ):
+        good = np.ones(len(state.q), dtype=bool)
+        for other in others:
+            gap = between_segments(near.start, near.end, other.start, other.end)
+            good &= gap >= near.radius + other.radius + site.clearance
+        yield f"tool, load and arm against the robot's {near.name}", good
+
+
+def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    parts = (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state))
+    for obstacle in site.obstacles:
+        yield obstacle.name, _clear(site, parts, obstacle, len(state.q))
+
+
+def _clear(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShape, count: int) -> Bools:
+    good = np.ones(count, dtype=bool)
+    for part in parts:
+        rows = np.flatnonzero(good)
+        start, end = part.start[rows], part.end[rows]
+        length = float(np.linalg.norm(end - start, axis=1).max(initial=0.0))
+        good[rows] = obstacle.distance(along(start, end, length)).min(axis=1) >= part.radius + site.clearance
+    return good
+
+
+def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    if site.tracker is None:
+        return
+    point = state.posed.point(site.points)
+    for row, name in enumerate(site.names):
+        if np.isfinite(site.normals[row, 0]):
+            look = site.tracker - point[:, row]
+            normal = state.posed.flange[:, :3, :3] @ site.normals[row]
+            cosine = np.einsum("ni,ni->n", look, normal) / np.linalg.norm(look, axis=1)
+            yield f"acceptance angle of marker {name}", cosine >= np.cos(site.acceptance)
+
+
+def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """A marker is seen if no part of the arm, of the load, or of an obstacle stands between it and the tracker."""
+    if site.tracker is None:
+        return
+    point = state.posed.point(site.points)
+    eye = np.broadcast_to(site.tracker, (len(state.q), 3))
+    parts = [*arm_parts(site, state), *load_parts(site, state)]
+    for row, name in enumerate(site.names):
+        marker = point[:, row]
+        good = np.ones(len(state.q), dtype=bool)
+        for part in parts:
+            # the coarse shape of the hand may hold the marker itself: then it does not hide it
+            inside = between_segments(marker, marker, part.start, part.end) < part.radius
+            good &= inside | (between_segments(eye, marker, part.start, part.end) >= part.radius)
+        rows = np.flatnonzero(good)
+        for obstacle in site.obstacles:
+            good[rows] &= ~obstacle.blocks(eye[rows], marker[rows])
+        yield f"line of sight to marker {name}", good
+
+
+_GROUPS = (_floor, _torque, _acceptance, _itself, _sight, _room)
+"""Cheap and strict ones first."""

@@ -1,0 +1,74 @@
+"""What the user should know before measuring: what the rig cannot show, what stays uncertain, what was not checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import MM_PER_M, Array
+from postproc.plan.accuracy import Accuracy
+from postproc.plan.errors import PlanError
+from postproc.plan.law import Joint2
+from postproc.plan.milling import TestPoses
+from postproc.plan.site import Site
+from postproc.program import Ints
+
+NO_TORQUES = (
+    "static joint torques are not checked: robot.urdf states no limits (effort) and [rig] no max_torque_Nm; see that "
+    "the robot may carry the load"
+)
+NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
+_VERTICAL = 0.02
+
+
+def blind(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
+    """Say which compliances the rig cannot show, why, what to do, and how much of the milling rests on them.
+
+    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param missing: joints, counted from 0.
+    :raises PlanError: the load shows nothing at all.
+    """
+    if 1 in missing:
+        raise PlanError(
+            "the load is too small: not even the compliance of A2 can be seen in the readings",
+            advice="Use a heavier weight ([rig] mass_kg) or a better measuring device (sigma_mm).",
+        )
+    out = []
+    for joint in missing:
+        moved = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
+        share = float(np.sqrt(tests.weight @ moved)) * scale[joint] * MM_PER_M
+        reason, advice = "the load puts too little torque on it", "Use a heavier weight."
+        if joint == 0 and site.rig.largest_tilt < _VERTICAL:
+            reason = "every load it can apply hangs vertically, parallel to the axis of A1"
+            advice = "Pull sideways too, by a cable over a pulley ([rig] max_angle_deg)."
+        elif joint == 5:
+            reason = "the load acts on the axis of A6"
+            advice = "Hang the load beside that axis, on a bracket ([load_point])."
+        out.append(
+            f"k{joint + 1} is not observable with this rig: {reason}. {advice} As it is, the identification keeps the "
+            f"robot's own value; {share:.3g} mm (RMS) of the deflection at the test poses rest on it, and the expected "
+            "accuracy does not count how wrong it may be"
+        )
+    return tuple(out)
+
+
+def doubts(found: Accuracy, law: Joint2, blocked: Ints) -> list[str]:
+    """Say what stays uncertain with the plan.
+
+    :param blocked: rows that the robot cannot reach on a free way.
+    """
+    out = []
+    uncertain = [name for name in found.uncertain if name.startswith("k")]
+    if uncertain:
+        out.append(
+            f"{', '.join(uncertain)}: the 95 % interval will be wider than half the value, so that the identification "
+            "keeps the robot's own. If the programs need it, plan more poses, more weight or more repeats"
+        )
+    if law.compensator is not None and not law.free:
+        out.append(
+            "the spring of the gravity compensator (K_c, s_0) cannot be determined from such measurements: the "
+            "identification keeps the robot's values"
+        )
+    if len(blocked):
+        rows = ", ".join(str(row + 1) for row in blocked)
+        out.append(f"the robot would hit something on its way to configuration {rows}: jog it there by hand")
+    return out

@@ -1,0 +1,227 @@
+"""From test poses and a site to a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array
+from postproc.identification.measurements import Measurements
+from postproc.plan import accuracy, baselines, order
+from postproc.plan.candidates import Pool, make_pool
+from postproc.plan.criterion import Criterion, Done
+from postproc.plan.doubts import NO_TORQUES, NO_TRACKER, blind, doubts
+from postproc.plan.errors import PlanError
+from postproc.plan.law import Joint2
+from postproc.plan.measured import Measured, measured
+from postproc.plan.milling import TestPoses, thinned
+from postproc.plan.result import Options, PlanResult, Size
+from postproc.plan.search import Plan, Task, exchange, improved
+from postproc.plan.sensitivity import Bench, direction
+from postproc.plan.site import Site
+from postproc.program import Ints
+
+_KEPT, _ROUNDS = 3, 40
+_ANGLE_DECIMALS, _FORCE_DECIMALS = 3, 1
+
+Progress = Callable[[str, float, float], None]
+"""Called with what is done, how far it is (0…1), and the square root of the criterion of the best plan so far [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Task and what it was made of."""
+
+    task: Task
+    bench: Bench
+    law: Joint2
+    known: Measured | None
+    warnings: tuple[str, ...]
+
+    @property
+    def done(self) -> tuple[Array, Done] | None:
+        return None if self.known is None else (self.known.q, self.known.done)
+
+
+def make(
+    site: Site,
+    sigma: float,
+    tests: TestPoses,
+    cell: Cell,
+    options: Options,
+    data: Measurements | None = None,
+    progress: Progress | None = None,
+) -> PlanResult:
+    """Plan the measurements that make the error at the test poses smallest.
+
+    Ctrl-C (`KeyboardInterrupt`) ends the search; the best plan so far is the result.
+
+    :param sigma: noise of one coordinate of one reading [m].
+    :param tests: poses and forces at which the accuracy counts.
+    :param cell: where the robot starts.
+    :param data: what was measured so far; the plan says what to measure next.
+    :param progress: told how far the work is.
+    :raises PlanError: no pose can be measured, or more is asked for than can be determined.
+    """
+    tell = progress or (lambda *_: None)
+    scale = site.robot.compliance[list(site.robot.actuated)]
+    few = thinned(tests, scale, options.test_poses, options.seed)
+    tell("drawing poses that can be measured", 0.0, np.nan)
+    problem = _problem(site, sigma, few, scale, options, data)
+    plan, interrupted = _searched(problem.task, options, tell)
+    plan, force, seconds, via, blocked = _ordered(problem, plan, cell)
+    information = problem.bench.information_of(plan.q, force)
+    found = accuracy.expected(few, problem.bench, problem.law, plan.q, information, problem.done)
+    before = None
+    if problem.known is not None:
+        none = np.zeros((0, *information.shape[1:]))
+        before = accuracy.expected(few, problem.bench, problem.law, np.zeros((0, 6)), none, problem.done)
+    random, serial, sizes = np.zeros(0), None, []
+    if options.comparisons and not interrupted:
+        try:
+            tell("comparing with other plans", 0.7, np.sqrt(plan.value))
+            random = baselines.random_values(problem.task, options.seed)
+            serial = baselines.serial_plan(problem.task)
+            for count, value, median in baselines.by_number(problem.task, options.seed, plan):
+                sizes.append(Size(count, value, median))
+                tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 7, np.sqrt(plan.value))
+        except KeyboardInterrupt:
+            interrupted = True
+    warnings = (*problem.warnings, *doubts(found, problem.law, blocked))
+    wanted, got = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
+    return PlanResult(
+        options=options,
+        robot=site.robot.name,
+        site=site,
+        tests=few,
+        represented=float(np.abs(wanted - got).max() / np.abs(wanted).max()),
+        plan=plan,
+        force=force,
+        accuracy=found,
+        before=before,
+        random=random,
+        serial=serial,
+        sizes=tuple(sizes),
+        seconds=seconds,
+        via=via,
+        blocked=blocked,
+        compensator_free=problem.law.free,
+        warnings=warnings,
+        interrupted=interrupted,
+    )
+
+
+def _problem(
+    site: Site, sigma: float, tests: TestPoses, scale: Array, options: Options, data: Measurements | None
+) -> _Problem:
+    # loaded minus unloaded, each the mean of the repeats
+    bench = Bench(site.arm, site.load_point, site.points, site.rig.force, sigma * np.sqrt(2.0 / options.repeats), scale)
+    known = None if data is None else measured(data, bench, sigma)
+    fixed = 0 if known is None else len(known.q2)
+    levels = min(max(options.levels, fixed), fixed + options.configurations)
+    rng = np.random.default_rng([options.seed, 1 << 16])
+    pool = make_pool(site, bench, rng, None if known is None else known.q2)
+    if levels > len(pool):
+        raise PlanError(
+            f"poses can be measured at {len(pool)} of the levels of q2 tried only, {levels} are asked for",
+            advice="Ask for fewer with --q2-levels, or move what stands in the way.",
+        )
+    most = pool.information.reshape(-1, 6, 6)
+    if known is not None:
+        most = np.concatenate([most, known.done.information])
+    missing = accuracy.not_visible(bench, most, options.configurations + (0 if known is None else len(known.q)))
+    warnings = blind(site, tests, scale, missing)
+    if missing:
+        keep = tuple(j for j in range(6) if j not in missing)
+        bench, pool = replace(bench, keep=keep), pool.only(keep)
+        known = None if data is None else measured(data, bench, sigma)
+    _check_number(options, bench, len(site.points), levels, known)
+    if site.torque_limit is None:
+        warnings = (*warnings, NO_TORQUES)
+    if site.tracker is None:
+        warnings = (*warnings, NO_TRACKER)
+
+    def with_law(law: Joint2) -> Task:
+        done = None if known is None else known.done
+        return Task(
+            site,
+            bench,
+            lambda q2: Criterion.of(tests, bench, law, q2, options.grouped, done),
+            pool,
+            options.configurations,
+            levels,
+            fixed,
+        )
+
+    law = _law(site, tests, bench, pool, known, with_law, options.seed)
+    return _Problem(with_law(law), bench, law, known, warnings)
+
+
+def _law(
+    site: Site,
+    tests: TestPoses,
+    bench: Bench,
+    pool: Pool,
+    known: Measured | None,
+    with_law: Callable[[Joint2], Task],
+    seed: int,
+) -> Joint2:
+    """Decide as the identification will: K_c is identified only if a plan made for it can determine it."""
+    free = Joint2.of(site.robot, free=True)
+    prior = Joint2.of(site.robot, free=False)
+    task = with_law(free)
+    if free.compensator is None or task.levels < 3:
+        return prior
+    trial = exchange(task, np.random.default_rng([seed, 1 << 17]), spread=True)
+    information = bench.information(trial.q, trial.tilt)
+    found = accuracy.expected(
+        tests, bench, free, trial.q, information, None if known is None else (known.q, known.done)
+    )
+    return prior if "K_c" in found.uncertain else free
+
+
+def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]:
+    best: Plan | None = None
+    steps = options.starts + _KEPT * _ROUNDS // 2
+    try:
+        for step, plan in enumerate(improved(task, options.seed, options.starts, _KEPT, _ROUNDS)):
+            best = plan
+            tell("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
+    except KeyboardInterrupt:
+        if best is None:
+            raise
+        return best, True
+    assert best is not None
+    return best, False
+
+
+def _ordered(problem: _Problem, plan: Plan, cell: Cell) -> tuple[Plan, Array, float, Ints, Ints]:
+    """Round to what is written, order by travel, and look at the ways between."""
+    site = problem.task.site
+    q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
+    q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
+    sequence, seconds, hit = order.shortest(site, cell.start_joints, q)
+    q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
+    force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
+    value = problem.task.criterion_at(q2).value(problem.bench.information_of(q, force), level)
+    via, blocked = order.through_start(site, cell.start_joints, q, hit)
+    return Plan(q, tilt, level, q2, value), force, seconds, via, blocked
+
+
+def _check_number(options: Options, bench: Bench, points: int, levels: int, known: Measured | None) -> None:
+    """There must be more readings than unknowns, in each group for the criterion as printed."""
+    if known is not None:
+        return
+    if levels > options.configurations:
+        raise PlanError(f"{levels} levels of q2 for {options.configurations} configurations")
+    unknowns = len(bench.keep) if options.grouped else len(bench.keep) - 1 + levels
+    poses = options.configurations // levels if options.grouped else options.configurations
+    if 3 * points * poses < unknowns:
+        raise PlanError(
+            f"{poses} poses of {points} points {'on a level ' if options.grouped else ''}are {3 * points * poses} "
+            f"coordinates for {unknowns} compliances",
+            advice="Plan more configurations, fewer levels of q2, or more points.",
+        )

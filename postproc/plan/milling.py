@@ -1,0 +1,207 @@
+"""Test poses: where the user mills and under which forces, thinned to a few that stand for all.
+
+Source: Klimchik et al., second Eq. (10): q₀ and F₀ "related to a typical machining configuration and force".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from postproc import files, forces, kinematics, toolpath
+from postproc.cell import Cell
+from postproc.elastostatics import linear_deflection
+from postproc.forces.per_motion import ForceRows
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
+from postproc.kinematics import UnreachableError
+from postproc.plan.errors import PlanError
+from postproc.program import PTP, Ints, Program
+from postproc.robot import RobotModel
+
+_SAMPLES = 4000
+_ROUNDS = 30
+_SHARE_OF_Q2 = 0.3
+_ANGLES = ("A1", "A2", "A3", "A4", "A5", "A6")
+_FORCES = ("Fx", "Fy", "Fz")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TestPoses:
+    """T poses at which the error after compensation counts.
+
+    :param q: (T, 6) joint angles [rad].
+    :param wrench: (T, 6) at the tool tip, root axes [N, N·m].
+    :param weight: (T,) shares of the work, sum 1.
+    :param regressor: (T, 3, 6) A₀ of Eq. (2), positions: ∂(tool tip)/∂(joint compliance) [m per rad/(N·m)].
+    :param deflection: (T,) what the force does when nothing is corrected [m].
+    :param source: where they come from.
+    """
+
+    __test__ = False  # not a test of pytest
+
+    q: Array
+    wrench: Array
+    weight: Array
+    regressor: Array
+    deflection: Array
+    source: str
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def second_moment(self) -> Array:
+        """Σ w A₀ᵀA₀ (6, 6): all that the criterion knows of the test poses, but for their q2."""
+        return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
+
+    def take(self, rows: Ints, weight: Array) -> TestPoses:
+        """Return some of the poses with other weights."""
+        return TestPoses(
+            self.q[rows], self.wrench[rows], weight, self.regressor[rows], self.deflection[rows], self.source
+        )
+
+
+def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: Array, source: str) -> TestPoses:
+    """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights."""
+    _, jacobian = kinematics.tcp(robot.nominal, q, tool)
+    torque = np.einsum("nij,ni->nj", jacobian, wrench)
+    deflection = linear_deflection(robot, q, tool, wrench)[:, :3]
+    return TestPoses(
+        q, wrench, weight / weight.sum(), jacobian[:, :3] * torque[:, None], np.linalg.norm(deflection, axis=1), source
+    )
+
+
+def from_program(program: Program, robot: RobotModel, cell: Cell, rows: ForceRows | None = None) -> TestPoses:
+    """Return test poses all along the cutting moves of a program, weighted by the way cut.
+
+    :param rows: forces from a CSV file, which win over comments.
+    :raises PlanError: no cutting move carries a force, or the robot cannot reach one.
+    :raises ForceError: forces that cannot be given to the motions.
+    """
+    name = program.documents[0].name
+    start = kinematics.tcp(robot.nominal, cell.start_joints[None], np.eye(4))[0][0]
+    path = toolpath.segments(program, start)
+    load = forces.per_motion(program, rows)
+    ramp = cell.output.force_ramp_mm * M_PER_MM
+    kinks = forces.kinks(program, path, load, cell.tool.axis, ramp)
+    motion, t = toolpath.places(program, path, cell.tolerance, kinks)
+    sample = toolpath.at(program, path, motion, t)
+    wrench = forces.wrench(program, path, load, sample, cell.tool.axis, ramp)
+    m = program.motions
+    flange = toolpath.flange_from_tcp(program, motion, sample.pose)
+    free = sample.ends & (m.kind[motion] == PTP)
+    try:
+        joints = kinematics.follow(
+            robot, flange, cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion]
+        )
+    except UnreachableError as cause:
+        line = int(m.line[motion[list(cause.rows)]].min())
+        raise PlanError(
+            "out of reach (on the branch of [start] joints)",
+            file=name,
+            line=line,
+            advice="Move the part or start in another configuration.",
+        ) from None
+    before = np.concatenate([[0.0], sample.distance[:-1]])
+    way = np.where(np.concatenate([[True], np.diff(motion) != 0]), sample.distance, sample.distance - before)
+    rotation = program.bases[m.base[motion], :3, :3]
+    in_root = np.concatenate(
+        [np.einsum("nij,nj->ni", rotation, part) for part in (wrench[:, :3], wrench[:, 3:])], axis=1
+    )
+    cutting = np.flatnonzero(~m.rapid[motion] & (way > 0.0) & (np.abs(in_root).max(axis=1) > 0.0))
+    if len(cutting) == 0:
+        raise PlanError(
+            "no cutting move of this program carries a force",
+            file=name,
+            advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
+        )
+    chosen, shares = _merged(cutting, way[cutting])
+    return evaluated(robot, joints.q[chosen], program.tools[m.tool[motion[chosen]]], in_root[chosen], shares, name)
+
+
+def _merged(rows: Ints, way: Array) -> tuple[Ints, Array]:
+    """Keep every n-th sample of a long path; it takes the way of those left out."""
+    step = -(-len(rows) // _SAMPLES)
+    begin = np.arange(0, len(rows), step)
+    return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(way, begin)
+
+
+def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
+    """Read test poses given by hand: CSV A1…A6 [deg], Fx, Fy, Fz [N] at the tool tip in root axes[, weight].
+
+    :raises PlanError: a column is missing or not a number, a weight is negative, there is no pose or no force.
+    """
+    numbers, _, lines = files.read_csv(path, (*_ANGLES, *_FORCES), ("weight",), PlanError)
+    if len(lines) == 0:
+        raise PlanError("no test poses", file=str(path))
+    weight = numbers.get("weight", np.ones(len(lines)))
+    wrench = np.zeros((len(lines), 6))
+    wrench[:, :3] = np.column_stack([numbers[name] for name in _FORCES])
+    for bad, problem in ((weight <= 0.0, "weight must be larger than 0"), (~wrench.any(axis=1), "the force is zero")):
+        if bad.any():
+            raise PlanError(problem, file=str(path), line=int(lines[np.argmax(bad)]))
+    q = np.column_stack([numbers[name] for name in _ANGLES]) * RAD_PER_DEG
+    return evaluated(robot, q, cell.tool.pose(), wrench, weight, path.name)
+
+
+def joined(parts: Sequence[TestPoses]) -> TestPoses:
+    """Return the test poses of several programs; each program counts the same."""
+    weight = np.concatenate([part.weight for part in parts]) / len(parts)
+    return TestPoses(
+        np.concatenate([part.q for part in parts]),
+        np.concatenate([part.wrench for part in parts]),
+        weight,
+        np.concatenate([part.regressor for part in parts]),
+        np.concatenate([part.deflection for part in parts]),
+        ", ".join(part.source for part in parts),
+    )
+
+
+def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
+    """Return at most `count` poses that stand for all, with weights.
+
+    Clusters (k-means, Lloyd 1982) of what the criterion sees of a pose: A₀ᵀA₀ in units of the robot's compliances, and
+    q2. Of each cluster the pose nearest to its mean stands for it with the weight of all; then the weights are set so
+    that Σ w A₀ᵀA₀ keeps its trace.
+    """
+    if len(tests) <= count:
+        return tests
+    a = tests.regressor * scale
+    square = np.einsum("tki,tkj->tij", a, a)
+    upper = np.triu_indices(6)
+    features = square[:, upper[0], upper[1]] * np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0))
+    q2 = tests.q[:, 1:2] - np.average(tests.q[:, 1:2], axis=0, weights=tests.weight)
+    features = np.hstack([features, _SHARE_OF_Q2 * q2 * float(np.linalg.norm(features, axis=1).mean())])
+    rng = np.random.default_rng(seed)
+    centres = features[[int(rng.choice(len(tests), p=tests.weight))]]
+    for _ in range(count - 1):  # k-means++ (Arthur and Vassilvitskii 2007)
+        distance = _squares(features, centres).min(axis=1) * tests.weight
+        if distance.sum() <= 0.0:
+            break
+        centres = np.vstack([centres, features[int(rng.choice(len(tests), p=distance / distance.sum()))]])
+    owner = np.zeros(len(tests), dtype=np.int64)
+    for _ in range(_ROUNDS):
+        owner = _squares(features, centres).argmin(axis=1)
+        total = np.bincount(owner, weights=tests.weight, minlength=len(centres))
+        mean = np.stack([np.bincount(owner, tests.weight * f, len(centres)) for f in features.T], axis=1)
+        centres = np.where(total[:, None] > 0.0, mean / np.maximum(total, 1e-300)[:, None], centres)
+    distance = _squares(features, centres)
+    used = np.unique(owner)
+    rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in used])
+    weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[used]
+    few = tests.take(rows, weight / weight.sum())
+    wanted, got = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, few))
+    factor = np.sqrt(wanted / got) if got > 0.0 else 1.0
+    return TestPoses(
+        few.q, few.wrench * factor, few.weight, few.regressor * factor, few.deflection * factor, tests.source
+    )
+
+
+def _squares(features: Array, centres: Array) -> Array:
+    """Return squared distances (T, C)."""
+    return np.asarray(
+        np.maximum((features**2).sum(1)[:, None] - 2.0 * features @ centres.T + (centres**2).sum(1)[None], 0.0)
+    )

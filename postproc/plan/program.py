@@ -1,0 +1,61 @@
+"""A KRL program that visits the poses of a plan and waits at each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from postproc.cell import Cell
+from postproc.dialects.krl.names import fault_of, suggestion
+from postproc.frames import DEG_PER_RAD, Array
+from postproc.plan.result import PlanResult
+from postproc.program import Document
+
+_SPEED_PERCENT = 10
+
+
+def krl_name(stem: str) -> str:
+    """Return the name of the program for a plan of this name: the same where KRL allows it.
+
+    >>> krl_name("plan 15")
+    'plan_15'
+    """
+    return stem if fault_of(stem) is None else suggestion(stem)
+
+
+def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
+    """Return the program: for each pose PTP, a halt to measure without load, one to measure with load.
+
+    :param name: of the program, as KRL allows it.
+    """
+    start = [float(angle) for angle in cell.start.joints]
+    lines = ["&ACCESS RVP", "&REL 1", f"DEF {name}( )"]
+    if cell.output.controller == "KRC2":
+        lines.append("EXT BAS (BAS_COMMAND :IN,REAL :IN )")
+    lines += [
+        f";{len(result.plan)} poses to measure, in the order of least travel (postproc plan)",
+        ";Run it in T1. Ways between the poses were checked for floor, obstacles and the arm itself by coarse shapes only.",
+        "BAS (#INITMOV,0 )",
+        f"BAS (#VEL_PTP,{_SPEED_PERCENT} )",
+        _ptp(start),
+    ]
+    for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
+        if row in result.via:
+            lines += [";by way of the start position, the direct way is blocked", _ptp(start)]
+        if row in result.blocked:
+            lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
+        lines += [
+            f";configuration {row + 1}: load {_vector(force)} N, root axes, at the load point",
+            _ptp(angles),
+            "HALT ;measure all points WITHOUT load, then put the load on",
+            "HALT ;measure all points WITH load, then take the load off",
+        ]
+    lines += [_ptp(start), "END", ""]
+    return Document(f"{name}.src", "\r\n".join(lines), "cp1252")
+
+
+def _ptp(angles: Sequence[float] | Array) -> str:
+    return "PTP {" + ",".join(f"A{axis} {angle + 0.0:.3f}" for axis, angle in enumerate(angles, 1)) + "}"
+
+
+def _vector(force: Array) -> str:
+    return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(("Fx", "Fy", "Fz"), force, strict=True))

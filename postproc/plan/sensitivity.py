@@ -1,0 +1,105 @@
+"""What a measurement of loaded and unloaded reference points says about the joint compliances.
+
+Source: Klimchik et al., Eq. (2), (8): the displacement of a point is A k with columns J_i J_iᵀ F; here the load acts at
+the load point and the displacement is that of each reference point. Derivatives for the search: for a chain of revolute
+joints ∂v_i/∂q_a = ω_min(a,i) × v_max(a,i).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.plan.arm import Arm
+
+_FIRST = np.minimum.outer(np.arange(6), np.arange(6))
+_LAST = np.maximum.outer(np.arange(6), np.arange(6))
+
+
+def direction(tilt: Array) -> Array:
+    """Return unit directions (N, 3) of the load, root axes, for tilts (N, 2) [rad]: length the angle from straight
+    down, heading that of its horizontal part.
+    """
+    angle = np.linalg.norm(tilt, axis=-1)
+    return np.concatenate([tilt * np.sinc(angle / np.pi)[..., None], -np.cos(angle)[..., None]], axis=-1)
+
+
+def direction_slope(tilt: Array) -> Array:
+    """Return ∂direction/∂tilt (N, 3, 2)."""
+    angle = np.linalg.norm(tilt, axis=-1)
+    ratio = np.sinc(angle / np.pi)
+    safe = np.where(angle > 1e-4, angle, 1.0)
+    bend = np.where(angle > 1e-4, (np.cos(angle) - ratio) / safe**2, -1.0 / 3.0)
+    out = np.empty((*tilt.shape[:-1], 3, 2))
+    out[..., :2, :] = (
+        ratio[..., None, None] * np.eye(2) + bend[..., None, None] * tilt[..., :, None] * tilt[..., None, :]
+    )
+    out[..., 2, :] = ratio[..., None] * tilt
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """Arm, load and reference points: what a measurement in any configuration would show.
+
+    :param arm: geometry.
+    :param load_point: (3,) in the flange frame [m].
+    :param points: (P, 3) reference points in the flange frame [m].
+    :param force: size of the load [N].
+    :param noise: standard deviation of one coordinate of a measured displacement [m].
+    :param scale: (6,) unit of each compliance [rad/(N·m)]: the robot's own values, so that results are relative.
+    :param keep: (p,) joints whose compliance is looked for.
+    """
+
+    arm: Arm
+    load_point: Array
+    points: Array
+    force: float
+    noise: float
+    scale: Array
+    keep: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+
+    def rows(self, q: Array, load: Array) -> Array:
+        """Return the whitened regressor (N, 3P, 6), Eq. (8), at configurations q (N, 6) under forces, or forces and
+        moments, (N, 3 or 6) at the load point, root axes [N, N·m].
+        """
+        posed = self.arm.pose(q)
+        at_load = posed.velocity(posed.point(self.load_point[None]))[:, 0]
+        torque = np.einsum("nij,nj->ni", at_load, load[:, :3])
+        if load.shape[1] == 6:
+            torque += np.einsum("nij,nj->ni", posed.axis, load[:, 3:])
+        torque *= self.scale / self.noise
+        moved = posed.velocity(posed.point(self.points)) * torque[:, None, :, None]
+        return np.ascontiguousarray(np.swapaxes(moved, 2, 3)).reshape(len(q), -1, 6)
+
+    def information(self, q: Array, tilt: Array) -> Array:
+        """Return what each measurement adds to the normal matrix: (N, p, p), for tilts (N, 2) of the load."""
+        return self.information_of(q, self.force * direction(tilt))
+
+    def information_of(self, q: Array, load: Array) -> Array:
+        """Return the same (N, p, p) for loads as `rows` takes them."""
+        rows = self.rows(q, load)[:, :, list(self.keep)]
+        return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
+
+    def slope(self, q: Array, tilt: Array, weight: Array) -> Array:
+        """Return ∂ tr(weight·information)/∂(q, tilt), (N, 8), for symmetric weights (N, p, p)."""
+        keep = list(self.keep)
+        posed = self.arm.pose(q)
+        load = self.force * direction(tilt)
+        factor = self.scale / self.noise
+        at_load = posed.velocity(posed.point(self.load_point[None]))[:, 0]
+        moved = posed.velocity(posed.point(self.points))
+        torque = np.einsum("nij,nj->ni", at_load, load) * factor
+        columns = moved * torque[:, None, :, None]  # (N, P, 6, 3)
+        push = np.zeros_like(columns)
+        push[:, :, keep] = np.einsum("npix,nij->npjx", columns[:, :, keep], weight)
+        bent = np.cross(posed.axis[:, _FIRST][:, None], moved[:, :, _LAST])  # (N, P, i, a, 3)
+        bent_load = np.cross(posed.axis[:, _FIRST], at_load[:, _LAST])
+        along = np.einsum("npix,npix->ni", push, moved) * factor
+        out = np.empty((len(q), 8))
+        out[:, :6] = np.einsum("npix,npiax,ni->na", push, bent, torque)
+        out[:, :6] += np.einsum("ni,niax,nx->na", along, bent_load, load)
+        out[:, 6:] = self.force * np.einsum("ni,nix,nxt->nt", along, at_load, direction_slope(tilt))
+        return 2.0 * out

@@ -1,0 +1,135 @@
+"""Distances between simple shapes, for many at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from postproc.frames import M_PER_MM, Array, inverse
+from postproc.identification.site import Box, MeshFile
+from postproc.plan.errors import PlanError
+from postproc.program import Bools
+
+_SPACING = 0.04
+"""Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
+_MOST_VERTICES = 400_000
+_NEAR = 0.005
+
+
+def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
+    """Return distances (...) [m] between segments p–p_end and r–r_end, each (..., 3) (Ericson, "Real-Time Collision
+    Detection", 2005, 5.1.9).
+    """
+    u, v, w = p_end - p, r_end - r, p - r
+    a, b, c = np.sum(u * u, -1), np.sum(u * v, -1), np.sum(v * v, -1)
+    d, e = np.sum(u * w, -1), np.sum(v * w, -1)
+    denominator = a * c - b * b
+    safe_a, safe_c = np.where(a > 1e-12, a, 1.0), np.where(c > 1e-12, c, 1.0)
+    s = np.where(denominator > 1e-12, np.clip((b * e - c * d) / np.where(denominator > 1e-12, denominator, 1), 0, 1), 0)
+    t = np.where(c > 1e-12, (b * s + e) / safe_c, 0.0)
+    outside = (t < 0.0) | (t > 1.0) | (c <= 1e-12)
+    t = np.clip(t, 0.0, 1.0)
+    s = np.where(outside & (a > 1e-12), np.clip((b * t - d) / safe_a, 0.0, 1.0), s)
+    gap = w + s[..., None] * u - t[..., None] * v
+    return np.asarray(np.linalg.norm(gap, axis=-1))
+
+
+def along(start: Array, end: Array, length: float) -> Array:
+    """Return points (..., n, 3) on segments (..., 3) of at most `length` [m], evenly spaced, ends included."""
+    count = max(2, int(np.ceil(length / _SPACING)) + 1)
+    t = np.linspace(0.0, 1.0, count)[:, None]
+    return np.asarray(start[..., None, :] * (1.0 - t) + end[..., None, :] * t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxShape:
+    """A box: `to_box` (4, 4) maps the root to its frame, half sizes `half` (3,) [m]."""
+
+    name: str
+    to_box: Array
+    half: Array
+
+    @classmethod
+    def of(cls, box: Box, number: int) -> BoxShape:
+        """Take a box of the experiment."""
+        name = box.name or str(number)
+        return cls(f"box {name}", inverse(box.pose()), 0.5 * np.array(box.size) * M_PER_MM)
+
+    def distance(self, point: Array) -> Array:
+        """Return signed distances (...) of points (..., 3) [m]; negative inside."""
+        beyond = np.abs(point @ self.to_box[:3, :3].T + self.to_box[:3, 3]) - self.half
+        return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0))
+
+    def blocks(self, start: Array, end: Array) -> Bools:
+        """Return (...) True where a line of sight (..., 3) passes through the box (slabs, Kay and Kajiya 1986)."""
+        p = start @ self.to_box[:3, :3].T + self.to_box[:3, 3]
+        d = end @ self.to_box[:3, :3].T + self.to_box[:3, 3] - p
+        d = np.where(np.abs(d) > 1e-12, d, 1e-12)
+        one, other = (-self.half - p) / d, (self.half - p) / d
+        enter, leave = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+        return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshShape:
+    """A mesh as its vertices, after splitting all edges to at most 40 mm.
+
+    No point of the surface is farther than `between` from a vertex, so that the distance to the nearest vertex less
+    `between` is on the safe side. The arm begins outside and is checked all along: it cannot be inside unnoticed.
+    """
+
+    name: str
+    vertices: Array
+    between: float
+    tree: object
+
+    @classmethod
+    def of(cls, mesh: MeshFile, folder: Path) -> MeshShape:
+        """Read a mesh of the experiment (mm, unless `scale` says otherwise).
+
+        :raises PlanError: the file cannot be read or holds no surface.
+        """
+        import trimesh
+        from scipy.spatial import cKDTree
+
+        path = folder / mesh.file
+        if not path.is_file():
+            raise PlanError("no such file", file=str(path), advice="[[meshes]] file is relative to the experiment.")
+        try:
+            shape = trimesh.load(path, force="mesh")
+        except (ValueError, OSError, KeyError, IndexError, TypeError, NotImplementedError) as cause:
+            raise PlanError(f"not a mesh that trimesh reads ({cause})", file=str(path)) from cause
+        vertices = np.asarray(getattr(shape, "vertices", np.zeros((0, 3))), dtype=float)
+        faces = np.asarray(getattr(shape, "faces", np.zeros((0, 3))), dtype=np.int64)
+        if len(faces) == 0 or not np.isfinite(vertices).all():
+            raise PlanError("the mesh has no surface", file=str(path))
+        vertices = vertices * (M_PER_MM * mesh.scale)
+        area = float(trimesh.Trimesh(vertices, faces, process=False).area)
+        edge = max(_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
+        split, _ = trimesh.remesh.subdivide_to_size(vertices, faces, edge, max_iter=30)  # type: ignore[no-untyped-call]
+        pose = mesh.pose()
+        placed = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)
+        return cls(f"mesh {mesh.file}", placed, edge / np.sqrt(3.0), cKDTree(placed))
+
+    def distance(self, point: Array) -> Array:
+        """Return distances (...) of points (..., 3) [m] from the surface, at most what they are."""
+        found, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
+        return np.asarray(found).reshape(point.shape[:-1]) - self.between
+
+    def blocks(self, start: Array, end: Array) -> Bools:
+        """Return (...) True where a line of sight (..., 3) comes too near the surface (sphere tracing)."""
+        start, end = (np.ascontiguousarray(side) for side in np.broadcast_arrays(start, end))
+        shape = start.shape[:-1]
+        start, end = start.reshape(-1, 3), end.reshape(-1, 3)
+        length = np.linalg.norm(end - start, axis=-1)
+        travelled, hit = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
+        rows = np.arange(len(start))
+        while len(rows):
+            share = travelled[rows] / np.maximum(length[rows], 1e-9)
+            free = self.distance(start[rows] + (end[rows] - start[rows]) * share[:, None])
+            hit[rows] = free < _NEAR
+            travelled[rows] += free
+            rows = rows[~hit[rows] & (travelled[rows] < length[rows])]
+        return hit.reshape(shape)
