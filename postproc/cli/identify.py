@@ -93,8 +93,9 @@ def elastostatics(
     import json
 
     from postproc.identification import identify_folder
+    from postproc.report.identification import page
 
-    done = identify_folder(measurements, experiment, output, compensator_file, method, structure, _say)
+    done = identify_folder(measurements, experiment, output, compensator_file, method, structure, _say, page)
     if as_json:
         click.echo(json.dumps(done.data, indent=2, ensure_ascii=False))
         return

@@ -51,8 +51,11 @@ def identify_folder(
     method: Method = "enhanced",
     depth: Depth = "auto",
     progress: Callable[[str], None] = lambda _: None,
+    render: Callable[[dict[str, Any]], bytes] | None = None,
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
+
+    :param render: makes `report.html` from the content of `identification.json`.
 
     :raises MeasurementError: the files are unusable.
     :raises InputError: the folder cannot be written.
@@ -65,7 +68,9 @@ def identify_folder(
     result = identify(prior, read(measurements, setup), method, depth, progress)
     data = model_folder.report_data(result)
     geometry = None if compensator is None else f"identified from markers ({compensator.name})"
-    model_folder.write(output, result, prior_folder, f"identified from {measurements.name}, {method}", geometry)
+    source = f"identified from {measurements.name}, {method}"
+    report = {} if render is None else {"report.html": render(data)}
+    model_folder.write(output, result, prior_folder, source, geometry, report)
     return IdentifiedFolder(result, data, summary(data))
 
 

@@ -154,8 +154,15 @@ def report_data(result: Identification) -> dict[str, Any]:
     given = dict(zip(names, zip(values, half, strict=True), strict=True))
     parameters: dict[str, Any] = {}
 
+    priors = {name: float(c * _URAD) for name, c in zip(JOINT_NAMES, result.prior.compliance, strict=True)}
+    if (old := result.prior.compensator) is not None:
+        priors |= {"K_c": old.stiffness, "s_0": old.free_length * MM_PER_M}
+    priors["K_theta2_0"] = _URAD / priors["k2"]
+
     def put(name: str, value: float | None, ci: float | None, unit: str, observable: bool) -> None:
         entry: dict[str, Any] = {"value": value, "ci95": ci, "unit": unit, "observable": observable}
+        if name in priors:
+            entry["prior"] = priors[name]
         if not observable:
             entry["source"] = "prior"
         parameters[name] = entry
@@ -198,6 +205,7 @@ def report_data(result: Identification) -> dict[str, Any]:
         "robot": result.prior.name,
         "parameters": parameters,
         "k2_levels": levels,
+        "k2_curve": _k2_curve(result),
         "residual": {
             "rms_mm": result.fit.rms * MM_PER_M,
             "max_mm": float(residual.max()) * MM_PER_M,
@@ -229,6 +237,17 @@ def report_data(result: Identification) -> dict[str, Any]:
     if result.choice is not None:
         data["structure"] = {"reason": result.choice.reason, "tried": summary(result.choice.candidates)}
     return data
+
+
+def _k2_curve(result: Identification) -> list[list[float]]:
+    """Return equivalent compliance of joint 2 of the model over q2: [deg, µrad/(N·m)]."""
+    if result.levels is None:
+        return []
+    model = result.robot()
+    q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
+    stiffness = 1.0 / model.compliance[model.actuated[1]]
+    added = 0.0 if model.compensator is None else model.compensator.stiffness_about_joint(q2)
+    return [[float(a), float(c)] for a, c in zip(q2 * DEG_PER_RAD, _URAD / (stiffness + added), strict=True)]
 
 
 def _correlation(covariance: Array) -> list[list[float]]:
