@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from postproc.errors import Issue
-from postproc.frames import pose_from_xyzabc
+from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.pipeline import Mode, Result
 from postproc.program import LIN, Document, Motions, Program
 
@@ -57,7 +57,7 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         t=np.ones(count),
         output_line=np.arange(count) + 20,
         nominal=made.motions.target,
-        command=command,
+        printed=xyzabc_from_pose(command),
         wrench=wrench,
         deflection=np.stack([np.zeros(count), np.zeros(count), -before], axis=1),
         before=before,

@@ -257,7 +257,7 @@ def follow(
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints, near: Array) -> Array:
-    """Return joint angles (N, 6) of poses on given branches, in the turns nearest to `near` (N, 6); NaN out of reach."""
+    """Return joint angles (N, 6) of poses on given branches, in the turns nearest to `near`; NaN out of reach."""
     angles = closed_form(robot).branches(pose_flange_in_root)[np.arange(len(branch)), branch]
     return np.asarray(angles + _TURN * np.round((near - angles) / _TURN))
 

@@ -73,27 +73,37 @@ def singularities(
     linear = program.motions.kind[sample.motion] != PTP
     wrist = linear & (np.abs(q[:, 4]) < _WRIST)
     yield from _first(
-        program, sample.motion, wrist, "wrist-singularity", f"A5 passes through 0°: A4 and A6 are parallel. {advice}"
+        program, sample.motion, wrist, "wrist-singularity", f"wrist singularity: A5 passes through 0°. {advice}"
     )
     elbow = linear & (np.abs((q[:, 2] - form.elbow_stretched + np.pi) % (2 * np.pi) - np.pi) < _ELBOW)
     yield from _first(
-        program, sample.motion, elbow, "elbow-singularity", f"the arm is stretched out: end of reach. {advice}"
+        program, sample.motion, elbow, "elbow-singularity", f"elbow singularity: the arm is stretched out. {advice}"
     )
     shoulder = linear & (np.abs(form.wrist_reach(flange, q[:, 0])) < _SHOULDER)
     yield from _first(
-        program, sample.motion, shoulder, "shoulder-singularity", f"the wrist stands above the A1 axis. {advice}"
+        program,
+        sample.motion,
+        shoulder,
+        "shoulder-singularity",
+        f"shoulder singularity: the wrist stands above the A1 axis. {advice}",
     )
-    jump = np.zeros(len(q), dtype=bool)
-    jump[1:] = np.abs(np.diff(q, axis=0)).max(axis=1) > _JUMP
-    jump &= linear & (np.concatenate([[True], np.diff(path.branch) == 0]))
-    jump &= ~(wrist | elbow | shoulder)
-    jump[:1] = False
+    turned = np.abs(np.diff(q, axis=0, prepend=q[:1]))
+    same_branch = np.diff(path.branch, prepend=path.branch[:1]) == 0
+    jump = linear & same_branch & (turned.max(axis=1) > _JUMP) & ~(wrist | elbow | shoulder)
+    flip = np.isin(np.argmax(turned, axis=1), (3, 5))
     yield from _first(
         program,
         sample.motion,
-        jump,
+        jump & flip,
+        "wrist-singularity",
+        f"wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once. {advice}",
+    )
+    yield from _first(
+        program,
+        sample.motion,
+        jump & ~flip,
         "joint-jump",
-        f"a joint turns by more than 45° on a short piece of path: it passes a singularity. {advice}",
+        f"singularity: a joint turns by more than 45° on a short piece of path. {advice}",
     )
 
 

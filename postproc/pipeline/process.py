@@ -13,13 +13,13 @@ from postproc.compensation import Compensation, chunk_count, chunk_rows, compens
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
-from postproc.frames import M_PER_MM, Array, twist_between
+from postproc.frames import M_PER_MM, Array, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
 from postproc.parallel import Run, here
 from postproc.pipeline import checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
 from postproc.robot import RobotModel
 from postproc.toolpath import Segments, Toolpath
 
@@ -98,69 +98,46 @@ def process(
     except _BlockedError as cause:
         return _nothing(program, robot, mode, cause.issue)
     issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
-    moved = np.abs(twist_between(sampled.sample.pose, sampled.command.pose)).max(axis=1)
-    if mode == "predict":
-        targets, row = _targets(program, place, sampled, moved, np.ones(len(program.motions), dtype=bool), False)
-        written = Written((), program.motions.line[targets.motion])
-    else:
-        whole = np.zeros(len(program.motions), dtype=bool)
-        if program.dialect == "krl":
-            whole = np.maximum.reduceat(moved, np.flatnonzero(_first_of_motion(sampled.sample))) <= _UNCHANGED
-            whole &= _start_unmoved(program, place, sampled, moved)
-        targets, row = _targets(program, place, sampled, moved, whole, linearize_arcs)
-        written = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
-    issues += written.issues
+    blocked = any(issue.level == "error" for issue in issues)
+    targets, row = _targets(program, place, sampled, mode, linearize_arcs)
     chosen = sampled.command.at(row)
     before, deflection = _uncorrected(program, place, sampled, row, run)
-    after, between = before, float(before.max(initial=0.0))
-    if written.documents:
-        again = verify.read_back(written, place, program.name)
+    after, between, documents = before, float(before.max(initial=0.0)), ()
+    output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
+    if mode == "predict":
+        printed = krl.numbers(program)[targets.motion] if program.dialect == "krl" else printed
+    elif not blocked:
+        written = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
         simulated = verify.simulate(
-            program,
-            sampled.path,
-            sampled.load,
-            targets,
-            again,
-            place,
-            chosen,
-            sampled.joints.branch[row],
-            run,
+            program, sampled.path, sampled.load, targets, written, place, chosen, sampled.joints.branch[row], run,
             corrected=mode == "convert",
-        )
-        after, between = simulated.after, simulated.between
-        issues += simulated.issues
-        blend = again.motions.blend[np.isnan(again.motions.joints[:, 0])]
-        nominal = sampled.sample.pose[row]
-        if mode == "convert" and len(blend) == len(row):
-            issues += checks.blending(
-                program, targets.motion, nominal[:, :3, 3], targets.pose[:, :3, 3], blend, place.tolerance
-            )
-    failed = any(issue.level == "error" for issue in issues)
+        )  # fmt: skip
+        issues += [*written.issues, *simulated.issues]
+        blocked = any(issue.level == "error" for issue in issues)
+        output_line, documents = written.output_line, () if blocked else written.documents
+        after, between, printed = simulated.after, simulated.between, simulated.printed
+    frames = place.tool(program, targets.motion), place.wrench(program, targets.motion, sampled.wrench[row])
+    correction = (targets.pose - sampled.sample.pose[row])[:, :3, 3]
     return Result(
         program=program,
         robot=robot.name,
         mode=mode,
-        documents=() if failed else written.documents,
+        documents=documents,
         motion=targets.motion,
         t=targets.t,
-        output_line=written.output_line,
+        output_line=output_line,
         nominal=sampled.sample.pose[row],
-        command=targets.pose,
+        printed=printed,
         wrench=sampled.wrench[row],
         deflection=deflection,
         before=before,
         after=after,
-        bound=elastostatics.position_bound(
-            place.robot,
-            chosen.q,
-            place.tool(program, targets.motion),
-            place.wrench(program, targets.motion, sampled.wrench[row]),
-        ),
+        bound=elastostatics.position_bound(place.robot, chosen.q, *frames),
         q=chosen.q,
         joint_margin=kinematics.joint_margin(robot, sampled.command.q).min(axis=0),
         singular_value=kinematics.smallest_singular_value(chosen.jacobian),
         between=between,
-        largest_correction=float(np.linalg.norm((targets.pose - sampled.sample.pose[row])[:, :3, 3], axis=1).max()),
+        largest_correction=float(np.linalg.norm(correction, axis=1).max(initial=0.0)),
         issues=group_issues(issues),
     )
 
@@ -242,21 +219,28 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     ]
 
 
-def _first_of_motion(sample: Toolpath) -> Bools:
-    return np.concatenate([[True], np.diff(sample.motion) != 0])
+def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> Bools:
+    """(M,) True for motions that are written as they stand, in one piece.
 
-
-def _start_unmoved(program: Program, place: InRoot, sampled: _Sampled, moved: Array) -> Bools:
-    """(M,) True where the motion before ends on its nominal pose (or is an axis target, which nothing moves)."""
-    at_end = moved[sampled.sample.ends] <= _UNCHANGED
-    return np.concatenate([[True], at_end[:-1]])
+    For a prediction that is all; in KRL it is those that neither need a correction nor start from a corrected pose.
+    """
+    if mode == "predict":
+        return np.ones(len(program.motions), dtype=bool)
+    if program.dialect == "gcode":
+        return np.zeros(len(program.motions), dtype=bool)
+    sample = sampled.sample
+    moved = np.abs(twist_between(sample.pose, sampled.command.pose)).max(axis=1) > _UNCHANGED
+    first = np.flatnonzero(np.concatenate([[True], np.diff(sample.motion) != 0]))
+    start_moved = np.concatenate([[False], moved[sample.ends][:-1]])
+    return np.asarray(~(np.maximum.reduceat(moved, first) | start_moved))
 
 
 def _targets(
-    program: Program, place: InRoot, sampled: _Sampled, moved: Array, whole: Bools, linearize_arcs: bool
+    program: Program, place: InRoot, sampled: _Sampled, mode: Mode, linearize_arcs: bool
 ) -> tuple[Targets, Ints]:
     """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
+    whole = _unchanged(program, sampled, mode)
     end = sampled.command.pose[sample.ends]
     start = toolpath.starts(program, end, place.start_flange)[:, :3, 3]
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
@@ -343,7 +327,7 @@ def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> R
         t=none,
         output_line=rows,
         nominal=frames,
-        command=frames,
+        printed=np.zeros((0, 6)),
         wrench=np.zeros((0, 6)),
         deflection=np.zeros((0, 3)),
         before=none,

@@ -26,7 +26,7 @@ class Result:
     :param t: (K,) place on that motion, in (0, 1].
     :param output_line: (K,) line of the written program (of the input for "predict").
     :param nominal: (K, 4, 4) where the tool should stand.
-    :param command: (K, 4, 4) where the program as written sends the controller.
+    :param printed: (K, 6) X, Y, Z, A, B, C of the command as they stand in the written text: mm and degrees.
     :param wrench: (K, 6) force and moment used.
     :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
     :param before: (K,) distance of the predicted tip from nominal if nothing is corrected [m].
@@ -48,7 +48,7 @@ class Result:
     t: Array
     output_line: Ints
     nominal: Array
-    command: Array
+    printed: Array
     wrench: Array
     deflection: Array
     before: Array

@@ -18,6 +18,7 @@ from postproc.errors import Issue, NotConvergedError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, twist_between
 from postproc.parallel import Run
+from postproc.pipeline import checks
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
 from postproc.robot import RobotModel
@@ -41,11 +42,13 @@ class Simulated:
 
     :param after: (K,) distance of the predicted tip from nominal at each target [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
-    :param issues: why the program must not be released; empty if it may.
+    :param printed: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
+    :param issues: why the program must not be released (level error), or what to look at.
     """
 
     after: Array
     between: float
+    printed: Array
     issues: tuple[Issue, ...]
 
 
@@ -54,7 +57,7 @@ def simulate(
     path: Segments,
     load: MotionForces,
     targets: Targets,
-    written: Program,
+    text: Written,
     place: InRoot,
     command: Compensation,
     branch: Ints,
@@ -62,11 +65,11 @@ def simulate(
     *,
     corrected: bool,
 ) -> Simulated:
-    """Simulate a written program against the nominal path of the program it was made from.
+    """Read a written program back and simulate it against the nominal path of the program it was made from.
 
     :param program: the nominal program, `path` and `load` its geometry and forces.
     :param targets: what was to be written (K rows).
-    :param written: the written program as read back.
+    :param text: the program as written.
     :param place: robot, cell and start.
     :param command: the K commands as computed: where the search for those of the text begins, and its branch;
         poses in `$BASE`.
@@ -74,11 +77,13 @@ def simulate(
     :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
+    written = krl.read(text.documents, place.cell, place.forward, program.name)
     m = written.motions
     row = np.flatnonzero(np.isnan(m.joints[:, 0]))
     mismatch = _mismatch(program, targets, written, row)
     if mismatch is not None:
-        return Simulated(np.full(len(targets), np.nan), np.inf, (mismatch,))
+        return _unusable(targets, mismatch)
+    printed = krl.numbers(written)[row]
     written_path = toolpath.segments(written, place.start_flange)
     index, share = _probes(targets, m, row, written_path)
     begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
@@ -91,7 +96,7 @@ def simulate(
     except NotConvergedError as cause:
         line = int(program.motions.line[nominal.motion[cause.rows[0]]])
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
-        return Simulated(np.full(len(targets), np.nan), np.inf, (issue,))
+        return _unusable(targets, issue)
     off = tip - nominal.pose[:, :3, 3]
     after = np.linalg.norm(off[share == 1.0], axis=1)
     inner = np.flatnonzero(share < 1.0)
@@ -100,8 +105,17 @@ def simulate(
     off[arcs] -= np.einsum("ni,ni->n", off[arcs], travel)[:, None] * travel
     distance = np.linalg.norm(off, axis=1)
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[nominal.motion]
-    issues = tuple(_not_held(program, place, targets, after, nominal, distance, settled, index)) if corrected else ()
-    return Simulated(after, float(distance[settled].max(initial=0.0)), issues)
+    issues: list[Issue] = []
+    if corrected:
+        issues += _not_held(program, place, targets, after, nominal, distance, settled)
+        ends = nominal.pose[share == 1.0, :3, 3]
+        issues += checks.blending(program, targets.motion, ends, targets.pose[:, :3, 3], m.blend[row], place.tolerance)
+    return Simulated(after, float(distance[settled].max(initial=0.0)), printed, tuple(issues))
+
+
+def _unusable(targets: Targets, issue: Issue) -> Simulated:
+    count = len(targets)
+    return Simulated(np.full(count, np.nan), np.inf, np.full((count, 6), np.nan), (issue,))
 
 
 def _tips(
@@ -215,7 +229,6 @@ def _not_held(
     nominal: toolpath.Toolpath,
     distance: Array,
     settled: Bools,
-    index: Ints,
 ) -> Iterator[Issue]:
     for bad, limit, rows, what in (
         (~(after <= _HELD), _HELD, targets.motion, "at a target"),
@@ -231,8 +244,3 @@ def _not_held(
                 source_line=int(program.motions.line[rows[int(np.argmax(bad))]]),
                 count=int(bad.sum()),
             )
-
-
-def read_back(written: Written, place: InRoot, name: str) -> Program:
-    """Read a written program with the reader for KRL input."""
-    return krl.read(written.documents, place.cell, place.forward, name)

@@ -139,7 +139,7 @@ def _along(result: Result, position: Array, row: Ints) -> str:
         title = "after: as written (own scale)" if result.mode == "convert" else "as written"
         curves.append(_deviation(result, result.after, title, "after"))
     if result.mode == "convert":
-        moved = np.linalg.norm(result.command[:, :3, 3] - result.nominal[:, :3, 3], axis=1) * MM_PER_M
+        moved = np.linalg.norm(result.printed[:, :3] - result.nominal[:, :3, 3] * MM_PER_M, axis=1)
         curves.append(Curve("correction, mm", moved, "moved", 70))
     curves.append(Curve("force, N", np.linalg.norm(result.wrench[:, :3], axis=1), "force", 70))
     picture = charts.strips(

@@ -49,7 +49,7 @@ def _rows(result: Result, part: slice) -> bytes:
         decimals.fixed(result.t[part], _PLACE),
         decimals.fixed(moved.rapid[motion].astype(float), 0),
         *_block(xyzabc_from_pose(result.nominal[part]), _NOMINAL),
-        *_block(xyzabc_from_pose(result.command[part]), _COMMAND[result.program.dialect]),
+        *_block(result.printed[part], _COMMAND[result.program.dialect]),
         *_block(result.wrench[part], _WRENCH),
         *_block(result.deflection[part] * MM_PER_M, (_LENGTH,) * 3),
         *(decimals.fixed(values * MM_PER_M, _LENGTH) for values in (result.before[part], result.after[part], bound)),

@@ -39,7 +39,7 @@ def test_every_target_is_a_row_with_its_numbers_in_mm_and_degrees():
         ("source_line", result.source_line, 0.0),
         ("t", result.t, 1e-9),
         ("rapid", result.rapid, 0.0),
-        ("Z_cmd", result.command[:, 2, 3] * 1e3, 6e-5),
+        ("Z_cmd", result.printed[:, 2], 6e-5),
         ("Fz", result.wrench[:, 2], 6e-4),
         ("dZ", result.deflection[:, 2] * 1e3, 6e-7),
         ("before_mm", result.before * 1e3, 6e-7),

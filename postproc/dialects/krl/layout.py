@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.rows import Offsets
 from postproc.frames import Array
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, Program
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,3 +48,13 @@ class Layout:
     public: frozenset[str]
     understood: Mapping[str, int]
     loose_triggers: tuple[int, ...]
+
+
+def numbers(program: Program) -> Array:
+    """Return X, Y, Z [mm], A, B, C [deg] (M, 6) of a KRL program's motions as its text has them.
+
+    :raises TypeError: the program was not read from KRL.
+    """
+    if not isinstance(program.layout, Layout):
+        raise TypeError("only a program read from KRL has numbers in its text")
+    return program.layout.numbers
