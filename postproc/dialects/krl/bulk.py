@@ -88,7 +88,9 @@ def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
     numbers[row, column] = values
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
-        raise source.error("a number is not finite", int(starts[bad[0]] + shift[row[bad[0]]]))
+        offset = int(shift[row[bad[0]]])
+        number = text[int(starts[bad[0]]) + offset : int(stops[bad[0]]) + offset]
+        raise source.error(f"{number} is not a finite number", int(starts[bad[0]]) + offset)
     spans = np.full((len(index), len(COLUMNS), 2), -1, dtype=np.int32)
     kept = column < len(COLUMNS)
     row, column = row[kept], column[kept]

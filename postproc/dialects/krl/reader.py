@@ -79,6 +79,7 @@ def read(
         np.stack(settings.bases),
         np.stack(settings.tools),
         notes=_notes(source),
+        still=np.array(walker.still, dtype=np.int64),
         issues=tuple(issues),
         layout=layout,
     )

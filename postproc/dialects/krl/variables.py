@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from postproc.cell import Cell
 from postproc.dialects.krl.names import MAX_LENGTH, NAME
-from postproc.dialects.krl.positions import Position, from_aggregate, from_pose
+from postproc.dialects.krl.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
 from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.syntax import (
     Aggregate,
@@ -52,6 +52,7 @@ class _Pending:
 
 
 Known = Number | Word | Aggregate | Position | Unknown
+_COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _ZERO = Position((0.0,) * 6)
 
 
@@ -149,16 +150,16 @@ class Variables:
             self._elements[key[: key.index("[")]].append(key)
         self._values[key] = value
 
-    def set_field(self, key: str, field: str, value: Known) -> None:
+    def set_field(self, key: str, field: str, value: Known, line: int) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
         whole = self._value(key)
         if isinstance(whole, Aggregate) and isinstance(value, Number | Word):
             self._values[key] = replace(whole, items={**whole.items, field: value}, computed=True)
-        elif isinstance(whole, Aggregate):
+        elif isinstance(whole, Aggregate) and field not in _COMPONENTS:
             items = {**whole.items, field: Opaque(whole.start, whole.stop)}
             self._values[key] = replace(whole, items=items, computed=True)
-        elif whole is not None:
-            self._values[key] = value if isinstance(value, Unknown) else Unknown(0)
+        elif isinstance(whole, Aggregate | Position):
+            self._values[key] = Unknown(line)
 
     def forget(self, name: str, line: int) -> None:
         """Note that a variable (all its elements) is changed while the program runs."""

@@ -39,6 +39,7 @@ class Walker:
     :ivar main: first and last line of the main program.
     :ivar blocked: (first line, last line, word): control structures and other subprograms, where no motion of the main
         program may stand.
+    :ivar still: lines of motions to where the robot is already.
     :ivar triggers: lines of TRIGGER statements of the main program.
     :ivar issues: what the user should know.
     """
@@ -47,6 +48,7 @@ class Walker:
         self.source, self.settings, self.variables = source, settings, settings.variables
         self.reader, self.name = moves, name
         self.moves = Collector()
+        self.still: list[int] = []
         self.blocked: list[tuple[int, int, str]] = []
         self.triggers: list[int] = []
         self.issues: list[Issue] = []
@@ -158,7 +160,9 @@ class Walker:
         if self._returned:
             raise self.misplaced(line, "RETURN", self._returned)
         move = self.reader.read(line, word, start, stop)
-        if move is not None:
+        if move is None:
+            self.still.append(line)
+        else:
             self.moves.add(move)
 
     def misplaced(self, line: int, opener: str, opened: int) -> ProgramError:
@@ -289,7 +293,7 @@ class Walker:
         if target.field is None:
             self.variables.set(key, known)
         else:
-            self.variables.set_field(key, target.field, known)
+            self.variables.set_field(key, target.field, known, line)
 
     def only_comments(self, first: int, last: int) -> bool:
         """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""

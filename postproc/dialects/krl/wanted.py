@@ -16,6 +16,8 @@ from postproc.program import Bools, Ints, Motions, Targets
 DECIMALS = np.array([4, 4, 4, 5, 5, 5])
 """Least decimals of X, Y, Z [mm] and A, B, C [deg]: 0.1 µm and, at a lever of 1 m, 0.2 µm."""
 MOST_DECIMALS = 9
+_UPRIGHT = 1e-6
+"""B closer than this to ±90° [deg] is ±90°: choosing A freely then turns the tool by less than 1e-7 rad."""
 _EQUAL = 1e-9
 """Numbers closer than this are the same text."""
 
@@ -112,8 +114,12 @@ def _rounded(values: Array, decimals: Ints) -> Array:
 def _nearest(abc: Array, reference: Array) -> Array:
     """Return A, B, C (K, 3) [deg] of the same orientations as close as possible to others.
 
-    An orientation has two triples, each modulo 360°. Angles leave ±180° only where the reference does.
+    An orientation has two triples, each modulo 360°; at B = ±90°, where only A ∓ C is given, any A. Angles leave ±180°
+    only where the reference does.
     """
+    upright = np.abs(np.abs(abc[:, 1]) - 90.0) < _UPRIGHT
+    turn = np.where(upright, reference[:, 0] - abc[:, 0], 0.0)
+    abc = np.stack([abc[:, 0] + turn, abc[:, 1], abc[:, 2] + np.sign(abc[:, 1]) * turn], axis=1)
     other = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
     one, other = (t + 360.0 * np.rint((reference - t) / 360.0) for t in (abc, other))
     farther = ((one - reference) ** 2).sum(axis=1) > ((other - reference) ** 2).sum(axis=1) + _EQUAL

@@ -1,0 +1,499 @@
+"""KRL in, KRL out: nothing but numbers changes, and the controller gets what was asked for."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from postproc.dialects import krl
+from postproc.errors import ProgramError
+from postproc.frames import pose_from_xyzabc
+from postproc.program import CIRC, LIN, PTP, Motions, Program, Targets
+from tests.dialects.krl_programs import CELL, DATA, body, check_commands, forward, numbers, read, sources, targets
+
+FULL = "LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}"
+MM = 1e-3
+
+
+def up(program, *rows, by=1.0):
+    """Shifts of the given motions by `by` mm along Z."""
+    shift = np.zeros((len(program.motions), 3))
+    shift[list(rows), 2] = by * MM
+    return shift
+
+
+def keep_unmoved(program, wanted, shift, turn=None):
+    still = (np.abs(shift).sum(axis=1) == 0) & (turn is None or turn == 0.0)
+    m = program.motions
+    keep = still[wanted.motion] & (wanted.t == 1.0) & (wanted.kind == m.kind[wanted.motion])
+    return Targets(wanted.motion, wanted.t, wanted.kind, wanted.pose, wanted.via, keep, wanted.status, wanted.turn)
+
+
+def rewritten(text, data=None, raised=(), by=1.0, **options):
+    """Rewrite with some motions raised and the others kept, check what the controller gets; the documents' lines."""
+    program = read(text, data)
+    shift = up(program, *raised, by=by)
+    wanted = keep_unmoved(program, targets(program, shift, **options), shift)
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    return [document.text.splitlines() for document in written.documents], written
+
+
+def kinds(written):
+    return [issue.kind for issue in written.issues]
+
+
+# --- properties --------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(sources(), st.data())
+def test_the_written_program_commands_the_targets(source, data):
+    try:
+        program = read(source, DATA)
+    except ProgramError:
+        assume(False)
+    count = len(program.motions)
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**31)))
+    shift = rng.uniform(-2, 2, (count, 3)) * MM * data.draw(st.sampled_from([0, 1]))
+    turn = rng.uniform(-1e-3, 1e-3, count) * data.draw(st.sampled_from([0, 0, 1]))
+    shift[rng.random(count) < data.draw(st.sampled_from([0.0, 0.5]))] = 0
+    pieces = {row: np.arange(1, 6) / 6 for row in np.flatnonzero(program.motions.sweep > 6)}
+    if data.draw(st.booleans()):
+        pieces |= {row: rng.uniform(0.1, 0.9, 2).round(3) for row in np.flatnonzero(rng.random(count) < 0.4)}
+    straight = data.draw(st.sampled_from([False, False, True]))
+    wanted = targets(program, shift, turn, pieces=pieces, straight=straight)
+    wanted = keep_unmoved(program, wanted, shift, turn)
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    if wanted.keep.all():
+        assert [d.text for d in written.documents] == [source, DATA]
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@given(sources())
+def test_rewriting_again_with_the_same_targets_changes_nothing(source):
+    try:
+        program = read(source, DATA)
+    except ProgramError:
+        assume(False)
+    assume(not (program.motions.kind == CIRC).any())  # their auxiliary points are chosen anew
+    first = krl.rewrite(program, targets(program, up(program, *range(len(program.motions)))))
+    again = krl.read(first.documents, CELL, forward, "part")
+    second = krl.rewrite(again, targets(again))
+    assert [d.text for d in second.documents] == [d.text for d in first.documents]
+
+
+def test_nothing_changes_when_all_targets_are_kept():
+    text = (
+        "\ufeff".encode() + body("; Größe", FULL + " C_Dis ;x", "  lin {x 1.5E1, y -0}", "LIN XP1", end="\n").encode()
+    )
+    program = read(text, DATA)
+    written = krl.rewrite(program, targets(program, keep=True))
+    assert written.documents[0].to_bytes() == text
+    assert written.documents[1].text == DATA
+    assert written.output_line.tolist() == [5, 6, 7]
+    assert written.issues == ()
+
+
+def test_only_krl_can_be_rewritten():
+    program = read(body(FULL))
+    foreign = Program("part", "gcode", program.documents, program.motions, program.bases, program.tools)
+    with pytest.raises(ValueError, match="KRL"):
+        krl.rewrite(foreign, targets(program))
+
+
+# --- numbers in place --------------------------------------------------------------------------------------------
+
+
+def test_only_numbers_change_and_only_where_they_must():
+    (lines, *_), _ = rewritten(
+        body(
+            "  LIN {X 100.5,Y -20,Z 30,A 10,B 20,C 170} C_Dis ; N10 Ø",
+            "\tlin{E6POS: x 100, y 20, z 31, a 10, b 20, c 170, E1 0.0}C_DIS",
+            FULL,
+            end="\n",
+        ),
+        raised=[0, 1],
+    )
+    assert lines[3:6] == [
+        "  LIN {X 100.5000,Y -20.0000,Z 31.0000,A 10.00000,B 20.00000,C 170.00000} C_Dis ; N10 Ø",
+        "\tlin{E6POS: x 100.0000, y 20.0000, z 32.0000, a 10.00000, b 20.00000, c 170.00000, E1 0.0}C_DIS",
+        FULL,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("number", "printed"),
+    [
+        ("30", "31.0000"),
+        ("3E1", "31.0000"),
+        ("30.12", "31.1200"),
+        ("30.1234567", "31.1234567"),
+        ("30.1234567890123", "31.123456789"),
+        ("3.012345678E1", "31.123456780"),
+        ("-1.00000", "0.00000"),
+        ("-1.00004", "-0.00004"),
+        ("-1.00000000000001", "0.000000000"),
+    ],
+)
+def test_decimals_are_at_least_four_and_as_many_as_there_were(number, printed):
+    for bulk_free in ("", ",E1 0,S 2"):  # the second is read by the general path
+        line = f"LIN {{X 1,Y 2,Z {number},A 0,B 0,C 0{bulk_free}}}"
+        (lines, *_), _ = rewritten(body(line), raised=[0])
+        assert f",Z {printed}," in lines[3]
+
+
+def test_mixed_line_ends_stay_with_their_lines():
+    text = "DEF part( )\r\n" + FULL + "\n" + FULL + "\r\n; x\r\r\nEND"
+    program = read(text)
+    written = krl.rewrite(program, targets(program, up(program, 0, 1), pieces={1: [0.5]}))
+    new = written.documents[0].text
+    assert new.count("\r\n") == text.count("\r\n") + 1
+    assert new.endswith("\r\n; x\r\r\nEND")
+    check_commands(program, targets(program, up(program, 0, 1), pieces={1: [0.5]}), written)
+
+
+def test_angles_stay_close_to_those_that_were_written():
+    angles = np.array([[180, 0, -180], [200, 0, 0], [-10, 90, 20], [15, -90, 0], [0, 120, 0]])
+    program = read(body(*("LIN {X 1,Y 2,Z 3,A %g,B %g,C %g}" % tuple(row) for row in angles)))  # noqa: UP031
+    wanted = targets(program, up(program, 2, 3), np.array([1e-4, 1e-4, 0, 0, 1e-4]))
+    written = krl.rewrite(program, wanted)
+    again = check_commands(program, wanted, written)
+    assert np.abs(numbers(again)[:, 3:] - angles).max() < 0.02
+    assert np.array_equal(numbers(again)[2:4, 3:], angles[2:4])
+
+
+def test_status_and_turn_change_only_when_they_differ():
+    program = read(
+        body(
+            "PTP {X 1,Y 2,Z 3,A 4,B 5,C 6,S 2,T 34}", "PTP {X 1,Y 2,Z 3,A 4,B 5,C 6,S 'B010',T 'B100010'}", "PTP {X 1}"
+        )
+    )
+    bits = np.array([6, 6, 6]), np.array([34, 3, 35])
+    written = krl.rewrite(program, targets(program, up(program, 0, 1, 2), bits=bits))
+    lines = written.documents[0].text.splitlines()[3:6]
+    assert [line[line.index(",S") :] for line in lines[:2]] == [",S 6,T 34}", ",S 'B110',T 'B000011'}"]
+    assert ",S" not in lines[2]
+
+
+def test_axis_targets_have_no_row_and_stay_to_the_byte():
+    axis = "PTP {A1 0,A2 -90,A3 90.0,A4 0,A5 0,A6 0} ; home"
+    (lines, *_), _ = rewritten(body(axis, FULL, axis), raised=[1])
+    assert (lines[3], lines[5]) == (axis, axis)
+
+
+# --- components that are missing ---------------------------------------------------------------------------------
+
+
+def test_missing_components_are_added_when_they_must_change():
+    program = read(
+        body(FULL, "LIN {X 7, Y 8} C_DIS", "lin {x 9,y 1} C_DIS", "LIN {Z 5,S 2,T 10,E1 0}", "LIN {E6POS: X 1}")
+    )
+    shift = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 2], [1, 0, 2], [1, 0, 0]]) * MM
+    wanted = targets(program, shift)
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    assert written.documents[0].text.splitlines()[4:8] == [
+        "LIN {X 7.0000, Y 8.0000, Z 31.0000} C_DIS",
+        "lin {x 9.0000,y 1.0000,z 32.0000} C_DIS",
+        "LIN {Z 7.0000,X 10.0000,S 2,T 10,E1 0}",
+        "LIN {E6POS: X 2.0000,Z 5.0000}",
+    ]
+
+
+def test_a_kept_target_is_completed_when_its_predecessor_was_changed():
+    (lines, *_), _ = rewritten(body(FULL, "LIN {X 7.5}", "LIN {X 8}", "LIN {X 9,Z 3}"), raised=[0])
+    assert lines[4:7] == ["LIN {X 7.5,Z 30.0000}", "LIN {X 8}", "LIN {X 9,Z 3}"]
+
+
+def test_added_numbers_have_all_the_digits_they_need():
+    (lines, *_), _ = rewritten(body("LIN {X 1,Y 2,Z 3.12345678,A 0,B 0,C 0}", "LIN {X 7}", "LIN {X 8}"), raised=[0])
+    assert lines[4:6] == ["LIN {X 7,Z 3.12345678}", "LIN {X 8}"]
+
+
+def test_a_target_behind_an_axis_target_keeps_what_the_controller_fills_in():
+    axis = "PTP {A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}"
+    (lines, *_), _ = rewritten(body(FULL, axis, "LIN {X 7}", "LIN {X 8}"), raised=[0])
+    assert lines[5:7] == ["LIN {X 7}", "LIN {X 8}"]
+
+
+# --- relative targets --------------------------------------------------------------------------------------------
+
+
+def test_a_relative_target_becomes_absolute_when_it_or_its_predecessor_changes():
+    source = body(
+        FULL, "  Lin_Rel {Z 30} C_DIS ; up", "LIN_REL {X 1} #TOOL", "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}", "LIN_REL {Y 1}"
+    )
+    (lines, *_), written = rewritten(source, raised=[0])
+    assert lines[4] == "  Lin {X 100.0000,Y 20.0000,Z 60.0000,A 10.00000,B 20.00000,C 170.00000} C_DIS ; up"
+    assert lines[5:8] == ["LIN_REL {X 1} #TOOL", "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}", "LIN_REL {Y 1}"]
+    assert kinds(written) == ["relative-made-absolute"]
+    (lines, *_), written = rewritten(source, raised=[2])
+    assert lines[4] == "  Lin_Rel {Z 30} C_DIS ; up"
+    assert lines[5].startswith("LIN {X 100.")
+    assert "#TOOL" not in lines[5]
+
+
+# --- inserted targets --------------------------------------------------------------------------------------------
+
+
+def test_inserted_targets_stand_before_their_line_in_its_style():
+    (lines, *_), written = rewritten(
+        body(FULL + " C_DIS", "; to the end", "  lin {x 100, y 20, z 40, a 10, b 20, c 170} c_dis ; N20", FULL),
+        raised=[1],
+        pieces={1: [0.5]},
+    )
+    assert lines[4:7] == [
+        "; to the end",
+        "  lin {x 100.0000, y 20.0000, z 35.5000, a 10.00000, b 20.00000, c 170.00000} c_dis",
+        "  lin {x 100.0000, y 20.0000, z 41.0000, a 10.00000, b 20.00000, c 170.00000} c_dis ; N20",
+    ]
+    assert written.output_line.tolist() == [4, 6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("line", "tail"),
+    [
+        ("LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}", " C_DIS"),
+        ("LIN {X 1,Y 2,Z 3,A 0,B 0,C 0} C_VEL", " C_VEL"),
+        ("SLIN {X 1,Y 2,Z 3,A 0,B 0,C 0}", " C_SPL"),
+        ("PTP {X 1,Y 2,Z 3,A 0,B 0,C 0}", " C_PTP"),
+        ("SLIN {X 1,Y 2,Z 3,A 0,B 0,C 0} WITH $VEL={CP 0.2}", " WITH $VEL={CP 0.2} C_SPL"),
+    ],
+)
+def test_the_robot_does_not_stop_at_an_inserted_target(line, tail):
+    program = read(body(FULL, line))
+    written = krl.rewrite(program, targets(program, pieces={1: [0.25, 0.5]}))
+    lines = written.documents[0].text.splitlines()
+    assert [text.partition("}")[2] for text in lines[4:6]] == [tail, tail]
+    assert lines[6].partition("}")[2] == line.partition("}")[2]
+
+
+def test_inserted_targets_of_an_inline_form_stand_inside_its_fold_with_numbers():
+    lines = (
+        FULL,
+        ";FOLD LIN P1 Vel=0.1 m/s CPDAT1 Tool[2]:mill Base[3]:table;%{PE}%R 8.3.22,%P 1:LIN, 2:P1",
+        "FDAT_ACT={TOOL_NO 2,BASE_NO 3,IPO_FRAME #BASE}",
+        "BAS(#FRAMES)",
+        "LIN XP1 C_DIS",
+        ";ENDFOLD",
+    )
+    (src, dat), _ = rewritten(body(*lines), DATA, raised=[1], pieces={1: [0.5]})
+    assert src[6] == "BAS(#FRAMES)"
+    assert src[7].startswith("LIN {X ")
+    assert src[7].endswith("} C_DIS")
+    assert src[8:10] == ["LIN XP1 C_DIS", ";ENDFOLD"]
+    assert dat[1].startswith("DECL E6POS XP1={X 100.2500,Y 200.5000,Z 301.0000,A 10.00000,")
+    assert dat[1].endswith(",S 2,T 10,E1 5.0}")
+
+
+def test_a_trigger_stays_with_the_end_of_its_motion():
+    trigger = "TRIGGER WHEN DISTANCE=1 DELAY=0 DO $OUT[1]=TRUE"
+    (lines, *_), written = rewritten(
+        body(FULL, trigger, "; comment", "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}"), raised=[1], pieces={1: [0.5]}
+    )
+    assert lines[4].startswith("LIN {X ")
+    assert lines[5:7] == [trigger, "; comment"]
+    assert written.output_line.tolist() == [4, 5, 8]
+    assert kinds(written) == ["trigger"]
+
+
+def test_a_trigger_that_cannot_stay_is_warned_about():
+    source = body(FULL, "TRIGGER WHEN PATH=-5 DELAY=0 DO $OUT[1]=TRUE", "$VEL.CP=0.1", "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}")
+    _, written = rewritten(source, raised=[1], pieces={1: [0.5]})
+    (issue,) = written.issues
+    assert (issue.kind, issue.level, issue.source_line) == ("trigger-moved", "warning", 5)
+
+
+# --- circles -----------------------------------------------------------------------------------------------------
+
+START = "LIN {X 10,Y 0,Z 0,A 0,B 90,C 0} C_DIS"
+
+
+def test_a_circle_is_corrected_in_place():
+    (lines, *_), _ = rewritten(
+        body(START, "CIRC {X 0,Y 10,Z 0}, {X -10,Y 0,Z 0,A 0,B 90,C 0} C_DIS ; arc"), raised=[0, 1]
+    )
+    assert lines[4].endswith(", {X -10.0000,Y 0.0000,Z 1.0000,A 0.00000,B 90.00000,C 0.00000} C_DIS ; arc")
+    assert lines[4].startswith("CIRC {X 0.0000,Y 10.0000,Z 0.5000}, ")
+
+
+def test_a_circle_is_divided_into_circles_or_lines():
+    source = body(START, "circ {x 0,y 10,z 0},{x -10,y 0,z 0} C_DIS")
+    (lines, *_), _ = rewritten(source, raised=[1], pieces={1: [0.5]})
+    assert lines[4].startswith("circ {x 7.0711,y 7.0711,z ")
+    assert lines[5].startswith("circ {x -7.0711,y 7.0711,z ")
+    (lines, *_), _ = rewritten(source, raised=[1], pieces={1: [0.25, 0.5, 0.75]}, straight=True)
+    assert [line[:6] for line in lines[4:8]] == ["lin {x"] * 4
+    assert lines[7].startswith("lin {x -10.0000,y 0.0000,z 1.0000} C_DIS")
+
+
+def test_a_circular_angle_is_dropped_when_the_arc_is_written_anew():
+    source = body(START, "CIRC {X 0,Y 10,Z 0},{X -10,Y 0,Z 0},CA 450 C_DIS ; more than once around")
+    (lines, *_), written = rewritten(source, raised=[1], pieces={1: [0.2, 0.4, 0.6, 0.8]})
+    assert not any("CA" in line for line in lines)
+    assert lines[8].endswith("{X 0.0000,Y 10.0000,Z 1.0000} C_DIS ; more than once around")
+    assert kinds(written) == ["angle-dropped"]
+
+
+def test_a_kept_circle_with_an_angle_is_written_anew_when_its_start_moves():
+    source = body(START, "CIRC {X 0,Y 10,Z 0},{X -10,Y 0,Z 0},CA 90 C_DIS", "LIN {X 5,Y 0,Z 0,A 0,B 90,C 0}")
+    (lines, *_), written = rewritten(source, raised=[0])
+    assert lines[4].endswith("{X 0.0000,Y 10.0000,Z 0.0000} C_DIS")
+    assert kinds(written) == ["angle-dropped"]
+    (lines, *_), _ = rewritten(source, raised=[2])
+    assert lines[4] == source.splitlines()[4]
+
+
+# --- named points ------------------------------------------------------------------------------------------------
+
+
+def test_a_point_used_once_is_corrected_where_it_is_declared():
+    (src, dat), written = rewritten(body(FULL, "LIN XP1 C_DIS"), DATA, raised=[1])
+    assert src[4] == "LIN XP1 C_DIS"
+    assert dat[1] == (
+        "DECL E6POS XP1={X 100.2500,Y 200.5000,Z 301.0000,A 10.00000,B 20.00000,C 170.00000,S 2,T 10,E1 5.0}"
+    )
+    assert dat[2:] == DATA.splitlines()[2:]
+    assert kinds(written) == []
+
+
+def test_a_point_used_twice_with_the_same_correction_stays_one_point():
+    (src, dat), _ = rewritten(body(FULL, "LIN XP1", FULL, "LIN XP1 C_DIS"), DATA, raised=[1, 3])
+    assert (src[4], src[6]) == ("LIN XP1", "LIN XP1 C_DIS")
+    assert len(dat) == len(DATA.splitlines())
+
+
+def test_a_point_used_twice_with_different_corrections_becomes_two():
+    program = read(body(FULL, "LIN XP1", FULL, "lin xp1 C_DIS", "LIN XP1"), DATA)
+    shift = up(program, 1) + up(program, 3, by=2.0)
+    wanted = keep_unmoved(program, targets(program, shift), shift)
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    src, dat = (document.text.splitlines() for document in written.documents)
+    assert [src[line] for line in (4, 6, 7)] == ["LIN XP1_2", "lin xp1_3 C_DIS", "LIN XP1"]
+    assert dat[1] == DATA.splitlines()[1]
+    assert dat[2].startswith("DECL E6POS XP1_2={X 100.2500,Y 200.5000,Z 301.0000,")
+    assert dat[3].startswith("DECL E6POS xp1_3={X 100.2500,Y 200.5000,Z 302.0000,")
+    assert kinds(written) == ["new-point"]
+
+
+def test_new_names_are_free_and_short_enough():
+    name = "XPOINT_WITH_24_CHARACTRS"
+    data = f"DEFDAT part\nDECL E6POS {name}={{X 1,Y 2,Z 3,A 4,B 5,C 6}}\nDECL INT {name[:-2]}_2=5\nENDDAT\n"
+    (src, dat), _ = rewritten(body(f"LIN {name}", FULL, f"LIN {name}"), data, raised=[0])
+    assert src[3] == f"LIN {name[:-2]}_3"
+    assert dat[2].startswith(f"DECL E6POS {name[:-2]}_3={{X 1.0000,")
+
+
+def test_a_point_that_is_also_used_otherwise_stays_as_it_is():
+    (src, dat), _ = rewritten(body(FULL, "LIN XP1", "IF XP1.Z>5 THEN", "HALT", "ENDIF"), DATA, raised=[1])
+    assert src[4] == "LIN XP1_2"
+    assert dat[1] == DATA.splitlines()[1]
+
+
+def test_a_global_point_that_is_corrected_is_warned_about():
+    _, written = rewritten(body(FULL, "LIN XP2"), DATA, raised=[1])
+    assert [(issue.kind, issue.level) for issue in written.issues] == [("global-point", "warning")]
+
+
+def test_an_incomplete_point_is_completed_in_the_data_file():
+    (_, dat), _ = rewritten(body(FULL, "LIN XP2"), DATA, raised=[0])
+    assert dat[2] == "DECL GLOBAL E6POS XP2={X -50.5,Y 20,Z 250.12345678}"
+    program = read(body(FULL, "LIN XP2"), DATA)
+    wanted = targets(program, turn=np.array([0.0, 1e-3]))
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    assert (
+        written.documents[1]
+        .text.splitlines()[2]
+        .startswith("DECL GLOBAL E6POS XP2={X -50.5000,Y 20.0000,Z 250.12345678,A ")
+    )
+
+
+def test_elements_of_arrays_are_corrected_or_replaced_by_numbers():
+    (src, dat), _ = rewritten(body("LIN P[1]", "LIN P[2]"), DATA, raised=[0])
+    assert src[3:5] == ["LIN P[1]", "LIN P[2]"]
+    assert dat[4] == "P[1]={X 1.0000,Y 2.0000,Z 4.0000,A 4.00000,B 5.00000,C 6.00000}"
+    (src, dat), written = rewritten(body("LIN P[1]", FULL, "LIN P[1] C_DIS"), DATA, raised=[2])
+    assert (src[3], src[5]) == ("LIN P[1]", "LIN {X 1.0000,Y 2.0000,Z 4.0000,A 4.00000,B 5.00000,C 6.00000} C_DIS")
+    assert dat == DATA.splitlines()
+    assert kinds(written) == ["point-replaced"]
+
+
+def test_points_of_the_source_file_are_corrected_where_they_are_assigned():
+    source = body("DECL E6POS P1", "P1={X 1,Y 2,Z 3,A 4,B 5,C 6}", "LIN P1", "P1={X 7,Y 2,Z 3,A 4,B 5,C 6}", "LIN P1")
+    (src, *_), _ = rewritten(source, raised=[1])
+    assert src[4] == "P1={X 1,Y 2,Z 3,A 4,B 5,C 6}"
+    assert src[6] == "P1={X 7.0000,Y 2.0000,Z 4.0000,A 4.00000,B 5.00000,C 6.00000}"
+
+
+def test_chains_of_frames_are_replaced_by_numbers():
+    (src, *_), written = rewritten(body("LIN P[1]:{X 1,Y 0,Z 0,A 0,B 0,C 0} C_VEL ; off"), DATA, raised=[0])
+    along = pose_from_xyzabc([1, 2, 3, 4, 5, 6])
+    x, y, z = along[:3, 3] * 1000 + along[:3, 0]
+    assert src[3] == f"LIN {{X {x:.4f},Y {y:.4f},Z {z + 1:.4f},A 4.00000,B 5.00000,C 6.00000}} C_VEL ; off"
+    assert kinds(written) == ["point-replaced"]
+
+
+def test_a_ptp_to_a_shared_point_keeps_its_status_and_turn():
+    (src, dat), _ = rewritten(body("PTP XP1", FULL, "PTP XP1"), DATA, raised=[2])
+    assert src[5] == "PTP XP1_2"
+    assert dat[2].endswith(",S 2,T 10,E1 5.0}")
+
+
+# --- what the controller would not follow ------------------------------------------------------------------------
+
+
+def test_turning_the_tool_under_a_constant_orientation_is_an_error():
+    program = read(body(FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 1,Y 2,Z 3,A 10,B 20,C 170}"))
+    moved = krl.rewrite(program, targets(program, up(program, 1)))
+    assert moved.issues == ()
+    turned = krl.rewrite(program, targets(program, turn=np.array([0.0, 1e-3])))
+    (issue,) = turned.issues
+    assert (issue.level, issue.kind, issue.source_line) == ("error", "constant-orientation", 6)
+
+
+# --- size --------------------------------------------------------------------------------------------------------
+
+
+def test_a_hundred_thousand_lines_are_rewritten_at_once():
+    rng = np.random.default_rng(7)
+    values = rng.uniform(-170, 170, (100_000, 6)).round(4)
+    program = read(body(*("LIN {X %s,Y %s,Z %s,A %s,B %s,C %s} C_DIS" % tuple(row) for row in values.tolist())))  # noqa: UP031
+    m = program.motions
+    count = len(m)
+    pose = m.target.copy()
+    pose[:, :3, 3] += 1e-4
+    nothing = np.full(count, -1)
+    wanted = Targets(
+        np.arange(count),
+        np.ones(count),
+        m.kind,
+        pose,
+        np.full((count, 3), np.nan),
+        np.zeros(count, bool),
+        nothing,
+        nothing,
+    )
+    best = np.inf
+    for _ in range(3):
+        begin = time.process_time()
+        written = krl.rewrite(program, wanted)
+        best = min(best, time.process_time() - begin)
+    check_commands(program, wanted, written)
+    assert best / count < 12e-6  # 2.5 µs on a quiet machine
+
+
+def test_motions_of_all_kinds_are_where_they_were_said_to_be():
+    source = body(
+        "PTP {X 1,Y 2,Z 3,A 4,B 5,C 6,S 2,T 10}", START, "CIRC {X 0,Y 10,Z 0},{X -10,Y 0,Z 0}", "LIN_REL {Z 5}"
+    )
+    (lines, *_), written = rewritten(source, raised=[0, 1, 2, 3], pieces={1: [0.5], 2: [0.5], 3: [0.5]})
+    words = [lines[line - 1].split()[0] for line in written.output_line]
+    assert words == ["PTP", "LIN", "LIN", "CIRC", "CIRC", "LIN", "LIN"]
+    assert {LIN, CIRC, PTP} == set(read("\r\n".join([*lines, ""])).motions.kind.tolist())
+    assert isinstance(read(source).motions, Motions)
