@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from postproc.cell import Cell, Frame, Start, Tool
 from postproc.dialects import krl
 from postproc.dialects.krl.reader import read as read_documents
-from postproc.dialects.text import decode
+from postproc.dialects.text import decode, line_spans
 from postproc.frames import pose_from_xyzabc
 from postproc.program import CIRC, LIN, Program, Targets, Written
 
@@ -148,8 +148,9 @@ def check_commands(program: Program, wanted: Targets, written: Written):
     for point in (wanted.via[arcs], wanted.pose[arcs, :3, 3]):
         off = np.linalg.norm(point - centre, axis=1) - np.linalg.norm(m.target[rows[arcs], :3, 3] - centre, axis=1)
         np.testing.assert_allclose(off, 0.0, atol=2e-7)
-    lines = written.documents[0].text.splitlines()
-    assert all(" c_" in lines[line - 1].lower() for line in written.output_line[~last])
+    text = written.documents[0].text.lower()
+    starts, stops = (spans[written.output_line[~last] - 1].tolist() for spans in line_spans(text))
+    assert all(" c_" in text[start:stop] for start, stop in zip(starts, stops, strict=True))
     return again
 
 
