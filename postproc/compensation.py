@@ -113,11 +113,16 @@ def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wren
     passive = [column for column in range(robot.actual.nv) if column not in actuated]
     x = elastostatics.coordinates(robot, q_nominal)
     for _ in range(_MAX_ITERATIONS):
-        x, pose, jacobian = kinematics.refine(robot.loaded, x, actuated, tool, target)
-        theta = elastostatics.springs_at(robot, x, jacobian, wrench)
+        pose, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool)
+        missed = np.abs(twist_between(pose, target))
+        if missed.max(initial=0.0) > ROTATION_TOLERANCE:
+            x, pose, _ = kinematics.refine(robot.loaded, x, actuated, tool, target, (pose, jacobian))
+            missed = np.abs(twist_between(pose, target))
+            _, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool)
+        theta = elastostatics.springs_at(robot, x, jacobian, wrench, weight)
         # what the coordinates between the joints still have to move displaces the tool by as much
         move = jacobian[:, :, passive] @ (theta - x)[:, passive, None]
-        left = np.abs(twist_between(pose, target)) + np.abs(move[..., 0])
+        left = missed + np.abs(move[..., 0])
         bad = (left[:, :3].max(axis=1) > POSITION_TOLERANCE) | (left[:, 3:].max(axis=1) > ROTATION_TOLERANCE)
         if not bad.any():
             return (x - theta)[:, actuated], theta

@@ -1,6 +1,6 @@
 """Kinematics of a robot: forward, Jacobian, Hessian, gravity torques; inverse with branches and limits."""
 
-from postproc.kinematics.chain import gravity_stiffness, gravity_torque, load_stiffness, tcp
+from postproc.kinematics.chain import gravity_stiffness, gravity_torque, load_stiffness, tcp, tcp_and_weight
 from postproc.kinematics.inverse import (
     JointPath,
     UnreachableError,
@@ -29,5 +29,6 @@ __all__ = [
     "smallest_singular_value",
     "status_of",
     "tcp",
+    "tcp_and_weight",
     "turn_of",
 ]

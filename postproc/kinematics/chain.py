@@ -6,8 +6,6 @@ WORLD Jacobian, which Pinocchio returns in one call, by moving its reference poi
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pinocchio as pin
 
@@ -23,23 +21,59 @@ def tcp(model: pin.Model, q: Array, tool: Array) -> tuple[Array, Array]:
     :param tool: (4, 4) or (N, 4, 4) tool frame in the flange frame [m].
     :returns: pose in the root frame (N, 4, 4) [m]; Jacobian (N, 6, nv), rows: position [m], rotation [rad], root axes.
     """
+    pose, jacobian, _ = _evaluate(model, q, tool, weigh=False)
+    return pose, jacobian
+
+
+def tcp_and_weight(model: pin.Model, q: Array, tool: Array) -> tuple[Array, Array, Array]:
+    """Return pose and Jacobian of the tool frame as `tcp`, and ∇U_g (N, nv) as `gravity_torque`, in one pass."""
+    return _evaluate(model, q, tool, weigh=True)
+
+
+def gravity_torque(model: pin.Model, q: Array) -> Array:
+    """Return ∇U_g (N, nv): torques that hold the weights of the links at configurations q (N, nv)."""
+    out = np.zeros((len(q), model.nv))
+    data = model.createData()
+    weight = _weight(model)
+    if weight > 0.0:
+        centre, height = pin.jacobianCenterOfMass, data.Jcom[2]
+        for coordinates, its_height in zip(np.ascontiguousarray(q, dtype=float), out, strict=True):
+            centre(model, data, coordinates, False)
+            its_height[...] = height
+    return out * weight
+
+
+def _weight(model: pin.Model) -> float:
+    """Return the weight of all links [N]."""
+    return float(-model.gravity.linear[2] * sum(inertia.mass for inertia in list(model.inertias)[1:]))
+
+
+def _evaluate(model: pin.Model, q: Array, tool: Array, *, weigh: bool) -> tuple[Array, Array, Array]:
     data = model.createData()
     flange = model.frames[model.getFrameId(FLANGE)]
     jacobian, last = np.empty((len(q), 6, model.nv)), np.zeros((len(q), 4, 4))
     last[:, 3, 3] = 1.0
+    heights = np.zeros((len(q), model.nv))
     # views of Pinocchio's own memory: copying from them costs half of what its return values cost
     placement = data.oMi[flange.parentJoint]
-    columns, rotation, position = data.J, placement.rotation, placement.translation
-    compute = pin.computeJointJacobians
-    rows = zip(np.ascontiguousarray(q, dtype=float), jacobian, last[:, :3, :3], last[:, :3, 3], strict=True)
-    for coordinates, its_columns, its_rotation, its_position in rows:
-        compute(model, data, coordinates)
+    columns, rotation, position, height = data.J, placement.rotation, placement.translation, data.Jcom[2]
+    weight = _weight(model) if weigh else 0.0
+    compute, centre = pin.computeJointJacobians, pin.jacobianCenterOfMass
+    rows = zip(np.ascontiguousarray(q, dtype=float), jacobian, last[:, :3, :3], last[:, :3, 3], heights, strict=True)
+    for coordinates, its_columns, its_rotation, its_position, its_height in rows:
+        if (
+            weight
+        ):  # the Jacobian of the centre of mass leaves the joint Jacobian behind; its z row times weight is ∇U_g
+            centre(model, data, coordinates, False)
+            its_height[...] = height
+        else:
+            compute(model, data, coordinates)
         its_columns[...] = columns
         its_rotation[...] = rotation
         its_position[...] = position
     pose = last @ (flange.placement.homogeneous @ tool)
     jacobian[:, :3] -= hat(pose[:, :3, 3]) @ jacobian[:, 3:]
-    return pose, jacobian
+    return pose, jacobian, heights * weight
 
 
 def load_stiffness(jacobian: Array, wrench: Array) -> Array:
@@ -62,15 +96,6 @@ def load_stiffness(jacobian: Array, wrench: Array) -> Array:
     if not wrench[:, 3:].any():
         return np.asarray(symmetric)
     return np.asarray(symmetric + np.tril(np.swapaxes(axes @ (hat(-wrench[:, 3:]) @ angular), 1, 2), -1))
-
-
-def gravity_torque(model: pin.Model, q: Array) -> Array:
-    """Return ∇U_g (N, nv): torques that hold the weights of the links at configurations q (N, nv)."""
-    threads = min(4, os.cpu_count() or 1)
-    columns = np.asfortranarray(q.T)
-    zero = np.zeros_like(columns)
-    torque: Array = pin.rneaInParallel(threads, pin.ModelPool(model, threads), columns, zero, zero)
-    return np.ascontiguousarray(torque.T)
 
 
 def gravity_stiffness(model: pin.Model, q: Array) -> Array:

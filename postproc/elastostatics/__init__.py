@@ -1,0 +1,32 @@
+"""Elastostatics of the robot: virtual springs, equilibrium under load, Cartesian stiffness, uncertainty.
+
+Source: Klimchik et al., Eq. (1), (4), (5), in the form of a potential (θ: deflections of the virtual springs, q + θ:
+actual coordinates):
+
+    V(θ) = ½ θᵀ K⁰ θ + [U_c(q₂+θ₂) − U_c(q₂) − U_c′(q₂) θ₂] + [U_g(q+θ) − U_g(q) − ∇U_g(q)·θ] − W_F(q+θ)
+
+The loaded equilibrium is its minimum. The terms linear in θ inside the brackets are subtracted where the geometry
+already holds the state of rest (`RobotModel.subtract_reference`). Wrenches are dead loads at the TCP: force [N] and
+moment [N·m] on the tool, root axes.
+"""
+
+from postproc.elastostatics.equilibrium import Deflection, deflect, springs_at
+from postproc.elastostatics.springs import coordinates, fading, fading_slope, joint_stiffness, spring_deflection
+from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
+from postproc.elastostatics.uncertainty import position_bound, sensitivity
+
+__all__ = [
+    "Deflection",
+    "cartesian_stiffness",
+    "coordinates",
+    "deflect",
+    "fading",
+    "fading_slope",
+    "joint_stiffness",
+    "linear_deflection",
+    "position_bound",
+    "sensitivity",
+    "spring_deflection",
+    "springs_at",
+    "tangent_compliance",
+]
