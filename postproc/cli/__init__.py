@@ -13,6 +13,7 @@ import click
 _COMMANDS = {
     "convert": "postproc.cli.convert:convert",
     "identify": "postproc.cli.identify:identify",
+    "plan": "postproc.cli.plan:plan",
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",
 }

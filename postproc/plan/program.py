@@ -33,7 +33,7 @@ def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
         lines.append("EXT BAS (BAS_COMMAND :IN,REAL :IN )")
     lines += [
         f";{len(result.plan)} poses to measure, in the order of least travel (postproc plan)",
-        ";Run it in T1. Ways between the poses were checked for floor, obstacles and the arm itself by coarse shapes only.",
+        ";Run it in T1: ways between the poses were checked by coarse shapes only.",
         "BAS (#INITMOV,0 )",
         f"BAS (#VEL_PTP,{_SPEED_PERCENT} )",
         _ptp(start),

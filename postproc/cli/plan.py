@@ -1,0 +1,188 @@
+"""`postproc plan`."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from postproc.cell import Cell
+    from postproc.plan.make import Progress
+    from postproc.plan.milling import TestPoses
+    from postproc.robot import RobotModel
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.option("--experiment", type=_PATH, required=True, help="How it is measured: experiment.toml with [rig].")
+@click.option("--cell", type=_PATH, required=True, help="Cell file of the programs.")
+@click.option(
+    "--program", "programs", multiple=True, metavar="PROGRAM...", help="What will be milled: files, folders, patterns."
+)
+@click.argument("more", nargs=-1, metavar="[PROGRAM]...")
+@click.option("--forces", type=_PATH, help="CSV file of cutting forces, or a folder with NAME.csv for each program.")
+@click.option(
+    "--poses", type=_PATH, help="Test poses by hand instead: CSV A1…A6,Fx,Fy,Fz[,weight] (deg; N, root axes)."
+)
+@click.option("--measured", type=_PATH, help="What was measured so far; the plan says what to measure next.")
+@click.option("--configurations", type=click.IntRange(1, 200), default=15, show_default=True, help="Poses to measure.")
+@click.option("--q2-levels", type=click.IntRange(1, 20), default=5, show_default=True, help="Levels of A2 among them.")
+@click.option("--grouped", is_flag=True, help="The criterion as printed: each level of A2 identified alone.")
+@click.option(
+    "--test-poses", type=click.IntRange(1, 500), default=20, show_default=True, help="Poses that stand for all."
+)
+@click.option("--repeats", type=click.IntRange(1, 100), default=3, show_default=True, help="Readings of each point.")
+@click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same plan.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json beside it.")
+def plan(
+    experiment: Path,
+    cell: Path,
+    programs: tuple[str, ...],
+    more: tuple[str, ...],
+    forces: Path | None,
+    poses: Path | None,
+    measured: Path | None,
+    configurations: int,
+    q2_levels: int,
+    grouped: bool,
+    test_poses: int,
+    repeats: int,
+    margin: float,
+    seed: int,
+    as_json: bool,
+    output: Path,
+) -> None:
+    r"""Choose poses and loads whose measurement identifies the robot best for the work at hand.
+
+    The plan makes the error that remains after compensation smallest where the PROGRAMs mill, under their forces. For
+    plan.csv this writes plan.csv (config,A1…A6,Fx,Fy,Fz: deg; N, root axes, at the load point; in the order of least
+    travel), plan.src (KRL that visits the poses and waits), plan.html (poses drawn, expected accuracy, comparison with
+    other plans) and plan.json. Ctrl-C ends the search and writes the best plan so far.
+
+    --program takes several: --program a.nc b.nc. Each counts the same.
+
+    \b
+    Examples:
+      postproc plan --experiment experiment.toml --cell cell.toml --program part.nc -o plan.csv
+      postproc plan --experiment experiment.toml --cell cell.toml --program "parts/*.nc" --forces forces/ \
+          --configurations 20 --q2-levels 6 --seed 7 -o plan.csv
+      postproc plan --experiment experiment.toml --cell cell.toml --poses tests.csv --grouped -o plan.csv
+      postproc plan --experiment experiment.toml --cell cell.toml --program part.nc \
+          --measured measurements.csv --configurations 4 -o next.csv
+    """
+    from postproc import cell as cells
+    from postproc import robot as robots
+    from postproc.files import write_whole
+    from postproc.frames import RAD_PER_DEG
+    from postproc.identification import measurements
+    from postproc.plan import Options, make
+    from postproc.plan.program import krl_name, krl_program
+    from postproc.plan.site import site_of
+    from postproc.report.plan import plan_page
+    from postproc.report.plan_data import plan_csv, plan_json
+
+    programs += more  # --program a.nc b.nc
+    if (poses is None) == (not programs):
+        raise click.UsageError("Give either --program (one or several) or --poses.")
+    if output.suffix.lower() != ".csv":
+        raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
+    setup = measurements.read_experiment(experiment)
+    place = cells.load(cell)
+    model = robots.load(robots.find(setup.robot, experiment.parent))
+    _check_same_robot(model, robots.load(robots.find(place.robot, cell.parent)))
+    site = site_of(model, setup, experiment.parent, margin * RAD_PER_DEG)
+    tests = _test_poses(programs, forces, poses, model, place)
+    data = None if measured is None else measurements.read(measured, setup)
+    _protect(output, [experiment, cell, *filter(None, (forces, poses, measured)), *map(Path, programs)])
+    options = Options(configurations, q2_levels, seed, grouped, test_poses, repeats)
+    with _shown() as progress:
+        result = make(site, setup.sigma, tests, place, options, data, progress)
+    name = krl_name(output.stem)
+    contents = {
+        output.name: plan_csv(result),
+        f"{name}.src": krl_program(result, place, name).to_bytes(),
+        f"{output.stem}.html": plan_page(result, output.stem),
+        f"{output.stem}.json": plan_json(result),
+    }
+    written = write_whole(output.parent, contents)
+    for warning in result.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    if as_json:
+        click.echo(contents[f"{output.stem}.json"].decode(), nl=False)
+        return
+    from postproc.report.plan_data import plan_lines
+
+    for line in plan_lines(result):
+        click.echo(line)
+    click.echo("written: " + ", ".join(str(path) for path in written))
+
+
+def _test_poses(
+    programs: tuple[str, ...], forces: Path | None, poses: Path | None, model: RobotModel, cell: Cell
+) -> TestPoses:
+    from postproc.batch.inputs import find_jobs, read_documents
+    from postproc.forces import read_force_csv
+    from postproc.pipeline.process import read
+    from postproc.plan import milling
+
+    if poses is not None:
+        return milling.from_file(poses, model, cell)
+    parts = []
+    for job in find_jobs(programs, forces=forces, writes_programs=False):
+        program = read(read_documents(job.program, job.dialect), model, cell, job.program.stem, job.dialect)
+        rows = None if job.forces is None else read_force_csv(job.forces)
+        parts.append(milling.from_program(program, model, cell, rows))
+    return milling.joined(parts)
+
+
+def _check_same_robot(measured: RobotModel, milling: RobotModel) -> None:
+    """Experiment and cell may name different models (priors, identified ones), but of one arm."""
+    from postproc.errors import InputError
+    from postproc.plan.arm import Arm
+
+    one, other = Arm.of(measured), Arm.of(milling)
+    if abs(one.placement - other.placement).max() > 1e-6 or abs(one.axis - other.axis).max() > 1e-6:
+        raise InputError(
+            f"the experiment is with robot {measured.name}, the cell has {milling.name}, an arm of other dimensions",
+            advice="Plan the measurements for the robot that mills.",
+        )
+
+
+def _protect(output: Path, inputs: list[Path]) -> None:
+    """No input may be overwritten."""
+    from postproc.errors import InputError
+
+    taken = {str(path.resolve()).lower() for path in inputs}
+    for suffix in (".csv", ".src", ".html", ".json"):
+        target = output.with_suffix(suffix)
+        if str(target.resolve()).lower() in taken:
+            raise InputError("this input would be overwritten", file=str(target), advice="Choose another -o.")
+
+
+@contextlib.contextmanager
+def _shown() -> Iterator[Progress | None]:
+    """Show progress on a terminal; none when the output goes elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("planning", total=1.0, best="")
+
+        def tell(stage: str, share: float, best: float) -> None:
+            shown = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
+            bar.update(task, description=stage, completed=share, best=shown)
+
+        yield tell
