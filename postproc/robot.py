@@ -223,7 +223,7 @@ def load(folder: str | Path) -> RobotModel:
     if missing:
         raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")
     for name, spring in content.joints.items():
-        if sum(part.compliance_urad_per_Nm for part in spring.stiffening) > spring.compliance_urad_per_Nm * (1 + 1e-9):
+        if sum(part.compliance_urad_per_Nm for part in spring.stiffening) > spring.compliance_urad_per_Nm * (1 + 1e-6):
             raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
     _check_covariance(content.covariance, where)
     nominal = _nominal(folder / "robot.urdf")

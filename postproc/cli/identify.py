@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from postproc.identification import IdentifiedFolder
     from postproc.identification.identify import Depth, Method
 
 _FILE = click.Path(path_type=Path)
@@ -67,6 +68,7 @@ def compensator(markers: Path, output: Path) -> None:
     show_default=True,
     help="auto: look for springs of links and stiffening gears where joint springs do not explain the readings.",
 )
+@click.option("--geometry", is_flag=True, help="Calibrate the geometry too, from the readings without load.")
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def elastostatics(
@@ -75,6 +77,7 @@ def elastostatics(
     compensator_file: Path | None,
     method: Method,
     structure: Depth,
+    geometry: bool,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -90,12 +93,41 @@ def elastostatics(
       postproc identify elastostatics measurements.csv --experiment experiment.toml \
           --compensator compensator.toml -o my_robot
     """
-    import json
-
     from postproc.identification import identify_folder
     from postproc.report.identification import page
 
-    done = identify_folder(measurements, experiment, output, compensator_file, method, structure, _say, page)
+    done = identify_folder(
+        measurements, experiment, output, compensator_file, method, structure, _say, page, geometry=geometry
+    )
+    _show(done, output, as_json)
+
+
+@identify.command()
+@click.argument("measurements", type=_FILE)
+@click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
+@click.option("--model", type=_FILE, help="Model folder whose springs predict the sag; default: the robot shipped.")
+@click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
+@click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
+def geometry(measurements: Path, experiment: Path, model: Path | None, output: Path, as_json: bool) -> None:
+    r"""Calibrate the geometry from readings without load: offsets, lengths, tilts, with sag under own weight.
+
+    MEASUREMENTS is the CSV file of `identify elastostatics`; loaded readings in it are not used. The model folder
+    written carries the calibrated geometry, and `convert` then corrects for it too. Whether sag is told from
+    geometry, and whether the geometry is changed at all, is decided on configurations left out.
+
+    \b
+    Example:
+      postproc identify geometry measurements.csv --experiment experiment.toml --model my_robot -o my_calibrated_robot
+    """
+    from postproc.identification import geometry_folder
+    from postproc.report.identification import page
+
+    _show(geometry_folder(measurements, experiment, output, model, page), output, as_json)
+
+
+def _show(done: IdentifiedFolder, output: Path, as_json: bool) -> None:
+    import json
+
     if as_json:
         click.echo(json.dumps(done.data, indent=2, ensure_ascii=False))
         return

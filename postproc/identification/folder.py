@@ -9,9 +9,13 @@ from typing import Any
 
 from postproc import robot as robots
 from postproc.compensator import Compensator
-from postproc.identification import compensator_geometry, model_folder
+from postproc.frames import MM_PER_M
+from postproc.identification import compensator_geometry, model_folder, outliers
+from postproc.identification import geometry as calibration
 from postproc.identification.identify import Depth, Identification, Method, identify
 from postproc.identification.measurements import read, read_experiment
+from postproc.identification.placement import describe, describe_points
+from postproc.identification.plausibility import check_frames, check_points
 from postproc.robot import RobotModel
 
 
@@ -19,12 +23,12 @@ from postproc.robot import RobotModel
 class IdentifiedFolder:
     """What was written.
 
-    :param result: the identification.
+    :param result: the identification of the compliances, if there was one.
     :param data: content of `identification.json`.
     :param text: summary for a terminal.
     """
 
-    result: Identification
+    result: Identification | None
     data: dict[str, Any]
     text: str
 
@@ -52,9 +56,11 @@ def identify_folder(
     depth: Depth = "auto",
     progress: Callable[[str], None] = lambda _: None,
     render: Callable[[dict[str, Any]], bytes] | None = None,
+    geometry: bool = False,
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
+    :param geometry: calibrate the geometry too, with the springs found.
     :param render: makes `report.html` from the content of `identification.json`.
 
     :raises MeasurementError: the files are unusable.
@@ -67,23 +73,75 @@ def identify_folder(
         prior = with_compensator_geometry(prior, compensator)
     result = identify(prior, read(measurements, setup), method, depth, progress)
     data = model_folder.report_data(result)
-    geometry = None if compensator is None else f"identified from markers ({compensator.name})"
+    marked = None if compensator is None else f"identified from markers ({compensator.name})"
     source = f"identified from {measurements.name}, {method}"
-    report = {} if render is None else {"report.html": render(data)}
-    model_folder.write(output, result, prior_folder, source, geometry, report)
+    content = model_folder.model_file(result, model_folder.read_prior(prior_folder), source, marked)
+    if geometry:
+        progress("geometry")
+        found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
+        content, data["geometry"] = found.content, calibration.report_data(found)
+    model_folder.write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
+
+
+def geometry_folder(
+    measurements: Path,
+    experiment: Path,
+    output: Path,
+    model: Path | None = None,
+    render: Callable[[dict[str, Any]], bytes] | None = None,
+) -> IdentifiedFolder:
+    """Calibrate the geometry from readings without load and write the model folder.
+
+    :param model: folder of the model whose springs predict the sag; the robot of the experiment by default.
+    :raises MeasurementError: the files are unusable.
+    :raises InputError: the folder cannot be written.
+    """
+    setup = read_experiment(experiment)
+    folder = model or robots.find(setup.robot, experiment.parent)
+    robot = robots.load(folder)
+    data = read(measurements, setup, loads=False)
+    check_points(data)
+    check_frames(robot, data)
+    data, left_out = outliers.model_free(data)
+    content = model_folder.read_prior(folder)
+    found = calibration.identify_geometry(content, robot.nominal, robot.name, data)
+    report = {
+        "method": "geometry",
+        "robot": robot.name,
+        "sigma_mm": setup.sigma_mm,
+        "geometry": calibration.report_data(found),
+        "base": describe(found.placement),
+        "points": describe_points(found.placement, data.points),
+        "unloaded_rms_mm": found.placement.rms * MM_PER_M,
+        "outliers": left_out,
+        "warnings": [f"outlier: {name}" for name in left_out],
+    }
+    model_folder.write(output, found.content, report, folder, render)
+    return IdentifiedFolder(None, report, summary(report))
 
 
 def summary(data: dict[str, Any]) -> str:
     """Return the identified values as a table for a terminal."""
     lines = []
-    for name, entry in data["parameters"].items():
+    for name, entry in data.get("parameters", {}).items():
         half = "" if entry["ci95"] is None else f" ± {entry['ci95']:.3g}"
         mark = "" if entry["observable"] else "   (prior: not observable)"
         lines.append(f"{name:>12} = {entry['value']:.5g}{half} {entry['unit']}{mark}")
-    residual = data["residual"]
-    lines.append(
-        f"residual {residual['rms_mm']:.3f} mm RMS, {residual['max_mm']:.3f} mm max; "
-        f"displacements {residual['before_rms_mm']:.3f} mm RMS"
-    )
+    if "residual" in data:
+        residual = data["residual"]
+        lines.append(
+            f"residual {residual['rms_mm']:.3f} mm RMS, {residual['max_mm']:.3f} mm max; "
+            f"displacements {residual['before_rms_mm']:.3f} mm RMS"
+        )
+    if "geometry" in data:
+        geometry = data["geometry"]
+        for name, entry in geometry["parameters"].items():
+            mark = "" if entry["observable"] else "   (not narrowed by the readings)"
+            lines.append(f"{name:>12} = {entry['value']:8.4f} ± {entry['ci95']:.3g} {entry['unit']}{mark}")
+        for label, rms in geometry["variants"].items():
+            mark = "  <- chosen" if label == geometry["chosen"] else ""
+            lines.append(
+                f"{label}: {rms['rms_mm']:.3f} mm RMS, {rms['held_out_rms_mm']:.3f} mm on configurations left out{mark}"
+            )
     return "\n".join(lines)

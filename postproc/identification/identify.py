@@ -10,6 +10,7 @@ import numpy as np
 
 from postproc.frames import MM_PER_M, Array
 from postproc.identification import outliers
+from postproc.identification.elastic import JOINT_NAMES, STIFFNESS
 from postproc.identification.enhanced import (
     Levels,
     SpringOfJoint2,
@@ -119,9 +120,7 @@ def identify(
                 choice = choose(prior, data, placement)
             fit = choice.fit
             warnings.append(note + "; " + choice.reason)
-            missing = [entry for entry in missing if entry.name == "K_c" or fit.value(entry.name) == 0.0]
-            if "K_c" in fit.structure.names:
-                missing = [entry for entry in missing if entry.name != "K_c"]
+            missing = _still_missing(fit, missing)
     warnings += [str(entry) for entry in missing]
     warnings += [f"outlier: {name}" for name in left_out]
     return Identification(
@@ -137,6 +136,28 @@ def identify(
         tuple(left_out),
         tuple(warnings),
     )
+
+
+def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
+    """Return what a fit with more springs leaves open: K_c unless it is in it, joints whose compliance came out zero."""
+    names = fit.structure.names
+    whole = {
+        joint: sum(v for name, v in zip(names, fit.values, strict=True) if name.partition("@")[0] == joint)
+        for joint in JOINT_NAMES
+    }
+    known = {entry.name: entry for entry in missing}
+    found = [entry for entry in missing if entry.name == STIFFNESS and STIFFNESS not in names]
+    for joint, value in whole.items():
+        if value <= 0.0:
+            found.append(
+                known.get(joint)
+                or NotObservable(
+                    joint,
+                    "beside the springs of the links the fit leaves it no compliance",
+                    f"Measure configurations that put more torque on A{joint[1]} alone.",
+                )
+            )
+    return found
 
 
 def _joints(

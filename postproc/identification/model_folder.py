@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -258,31 +259,29 @@ def _correlation(covariance: Array) -> list[list[float]]:
 
 def write(
     folder: Path,
-    result: Identification,
+    content: ModelFile,
+    data: dict[str, Any],
     prior_folder: Path,
-    source: str,
-    geometry_source: str | None = None,
-    extra: dict[str, bytes] | None = None,
+    render: Callable[[dict[str, Any]], bytes] | None = None,
 ) -> list[Path]:
     """Write the model folder, whole or not at all.
 
-    :param prior_folder: where robot.urdf and the prior's model.toml are.
-    :param source: where the values come from, for `model.toml`.
-    :param extra: further files, e.g. the report.
+    :param content: of `model.toml`.
+    :param data: of `identification.json`.
+    :param prior_folder: where robot.urdf is.
+    :param render: makes `report.html` from `data`.
     :raises InputError: the folder cannot be written, or is the prior's.
     """
     if folder.resolve() == prior_folder.resolve():
         raise InputError("would overwrite the prior model", file=str(folder), advice="Give another folder with -o.")
-    content = model_file(result, read_prior(prior_folder), source, geometry_source)
-    return files.write_whole(
-        folder,
-        {
-            "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
-            "model.toml": to_toml(content).encode(),
-            "identification.json": json.dumps(report_data(result), indent=2, ensure_ascii=False).encode(),
-            **(extra or {}),
-        },
-    )
+    files_of = {
+        "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
+        "model.toml": to_toml(content).encode(),
+        "identification.json": json.dumps(data, indent=2, ensure_ascii=False).encode(),
+    }
+    if render is not None:
+        files_of["report.html"] = render(data)
+    return files.write_whole(folder, files_of)
 
 
 def read_prior(folder: Path) -> ModelFile:

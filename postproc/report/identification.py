@@ -16,6 +16,10 @@ from postproc.report.style import CSS
 _WIDTH = 1000
 _LEFT, _RIGHT = 64, 16
 _PLOT = _WIDTH - _LEFT - _RIGHT
+_SPRINGS = (
+    "A hollow circle is the robot's prior value. Springs of links that lie alike in the chain are determined together, "
+    "not one by one: their intervals are wide, their sum is not."
+)
 _MORE = """
 .dot.before{fill:var(--before)}.dot.after{fill:var(--after)}.dot.prior{fill:none;stroke:var(--soft);stroke-width:1.5}
 .span{stroke:var(--rule);stroke-width:3}.bar{fill:var(--rule)}.bar.chosen{fill:var(--after)}
@@ -32,17 +36,11 @@ def page(data: Mapping[str, Any]) -> bytes:
     :param data: content of `identification.json`.
     """
     name = escape(str(data["robot"]))
-    parts = [
-        f'<header><p class="kind">Identification report</p><h1>{name}</h1><p>{_subtitle(data)}</p></header>',
-        _tiles(data),
-        _notes(data),
-        _configurations(data),
-        _parameters(data),
-        _levels(data),
-        _structures(data),
-        _correlations(data),
-        _setup(data),
-    ]
+    parts = [f'<header><p class="kind">Identification report</p><h1>{name}</h1><p>{_subtitle(data)}</p></header>']
+    if "residual" in data:
+        parts += [_tiles(data), _notes(data), _configurations(data), _parameters(data["parameters"], _SPRINGS)]
+        parts += [_levels(data), _structures(data), _correlations(data)]
+    parts += [_geometry(data), _setup(data)]
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{name}: identification report</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -51,8 +49,8 @@ def page(data: Mapping[str, Any]) -> bytes:
 
 
 def _subtitle(data: Mapping[str, Any]) -> str:
-    count = len(data["residual"]["per_configuration"])
-    return f"method {escape(data['method'])} · {count} configurations · noise σ {data['sigma_mm']:.3g} mm a coordinate"
+    count = f"{len(data['residual']['per_configuration'])} configurations · " if "residual" in data else ""
+    return f"method {escape(data['method'])} · {count}noise σ {data['sigma_mm']:.3g} mm a coordinate"
 
 
 def _tiles(data: Mapping[str, Any]) -> str:
@@ -137,9 +135,9 @@ def _svg(height: float, label: str, parts: Sequence[str]) -> str:
     return f'<svg viewBox="0 0 {_WIDTH} {height:.0f}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'
 
 
-def _parameters(data: Mapping[str, Any]) -> str:
+def _parameters(entries: Mapping[str, Any], note: str) -> str:
     rows = []
-    for name, entry in data["parameters"].items():
+    for name, entry in entries.items():
         half = entry["ci95"]
         value = f"{entry['value']:.5g}"
         interval = "prior" if half is None else f"± {half:.2g}"
@@ -151,8 +149,7 @@ def _parameters(data: Mapping[str, Any]) -> str:
         "<section><h2>Parameters with 95 % intervals</h2>"
         '<table class="wide"><thead><tr><th>Parameter</th><th>interval, % of the value (−50 … +50)</th><th>Value</th>'
         f"<th>95 %</th><th>Unit</th></tr></thead><tbody>{''.join(rows)}</tbody></table>"
-        "<p>A hollow circle is the robot's prior value. Springs of links that lie alike in the chain are determined "
-        "together, not one by one: their intervals are wide, their sum is not.</p></section>"
+        f"<p>{note}</p></section>"
     )
 
 
@@ -286,6 +283,33 @@ def _correlations(data: Mapping[str, Any]) -> str:
     height = 4 + count * size + 70
     chart = f'<svg viewBox="0 0 {_WIDTH} {height:.0f}" role="img" aria-label="correlations">{"".join(parts)}</svg>'
     return f"<section><h2>Correlations of the parameters</h2>{chart}<p>Blue: together; orange: against.</p></section>"
+
+
+def _geometry(data: Mapping[str, Any]) -> str:
+    if "geometry" not in data:
+        return ""
+    geometry = data["geometry"]
+    highest = max(row["held_out_rms_mm"] for row in geometry["variants"].values())
+    parts, text, bar = [], 320, 26
+    for index, (label, row) in enumerate(geometry["variants"].items()):
+        y = 8 + index * bar
+        length = (_WIDTH - text - 200) * row["held_out_rms_mm"] / highest
+        chosen = label == geometry["chosen"]
+        parts.append(
+            f'<text class="right{" note" if chosen else ""}" x="{text - 10}" y="{y + 14}">{escape(label)}</text>'
+            f'<rect class="bar{" chosen" if chosen else ""}" x="{text}" y="{y + 2}" width="{length:.1f}" height="16"/>'
+            f'<text class="left" x="{text + length + 8:.1f}" y="{y + 14}">{row["held_out_rms_mm"]:.3f} mm '
+            f"(fit {row['rms_mm']:.3f})</text>"
+        )
+    chart = _svg(12 + len(geometry["variants"]) * bar, "geometry variants", parts)
+    table = ""
+    if geometry["parameters"]:
+        note = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
+        table = _parameters(geometry["parameters"], note)
+    return (
+        "<section><h2>Geometry: RMS distance of unloaded readings, on configurations left out</h2>"
+        f"{chart}</section>{table}"
+    )
 
 
 def _setup(data: Mapping[str, Any]) -> str:

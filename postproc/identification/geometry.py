@@ -1,0 +1,358 @@
+"""Calibration of the geometry from readings without load: how far the joints stand from where the drawing puts them.
+
+The set of parameters is non-redundant: of all displacements of A1…A6 (six each) those are taken, in the order of what a
+workshop understands (zero offsets, lengths, tilts), that the base transform, the reference points and the ones before
+cannot imitate; 4·6 + 6 = 30 for a chain of six revolute joints, less 6 of the base and 6 of the points (Everett,
+Driels, Mooring 1987). Sag under own weight is predicted by the springs of the model, so that what is found is the
+geometry of the weightless robot; whether that describes the readings better is decided on configurations left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+from postproc import elastostatics, kinematics
+from postproc.errors import PostprocError
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
+from postproc.identification.errors import MeasurementError
+from postproc.identification.measurements import Measurements
+from postproc.identification.placement import Placement, kabsch
+from postproc.model_file import JOINTS, Displacement, Gravity, ModelFile
+from postproc.robot import RobotModel, assemble
+
+_AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
+_USUAL_SHIFT, _USUAL_TURN = 1e-3, 2e-3
+"""What a joint of a real robot is off by, at most usually [m, rad]: prior standard deviations."""
+_STEPS = 8
+_FOLDS = 10
+_INDEPENDENT = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryParameter:
+    """Displacement of a joint along or about one axis of its nominal frame."""
+
+    joint: str
+    axis: str
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``A2.RY``."""
+        return f"{self.joint}.{self.axis}"
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Calibrated geometry.
+
+    :param parameters: what was identified, in order.
+    :param values: (n,) [m, rad].
+    :param covariance: (n, n).
+    :param content: model file with `[geometry]` and the gravity reference that belongs to it.
+    :param placement: base transform and points found along with it.
+    :param sag: True if the geometry is that of the weightless robot.
+    :param rms: variant → (RMS of the fit, RMS on configurations left out) [m]; both per reading in space.
+    :param chosen: the variant taken.
+    :param not_observable: names of parameters whose interval the readings do not narrow.
+    """
+
+    parameters: tuple[GeometryParameter, ...]
+    values: Array
+    covariance: Array
+    content: ModelFile
+    placement: Placement
+    sag: bool
+    rms: dict[str, tuple[float, float]]
+    chosen: str
+    not_observable: tuple[str, ...]
+
+    @property
+    def ci95(self) -> Array:
+        """Half widths (n,) of the 95 % intervals [m, rad]."""
+        return np.asarray(1.959964 * np.sqrt(np.diag(self.covariance)))
+
+
+def nonredundant(nominal: pin.Model, points: int) -> tuple[GeometryParameter, ...]:
+    """Return the displacements that base transform, points and the ones before cannot imitate.
+
+    Found from the rank of the derivatives at random configurations, so that it holds for any arm.
+    """
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
+    offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(points, 3))]
+    flange, columns = _derivatives(nominal, q, offsets)
+    base, tool = _frame_columns(flange, offsets, np.eye(4))
+    basis, _ = np.linalg.qr(np.concatenate([base, tool], axis=1))
+    own = _own_axes(nominal)
+    order = [(j, own[j]) for j in range(6)]
+    order += [(j, a) for j in range(6) for a in range(3)]
+    order += [(j, 3 + a) for j in range(6) for a in range(3)]
+    taken: list[tuple[int, int]] = []
+    for joint, axis in order:
+        if (joint, axis) in taken:
+            continue
+        column = columns[:, joint, axis]
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > _INDEPENDENT * np.linalg.norm(column):
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            taken.append((joint, axis))
+    return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(taken))
+
+
+def _own_axes(model: pin.Model) -> list[int]:
+    data = model.createData()
+    q = np.zeros(6)
+    pin.forwardKinematics(model, data, q)
+    jacobian = pin.computeJointJacobians(model, data, q)
+    return [3 + int(np.argmax(np.abs(data.oMi[j + 1].rotation.T @ jacobian[3:, j]))) for j in range(6)]
+
+
+def _derivatives(model: pin.Model, q: Array, points: Array) -> tuple[Array, Array]:
+    """Return flange poses (C, 4, 4) and derivatives (C·P·3, 6, 6) of the points by displacements of the joints."""
+    data = model.createData()
+    flange = np.empty((len(q), 4, 4))
+    before = np.empty((len(q), 6, 4, 4))
+    frame = model.frames[model.getFrameId("flange")]
+    for row, angles in enumerate(np.ascontiguousarray(q)):
+        pin.forwardKinematics(model, data, angles)
+        flange[row] = (data.oMi[frame.parentJoint] * frame.placement).homogeneous
+        for joint in range(6):
+            before[row, joint] = (data.oMi[joint] * model.jointPlacements[joint + 1]).homogeneous
+    where = np.einsum("cij,pj->cpi", flange[:, :3, :3], points) + flange[:, None, :3, 3]
+    columns = np.empty((len(q), len(points), 3, 6, 6))
+    for joint in range(6):
+        lever = where - before[:, joint, None, :3, 3]
+        for axis in range(3):
+            direction = before[:, joint, :3, axis]
+            columns[..., joint, axis] = direction[:, None]
+            columns[..., joint, 3 + axis] = np.cross(direction[:, None], lever)
+    return flange, columns.reshape(-1, 6, 6)
+
+
+def _frame_columns(flange: Array, points: Array, root: Array) -> tuple[Array, Array]:
+    """Return derivatives by the base twist (n, 6), about the root, and by the points (n, 3P), device axes."""
+    placed = root @ flange
+    where = np.einsum("cij,pj->cpi", placed[:, :3, :3], points) + placed[:, None, :3, 3]
+    lever = where - root[:3, 3]
+    base = np.zeros((*where.shape, 6))
+    base[..., :3] = np.eye(3)
+    for axis in range(3):
+        base[..., 3 + axis] = np.cross(np.eye(3)[axis], lever)
+    tool = np.zeros((*where.shape, 3 * len(points)))
+    for index in range(len(points)):
+        tool[:, index, :, 3 * index : 3 * index + 3] = placed[:, :3, :3]
+    return base.reshape(-1, 6), tool.reshape(-1, 3 * len(points))
+
+
+def identify_geometry(content: ModelFile, nominal: pin.Model, name: str, data: Measurements) -> Geometry:
+    """Identify the geometry from the readings without load.
+
+    :param content: model whose springs, masses and compensator predict the sag; its own `[geometry]` is replaced.
+    :param nominal: the controller's geometry.
+    :raises MeasurementError: fewer readings than unknowns.
+    """
+    parameters = nonredundant(nominal, len(data.points))
+    unknowns = 6 + 3 * len(data.points) + len(parameters)
+    readings = 3 * len(data.q) * len(data.points)
+    if readings < unknowns + 10:
+        raise MeasurementError(
+            f"{readings} coordinates without load for {unknowns} unknowns of base, points and geometry",
+            file=data.file,
+            advice="Measure more configurations: 30 of three points are usual.",
+        )
+    bare = msgspec.structs.replace(content, geometry={}, gravity=Gravity("calibrated", content.gravity.in_gears))
+    heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
+    rms: dict[str, tuple[float, float]] = {}
+    fits: dict[str, tuple[_Solution, Array]] = {}
+    for label, base, free in (
+        ("nominal geometry", bare, ()),
+        ("nominal geometry with sag", heavy, ()),
+        ("calibrated geometry", bare, parameters),
+        ("calibrated geometry with sag", heavy, parameters),
+    ):
+        try:
+            solution = _solve(base, nominal, name, data, free)
+        except PostprocError:  # a model that cannot carry its own weight
+            continue
+        held = _held_out(solution, data)
+        fits[label] = solution, held
+        rms[label] = (
+            float(np.sqrt(np.mean(np.sum(solution.residual**2, axis=2)))),
+            float(np.sqrt(np.mean(held))),
+        )
+    order = list(fits)
+    best = min(order, key=lambda label: fits[label][1].mean())
+    taken = best
+    for label in order:
+        difference = fits[label][1] - fits[best][1]
+        if difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)):
+            taken = label
+            break
+    solution = fits[taken][0]
+    half = 1.959964 * np.sqrt(np.diag(solution.covariance))
+    usual = _prior(solution.parameters)
+    return Geometry(
+        solution.parameters,
+        solution.values,
+        solution.covariance,
+        _with_geometry(solution.content, solution.parameters, solution.values, f"identified from {data.file}", half),
+        solution.placement,
+        "with sag" in taken,
+        rms,
+        taken,
+        tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * 1.959964 * u),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    content: ModelFile
+    parameters: tuple[GeometryParameter, ...]
+    values: Array
+    covariance: Array
+    placement: Placement
+    residual: Array
+    design: Array
+    target: Array
+    weight: Array
+
+
+def _prior(parameters: tuple[GeometryParameter, ...]) -> Array:
+    return np.array([_USUAL_TURN if p.axis.startswith("R") else _USUAL_SHIFT for p in parameters])
+
+
+def _solve(
+    content: ModelFile, nominal: pin.Model, name: str, data: Measurements, parameters: tuple[GeometryParameter, ...]
+) -> _Solution:
+    mean, count = data.means()
+    seen, weight = mean[data.unloaded], count[data.unloaded]
+    scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma
+    values, points = np.zeros(len(parameters)), data.guess.copy()
+    robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
+    root = kabsch(_placed(_at_rest(robot, data.q)[0], points).reshape(-1, 3), seen.reshape(-1, 3))
+    select = [(JOINTS.index(p.joint), _AXES.index(p.axis)) for p in parameters]
+    for _ in range(_STEPS):
+        robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
+        flange, angles = _at_rest(robot, data.q)
+        base, tool = _frame_columns(flange, points, root)
+        _, columns = _derivatives(_geometric(nominal, robot), angles, points)
+        inside = columns.reshape(len(data.q), len(points), 3, 6, 6)
+        inside = np.einsum("ij,cpjab->cpiab", root[:3, :3], inside).reshape(-1, 6, 6)
+        chosen = np.stack([inside[:, j, a] for j, a in select], axis=1) if select else np.zeros((len(base), 0))
+        design = np.concatenate([base, tool, chosen], axis=1) * scale[:, None]
+        left = (seen - _placed(root @ flange, points)).ravel() * scale
+        known = 6 + 3 * len(points)
+        ridge = np.diag(np.concatenate([np.zeros(known), 1.0 / _prior(parameters)]))[known:]
+        right = np.concatenate([left, -values / _prior(parameters)])
+        step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
+        root = displaced(root, step[:6])
+        points = points + step[6:known].reshape(points.shape)
+        values = values + step[known:]
+        if np.abs(step).max() < 1e-9:
+            break
+    robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
+    flange, _ = _at_rest(robot, data.q)
+    residual = seen - _placed(root @ flange, points)
+    covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
+    white = residual.ravel() * scale
+    dof = max(1, len(white) - design.shape[1])
+    inflate = max(1.0, float(white @ white) / dof)
+    state = np.concatenate([np.zeros(known), values])
+    return _Solution(
+        content,
+        parameters,
+        values,
+        covariance[known:, known:] * inflate,
+        Placement(root, points, covariance[:known, :known] / data.sigma**2, residual),
+        residual,
+        np.vstack([design, ridge]),
+        np.concatenate([white + design @ state, np.zeros(len(parameters))]),
+        scale,
+    )
+
+
+def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
+    """Return the flange (C, 4, 4) without load, sagged if the model says so, and the joint angles there (C, 6)."""
+    if robot.subtract_reference:
+        return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0], q
+    found = elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6)))
+    return found.pose, q + found.theta[:, list(robot.actuated)]
+
+
+def _geometric(nominal: pin.Model, robot: RobotModel) -> pin.Model:
+    """Return the six-joint model with the displaced placements of the robot, without springs of links."""
+    if robot.actual.nv == nominal.nv:
+        return robot.actual
+    return nominal
+
+
+def _placed(frames: Array, points: Array) -> Array:
+    placed: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
+    return placed
+
+
+def _held_out(solution: _Solution, data: Measurements) -> Array:
+    """Return (C,) mean square distance [m²] of the points of each configuration when it was left out."""
+    rows = 3 * len(data.points)
+    readings = len(data.q) * rows
+    folds = min(_FOLDS, len(data.q))
+    fold = np.random.default_rng(0).permutation(len(data.q)) % folds
+    row_fold = np.concatenate([np.repeat(fold, rows), np.full(len(solution.target) - readings, -1)])
+    out = np.empty(len(data.q))
+    for index in range(folds):
+        train = row_fold != index
+        state = np.linalg.lstsq(solution.design[train], solution.target[train], rcond=None)[0]
+        test = ~train
+        left = (solution.target[test] - solution.design[test] @ state) / solution.weight[test[:readings]]
+        out[fold == index] = np.sum(left.reshape(-1, rows) ** 2, axis=1) / len(data.points)
+    return out
+
+
+def _with_geometry(
+    content: ModelFile, parameters: tuple[GeometryParameter, ...], values: Array, source: str, half: Array | None
+) -> ModelFile:
+    table: dict[str, dict[str, float]] = {}
+    intervals: dict[str, list[str]] = {}
+    for index, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
+        turn = parameter.axis.startswith("R")
+        unit, factor = ("deg", DEG_PER_RAD) if turn else ("mm", MM_PER_M)
+        table.setdefault(parameter.joint, {})[f"{parameter.axis}_{unit}"] = float(value * factor)
+        if half is not None:
+            intervals.setdefault(parameter.joint, []).append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
+    geometry = {
+        joint: Displacement(source=_source(source, intervals.get(joint)), **entry)  # type: ignore[arg-type]
+        for joint, entry in table.items()
+    }
+    return msgspec.structs.replace(content, geometry=geometry)
+
+
+def _source(source: str, intervals: list[str] | None) -> str:
+    return source if not intervals else f"{source} (95 %: {', '.join(intervals)})"
+
+
+def report_data(result: Geometry) -> dict[str, Any]:
+    """Return the geometry as plain data for `identification.json`."""
+    entries = {}
+    for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
+        turn = parameter.axis.startswith("R")
+        factor = DEG_PER_RAD if turn else MM_PER_M
+        entries[parameter.name] = {
+            "value": float(value * factor),
+            "ci95": float(half * factor),
+            "unit": "deg" if turn else "mm",
+            "observable": parameter.name not in result.not_observable,
+        }
+    return {
+        "parameters": entries,
+        "sag": result.sag,
+        "chosen": result.chosen,
+        "variants": {
+            label: {"rms_mm": fit * MM_PER_M, "held_out_rms_mm": held * MM_PER_M}
+            for label, (fit, held) in result.rms.items()
+        },
+    }

@@ -1,0 +1,132 @@
+"""Calibration of the geometry against a robot whose joints stand tenths of a millimetre off, and which sags."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc import elastostatics, kinematics, robot
+from postproc.cli import main
+from postproc.identification import geometry, geometry_folder, identify_folder
+from postproc.identification.placement import kabsch
+from tests.identification import harness, simulator
+
+
+def measured(folder, seed=703, **kind):
+    rng = np.random.default_rng(seed)
+    true = simulator.hard(rng, **kind)
+    q, f = simulator.plan(rng, 30, tilt=50.0)
+    _, raw = simulator.measure(true, q, f, rng, 0.05e-3)
+    simulator.write(folder, q, f, raw, 0.05e-3)
+    return true
+
+
+def at_rest(model, q):
+    """Flange without load as the model puts it."""
+    if model.subtract_reference:
+        return kinematics.tcp(model.actual, elastostatics.coordinates(model, q), np.eye(4))[0]
+    return elastostatics.deflect(model, q, np.eye(4), np.zeros((len(q), 6))).pose
+
+
+def error_elsewhere(true, model, rng):
+    """RMS distance [m] of a point on the tool at new configurations, after the best fit of base and tool."""
+    q, f = simulator.plan(rng, 40)
+    flange = [true.solve(q, 0 * f), at_rest(model, q)]
+    # the frames of base and tool are free in a calibration: fit both alternately
+    points = [pose[:, None, :3, 3] + np.einsum("nij,pj->npi", pose[:, :3, :3], harness_points()) for pose in flange]
+    base = kabsch(points[1].reshape(-1, 3), points[0].reshape(-1, 3))
+    tool = np.zeros((3, 3))
+    for _ in range(30):
+        moved = np.einsum("ij,njk,pk->npi", base[:3, :3], flange[1][:, :3, :3], tool)
+        now = points[1] @ base[:3, :3].T + base[:3, 3] + moved
+        back = np.einsum("ij,njk->nik", base[:3, :3], flange[1][:, :3, :3])
+        tool = tool + np.einsum("nji,npj->npi", back, points[0] - now).mean(axis=0)
+        carried = points[1] + np.einsum("njk,pk->npj", flange[1][:, :3, :3], tool)
+        base = kabsch(carried.reshape(-1, 3), points[0].reshape(-1, 3))
+    left = points[0] - (carried @ base[:3, :3].T + base[:3, 3])
+    return float(np.sqrt(np.mean(np.sum(left**2, axis=2))))
+
+
+def harness_points():
+    return np.array(list(simulator.POINTS.values()))
+
+
+def test_eighteen_displacements_are_left_for_a_six_axis_arm():
+    """4·6 + 6 of a complete model, less the frames of base and tool."""
+    for name in ("kuka_kr270", "kuka_kr16_2"):
+        found = geometry.nonredundant(robot.load(robot.find(name)).nominal, 3)
+        assert len(found) == 18
+        assert not any(parameter.joint == "A1" for parameter in found)  # all of A1 is the base's
+
+
+def test_geometry_and_sag_are_calibrated_to_a_tenth_of_a_millimetre(tmp_path):
+    true = measured(tmp_path, gear="linear")
+    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "m", geometry=True)
+    assert done.data["geometry"]["chosen"] == "calibrated geometry with sag"
+    before = error_elsewhere(true, harness.PRIOR, np.random.default_rng(9))
+    after = error_elsewhere(true, robot.load(tmp_path / "m"), np.random.default_rng(9))
+    assert before > 1.5e-3
+    assert after < 0.25e-3
+
+
+def test_command_writes_a_folder_that_carries_the_geometry(tmp_path):
+    measured(tmp_path)
+    run = CliRunner().invoke(
+        main,
+        ["identify", "geometry", str(tmp_path / "measurements.csv"), "--experiment",
+         str(tmp_path / "experiment.toml"), "-o", str(tmp_path / "g")],
+    )  # fmt: skip
+    assert run.exit_code == 0, run.output
+    model = robot.load(tmp_path / "g")
+    assert not model.geometry_is_nominal
+    data = json.loads((tmp_path / "g" / "identification.json").read_text(encoding="utf-8"))
+    variants = data["geometry"]["variants"]
+    assert (
+        variants[data["geometry"]["chosen"]]["held_out_rms_mm"] < 0.4 * variants["nominal geometry"]["held_out_rms_mm"]
+    )
+    assert "<h2>Geometry" in (tmp_path / "g" / "report.html").read_text(encoding="utf-8")
+
+
+def test_an_exact_robot_keeps_its_nominal_geometry(tmp_path):
+    rng = np.random.default_rng(5)
+    true = simulator.paper_like(rng)
+    q, f = simulator.plan(rng, 15)
+    _, raw = simulator.measure(true, q, f, rng)
+    simulator.write(tmp_path, q, f, raw)
+    done = geometry_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "g")
+    assert done.data["geometry"]["chosen"] == "nominal geometry"
+    assert robot.load(tmp_path / "g").geometry_is_nominal
+
+
+def test_intervals_of_the_geometry_cover_the_truth(tmp_path):
+    """Springs known, noise and joint displacements random: the identifiable offsets are inside their intervals."""
+    inside = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        true = simulator.TrueRobot(
+            simulator.Gear("linear", np.full(6, 1e12), np.ones(6)), offsets=np.r_[0, rng.normal(0, 5e-4, 4), 0]
+        )
+        q, f = simulator.plan(rng, 30)
+        _, raw = simulator.measure(true, q, f, rng, 0.05e-3)
+        simulator.write(tmp_path, q, f, raw, 0.05e-3)
+        from postproc.identification.model_folder import read_prior
+
+        found = geometry.identify_geometry(
+            read_prior(robot.find("kuka_kr270")), harness.PRIOR.nominal, "x", harness.load(tmp_path)
+        )
+        assert not found.sag
+        names = [parameter.name for parameter in found.parameters]
+        for joint, axis, sign in ((1, "RY", 1), (2, "RY", 1), (3, "RX", -1), (4, "RY", 1)):
+            index = names.index(f"A{joint + 1}.{axis}")
+            inside.append(abs(found.values[index] - sign * true.offsets[joint]) < 1.5 * found.ci95[index])
+    assert np.mean(inside) > 0.9
+
+
+def test_too_few_configurations_are_refused(tmp_path):
+    measured(tmp_path)
+    path = tmp_path / "measurements.csv"
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join([rows[0], *(r for r in rows[1:] if int(r.split(",")[0]) <= 4)]) + "\n")
+    with pytest.raises(Exception, match="Measure more configurations"):
+        geometry_folder(path, tmp_path / "experiment.toml", tmp_path / "g")
