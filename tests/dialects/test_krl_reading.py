@@ -612,7 +612,7 @@ ERRORS = [
     (["FDAT_ACT={TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP}", "BAS(#FRAMES)"], 5, "IPO_MODE"),
     (["$ORI_TYPE=#JOINT", FULL], 5, "ORI_TYPE=#JOINT"),
     (["$ORI_TYPE=#CONSTANT", FULL], 5, "ORI_TYPE=#CONSTANT"),
-    ([FULL, "$CIRC_TYPE=#PATH", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9,A 90}"], 6, "CIRC_TYPE=#PATH"),
+    ([FULL, "$CIRC_TYPE=#PATH", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 6, "CIRC_TYPE=#PATH"),
     (["$BASE=EK(MACHINE_DEF[2].ROOT,#DKP400,{X 0})"], 4, "external kinematics"),
     (["BAS(#EX_BASE,1)"], 4, "EX_BASE"),
     (["$BASE=FOO[2]", FULL], 4, "BASE is not known"),

@@ -88,7 +88,7 @@ FORMS = "\n".join(["DEF part( )", *INLINE, "END", ""])
 PROGRAMS = {
     "post": (POST, None, [PTP, LIN, LIN, CIRC, LIN], [np.nan, 0.2, 0.05, 0.05, 0.05]),
     "tagged": (TAGGED, None, [PTP, PTP, LIN, LIN, LIN], [np.nan, np.nan, 0.025, 0.025, 0.025]),
-    "lower case": (LOWER, None, [PTP, PTP, LIN, LIN, CIRC, LIN], [np.nan, np.nan, 0.05, 0.05, 0.05, 0.05]),
+    "lower case": (LOWER, None, [PTP, PTP, LIN, LIN, CIRC, LIN], [np.nan, np.nan] + 4 * [0.05]),
     "inline forms": (FORMS, INLINE_DATA, [PTP, LIN, LIN], [np.nan, 0.1, 0.2]),
 }
 
@@ -116,7 +116,8 @@ def test_corrected_programs_keep_their_style():
     program = read(TAGGED)
     lines = krl.rewrite(program, targets(program, np.full((5, 3), 1e-4))).documents[0].text.split("\n")
     assert lines[20:24] == [
-        " PTP {E6POS: X 10.2234, Y -4.9000, Z 100.1000, A 90.00000, B 0.00000, C 180.00000, S 2, T 35, E1 0.0000} C_PTP",
+        " PTP {E6POS: X 10.2234, Y -4.9000, Z 100.1000, A 90.00000, B 0.00000, C 180.00000, S 2, T 35, E1 0.0000} "
+        "C_PTP",
         " LIN {E6POS: X 10.2234, Y -4.9000, Z 0.1000000, A 90.00000, B 0.00000, C 180.00000, E1 0.0000} C_Dis",
         " LIN {E6POS: X 20.2234, Y -4.9000, Z 0.1000, A 90.00000, B 0.00000, C 180.00000, E1 0.0000} C_Dis",
         " POINT1={X 30.1000,Y 0.1000,Z 10.1000,A 90.00000,B 0.00000,C 180.00000}",

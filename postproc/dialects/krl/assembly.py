@@ -148,20 +148,17 @@ def _check_external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> No
 
 
 def _check_orientation(source: Source, rows: Rows, states: list[State], state: Ints, chain: Sequence) -> None:
-    """Refuse motions whose orientation the controller would not lead to that of the target on the modelled way."""
-    path = rows.kind != PTP
-    other = _column(states, state, lambda s: s.orientation != "#VAR") & path
-    other |= _column(states, state, lambda s: s.circle != "#BASE") & (rows.kind == CIRC)
-    at = np.flatnonzero(other)
-    turned = at[~same_orientation(chain.start[at, :3, :3], chain.pose[at, :3, :3])]
+    """Refuse motions on which the controller would lead the orientation another way than modelled."""
+    advice = "Use $ORI_TYPE=#VAR and $CIRC_TYPE=#BASE."
+    along = np.flatnonzero(_column(states, state, lambda s: s.circle != "#BASE") & (rows.kind == CIRC))
+    if len(along):
+        problem = f"$CIRC_TYPE={states[state[along[0]]].circle}: the tool turns with the path"
+        raise source.line_error(problem, int(rows.line[along[0]]), advice)
+    other = np.flatnonzero(_column(states, state, lambda s: s.orientation != "#VAR") & (rows.kind != PTP))
+    turned = other[~same_orientation(chain.start[other, :3, :3], chain.pose[other, :3, :3])]
     if len(turned):
-        in_force = states[int(state[turned[0]])]
-        mode = (
-            f"$CIRC_TYPE={in_force.circle}" if in_force.orientation == "#VAR" else f"$ORI_TYPE={in_force.orientation}"
-        )
-        raise source.line_error(
-            f"the orientation changes under {mode}", int(rows.line[turned[0]]), "Use $ORI_TYPE=#VAR, $CIRC_TYPE=#BASE."
-        )
+        problem = f"the orientation changes under $ORI_TYPE={states[state[turned[0]]].orientation}"
+        raise source.line_error(problem, int(rows.line[turned[0]]), advice)
 
 
 def _arcs(source: Source, chain: Sequence, moves: Mapping[int, Move], count: int) -> tuple[Array, Array, Array]:
