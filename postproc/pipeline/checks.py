@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import kinematics
-from postproc.errors import Issue
+from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
 from postproc.kinematics import JointPath
 from postproc.program import PTP, Bools, Ints, Program
@@ -26,19 +26,13 @@ _LIMIT_ROUNDING = 1e-9
 
 
 def _first(
-    program: Program, motion: Ints, bad: Bools, kind: str, message: str, level: str = "error"
+    program: Program, motion: Ints, bad: Bools, kind: str, message: str, level: Level = "error"
 ) -> Iterator[Issue]:
     """Yield one issue for all bad rows; it names the first one's line."""
     rows = np.flatnonzero(bad)
     if len(rows):
         line = int(program.motions.line[motion[rows[0]]])
-        yield Issue(
-            "error" if level == "error" else "warning",
-            kind,
-            message,
-            source_line=line,
-            count=len(np.unique(motion[rows])),
-        )
+        yield Issue(level, kind, message, source_line=line, count=len(np.unique(motion[rows])))
 
 
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
@@ -110,6 +104,9 @@ def singularities(
 def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array, position: Array) -> Iterator[Issue]:
     """Joint speeds at the programmed feed must stay within the robot's limits.
 
+    Where a program relies on the controller's default speed, which the controller may have been told otherwise, it is
+    but a warning.
+
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
     feed = program.motions.feed[sample.motion[1:]]
@@ -118,6 +115,7 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array
     turned = np.abs(np.diff(q, axis=0))
     same = program.motions.base[sample.motion[1:]] == program.motions.base[sample.motion[:-1]]
     usable = linear & same & (travel > 1e-6) & (feed > 0)
+    level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
     for axis, name in enumerate(JOINTS):
         fast = speed[:, axis] > robot.speed[axis]
@@ -130,6 +128,7 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array
                 f"joint-speed-{name}",
                 f"{name} would turn at {speed[first, axis] * DEG_PER_RAD:.0f}°/s at the programmed feed "
                 f"(limit {robot.speed[axis] * DEG_PER_RAD:.0f}°/s). Lower the feed or turn the tool about its axis.",
+                level,
             )
 
 

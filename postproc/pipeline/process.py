@@ -102,7 +102,8 @@ def process(
     targets, row = _targets(program, place, sampled, mode, linearize_arcs)
     chosen = sampled.command.at(row)
     before, deflection = _uncorrected(program, place, sampled, row, run)
-    after, between, documents = before, float(before.max(initial=0.0)), ()
+    after, between = before, float(before.max(initial=0.0))
+    documents: tuple[Document, ...] = ()
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
     if mode == "predict":
         printed = krl.numbers(program)[targets.motion] if program.dialect == "krl" else printed

@@ -1,0 +1,97 @@
+"""Checks along the path: what stops a program, and where the message points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postproc import cell as cells
+from postproc import pipeline, robot
+from tests.programs import program
+
+SAMPLES = Path(__file__).parent.parent / "samples"
+CELL = cells.load(SAMPLES / "cell_kr270.toml")
+MODEL = robot.load(robot.find("kuka_kr270"))
+DOWN = CELL.tool_pose_in_program()
+
+
+def issues_of(moves, notes=(), mode="predict", **changes):
+    made = program(moves, notes=notes, orientation=DOWN, **changes)
+    return {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode=mode).issues}
+
+
+FINE = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 100, 0, 0)]
+
+
+def test_a_good_program_has_no_errors():
+    assert not [issue for issue in issues_of(FINE).values() if issue.level == "error"]
+
+
+def test_out_of_reach_names_the_line_of_the_move():
+    found = issues_of([*FINE, ("LIN", 3500, 0, 0), ("LIN", 0, 0, 0)])["unreachable"]
+    assert (found.level, found.source_line) == ("error", 4)
+
+
+def test_a_joint_limit_passed_on_the_way_is_found_though_both_ends_are_within():
+    # straight over the robot's side: A1 turns beyond its limit only around the middle of the move
+    tight = MODEL.upper.copy()
+    tight[0] = np.radians(8.0)
+    from dataclasses import replace
+
+    model = replace(MODEL, upper=tight)
+    made = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", -900, 0, 0)], orientation=DOWN)
+    kinds = {issue.kind: issue for issue in pipeline.process(made, model, CELL, mode="predict").issues}
+    assert kinds["joint-limit-A1"].source_line == 3
+
+
+def test_a_move_behind_the_robot_passes_the_shoulder_singularity():
+    found = issues_of([("PTP", 0, 200, 900), ("LIN", -1100, 200, 900), ("LIN", -2400, 200, 900)])
+    assert any("singularity" in kind or kind in ("unreachable", "joint-jump") for kind in found)
+    assert any(issue.level == "error" and issue.source_line in (2, 3) for issue in found.values())
+
+
+def test_feed_too_fast_for_a_joint_is_an_error_with_the_joint_and_its_speed():
+    made = program(FINE, orientation=DOWN)
+    made.motions.feed[2] = 5.0
+    kinds = {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues}
+    fast = [issue for kind, issue in kinds.items() if kind.startswith("joint-speed-A")]
+    assert fast
+    assert fast[0].source_line == 3
+    assert "°/s" in fast[0].message
+
+
+def test_a_correction_beyond_the_limit_of_the_cell_is_an_error():
+    found = issues_of(FINE, notes=[(2, (0.0, 0, 40000.0, 0, 0, 0))], mode="convert")
+    assert found["correction-size"].level == "error"
+    assert found["correction-size"].source_line == 2
+
+
+def test_a_result_with_an_error_holds_no_documents():
+    made = program([*FINE, ("LIN", 3500, 0, 0)], orientation=DOWN)
+    result = pipeline.process(made, MODEL, CELL)
+    assert result.failed
+    assert result.documents == ()
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_what_the_text_says_is_what_counts(monkeypatch, factor):
+    """If the writer wrote other numbers than computed, the program is not released."""
+    from postproc.dialects import krl
+
+    honest = krl.emit
+
+    def wrong(made, targets, cell):
+        targets.pose[2:, 0, 3] += 1e-5 * factor
+        written = honest(made, targets, cell)
+        targets.pose[2:, 0, 3] -= 1e-5 * factor
+        return written
+
+    monkeypatch.setattr(krl, "emit", wrong)
+    result = pipeline.process(
+        program(FINE, notes=[(2, (0.0, 50.0, 90.0, 0, 0, 0))], orientation=DOWN), MODEL, CELL, mode="convert"
+    )
+    assert result.failed
+    assert {issue.kind for issue in result.issues if issue.level == "error"} == {"read-back"}
+    assert result.documents == ()
