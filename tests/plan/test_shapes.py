@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from postproc.identification.site import Box, MeshFile
+from postproc.plan.errors import PlanError
+from postproc.plan.shapes import BoxShape, MeshShape, between_segments
+
+
+def test_distances_between_segments_are_those_of_a_fine_grid():
+    rng = np.random.default_rng(0)
+    p, pe, r, re = rng.uniform(-1, 1, (4, 30, 3))
+    pe[0], re[1] = p[0], r[1]  # points
+    pe[2], re[2] = p[2], r[2]
+    re[3] = r[3] + (pe[3] - p[3])  # parallel
+    t = np.linspace(0, 1, 301)[:, None]
+    for row, distance in enumerate(between_segments(p, pe, r, re)):
+        one, other = p[row] + t * (pe[row] - p[row]), r[row] + t * (re[row] - r[row])
+        grid = np.linalg.norm(one[:, None] - other[None], axis=2).min()
+        assert grid - 0.01 < distance <= grid + 1e-12
+
+
+def box(**values):
+    return BoxShape.of(Box(**{"size": (400.0, 200.0, 600.0), "X": 1000.0, "A": 30.0, "B": 10.0, **values}), 1)
+
+
+def test_distances_to_a_turned_box_are_those_of_its_mesh():
+    shape = box()
+    mesh = trimesh.creation.box(extents=[0.4, 0.2, 0.6])
+    points = np.random.default_rng(1).uniform([0.5, -0.5, -0.6], [1.5, 0.5, 0.6], (200, 3))
+    surface = _fine_surface(mesh)
+    placed = surface @ np.linalg.inv(shape.to_box)[:3, :3].T + np.linalg.inv(shape.to_box)[:3, 3]
+    nearest = np.array([np.linalg.norm(placed - p, axis=1).min() for p in points])
+    assert np.abs(np.abs(shape.distance(points)) - nearest).max() < 0.012
+
+
+def _fine_surface(mesh):
+    vertices, _ = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 0.015)
+    return vertices
+
+
+def test_a_line_of_sight_is_blocked_by_a_box_between_and_by_nothing_else():
+    shape = box(A=0.0, B=0.0)
+    eye = np.array([3.0, 0.0, 0.0])
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.0], [1.5, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.8]])
+    assert shape.blocks(np.broadcast_to(eye, ends.shape), ends).tolist() == [True, False, False, True, False]
+
+
+@pytest.fixture
+def stl(tmp_path):
+    trimesh.creation.box(extents=[400, 200, 600]).export(tmp_path / "thing.stl")
+    return MeshShape.of(MeshFile(file="thing.stl", X=1000.0), tmp_path)
+
+
+def test_a_mesh_is_as_far_as_it_is_or_a_little_nearer(stl):
+    same = box(A=0.0, B=0.0)
+    points = np.random.default_rng(2).uniform([0.2, -0.8, -0.9], [1.8, 0.8, 0.9], (300, 3))
+    outside = points[same.distance(points) > 0.05]
+    gap = same.distance(outside) - stl.distance(outside)
+    assert gap.min() >= -1e-9
+    assert gap.max() <= stl.between + 1e-9
+
+
+def test_a_line_of_sight_is_blocked_by_a_mesh_between(stl):
+    eye = np.array([[3.0, 0.0, 0.0]] * 3)
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.9, 0.0], [1.6, 0.0, 0.0]])
+    assert stl.blocks(eye, ends).tolist() == [True, False, False]
+
+
+def test_meshes_that_cannot_be_used_are_named(tmp_path):
+    with pytest.raises(PlanError, match="no such file"):
+        MeshShape.of(MeshFile(file="absent.stl"), tmp_path)
+    (tmp_path / "bad.stl").write_text("this is no mesh")
+    with pytest.raises(PlanError, match=r"bad\.stl"):
+        MeshShape.of(MeshFile(file="bad.stl"), tmp_path)
