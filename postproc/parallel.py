@@ -41,15 +41,15 @@ def shared(helper: Executor) -> Run:
         front: list[T] = []
         waiting: list[Future[T]] = []
         last = count
-        while len(front) < last:
-            while sum(not future.done() for future in waiting) < _AHEAD and len(front) + 1 < last:
-                last -= 1
-                waiting.append(helper.submit(function, *chunk(last)))
-            front.append(function(*chunk(len(front))))
         try:
+            while len(front) < last:
+                while sum(not future.done() for future in waiting) < _AHEAD and len(front) + 1 < last:
+                    waiting.append(helper.submit(function, *chunk(last - 1)))
+                    last -= 1
+                front.append(function(*chunk(len(front))))
             return front + [future.result() for future in reversed(waiting)]
         except BrokenExecutor:
-            return front + [function(*chunk(index)) for index in range(last, count)]
+            return front + [function(*chunk(index)) for index in range(len(front), count)]
 
     return run
 
