@@ -14,7 +14,7 @@ Q2 = np.radians(np.linspace(-146.0, 20.0, 30))
 
 def test_length_is_that_of_the_triangle_p0_p2_p1():
     p1 = LAW.L * np.stack([np.cos(Q2), np.sin(Q2)], axis=1)
-    np.testing.assert_allclose(LAW.length(Q2), np.linalg.norm(p1 + [LAW.ax, LAW.ay], axis=1), atol=1e-15)
+    np.testing.assert_allclose(LAW.length(Q2), np.linalg.norm(p1 + np.array([LAW.ax, LAW.ay]), axis=1), atol=1e-15)
 
 
 def test_gradient_and_stiffness_are_derivatives_of_the_energy():
