@@ -139,7 +139,7 @@ def identify(
 
 
 def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
-    """Return what a fit with more springs leaves open: K_c unless it is in it, joints whose compliance came out zero."""
+    """Return what a fit with more springs leaves open: K_c unless it holds it, joints whose compliance is zero."""
     names = fit.structure.names
     whole = {
         joint: sum(v for name, v in zip(names, fit.values, strict=True) if name.partition("@")[0] == joint)
@@ -176,7 +176,7 @@ def _serial(
     prior: RobotModel, data: Measurements, placement: Placement, left_out: list[str], warnings: list[str]
 ) -> Identification:
     fit = fit_serial(prior, data, placement)
-    missing = [entry for entry in not_observable(fit, data) if entry.name != "K_c"]
+    missing = [entry for entry in not_observable(fit, data, scaled=True) if entry.name != "K_c"]
     values, covariance = fit.values.copy(), fit.covariance.copy()
     for entry in missing:
         index = fit.structure.names.index(entry.name)

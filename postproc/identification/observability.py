@@ -30,26 +30,31 @@ class NotObservable:
         return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
 
 
-def not_observable(fit: Fit, data: Measurements) -> list[NotObservable]:
-    """Return the joint compliances and compensator values that the fit leaves open, worst first."""
+def not_observable(fit: Fit, data: Measurements, scaled: bool = False) -> list[NotObservable]:
+    """Return the joint compliances and compensator values that the fit leaves open, worst first.
+
+    :param scaled: the covariance already holds what the structure does not explain.
+    """
     robot = fit.structure.prior
     torque = joint_torques(robot, data)
     found = []
     names = fit.structure.names
+    # what the structure does not explain widens the intervals
+    wider = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if not scaled and fit.chi2 > 2.0 * fit.dof > 0 else 1.0
     prior = dict(zip(JOINT_NAMES, robot.compliance, strict=True))
     correlation = _correlation(fit.covariance)
     for index, name in enumerate(names):
         if name not in JOINT_NAMES:
             continue
-        half = float(fit.ci95[index])
+        half = float(fit.ci95[index] * wider)
         # an interval against the larger of value and prior: a noisy small value must not look determined
         if half <= _UNCERTAIN * max(abs(fit.values[index]), prior[name]) and fit.values[index] > 0.0:
             continue
         joint = JOINT_NAMES.index(name)
-        found.append((half, _joint_reason(name, joint, torque, fit, index, correlation)))
+        found.append((half, _joint_reason(name, joint, torque, fit, index, half, correlation)))
     if STIFFNESS in names:
         index = names.index(STIFFNESS)
-        value, half = float(fit.values[index]), float(fit.ci95[index])
+        value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
         free = fit.value(PRELOAD) / value if value > 0.0 else -1.0
         physical = value > 0.0 and 0.0 <= free <= 3.0
         if not physical or half > _UNCERTAIN * value:
@@ -83,7 +88,9 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
     return np.asarray(torque[:, list(robot.actuated)])
 
 
-def _joint_reason(name: str, joint: int, torque: Array, fit: Fit, index: int, correlation: Array) -> NotObservable:
+def _joint_reason(
+    name: str, joint: int, torque: Array, fit: Fit, index: int, half: float, correlation: Array
+) -> NotObservable:
     largest = float(np.abs(torque[:, joint]).max())
     reference = float(np.abs(torque).max())
     if largest < _NO_TORQUE * reference:
@@ -100,10 +107,8 @@ def _joint_reason(name: str, joint: int, torque: Array, fit: Fit, index: int, co
     others = np.abs(correlation[index].copy())
     others[index] = 0.0
     partner = fit.structure.names[int(np.argmax(others))]
-    reason = (
-        f"its 95 % interval is ± {fit.ci95[index] * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
-    )
-    if not np.isfinite(fit.ci95[index]):
+    reason = f"its 95 % interval is ± {half * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
+    if not np.isfinite(half):
         reason = "the configurations leave it open"
     if others.max() > 0.9:
         reason += (

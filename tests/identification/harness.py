@@ -8,6 +8,7 @@ import numpy as np
 
 from postproc import elastostatics, robot
 from postproc.identification.measurements import read, read_experiment
+from postproc.identification.model_folder import to_file_units
 from tests.identification import simulator
 
 PRIOR = robot.load(robot.find("kuka_kr270"))
@@ -40,3 +41,18 @@ def job_factor(true, model, rng, jobs=3):
         predicted = elastostatics.deflect(model, q, TOOL, np.c_[f, 0 * f]).twist[:, :3]
         seen, left = seen + np.sum(moved**2), left + np.sum((moved - predicted) ** 2)
     return float(np.sqrt(seen / left))
+
+
+def share_within_bound(true, result, rng, jobs=3):
+    """Share of samples of milling jobs at 600 N whose error of prediction is within the 95 % bound (u95)."""
+    from postproc.robot import Covariance
+
+    names, _, covariance = to_file_units(result.fit)
+    model = replace(result.robot(), covariance=Covariance(names, covariance.tolist()))
+    inside = []
+    for _ in range(jobs):
+        q, f = simulator.milling_job(rng)
+        wrench = np.c_[f, 0 * f]
+        error = elastostatics.deflect(model, q, TOOL, wrench).twist[:, :3] - true_deflection(true, q, f)
+        inside.append(np.linalg.norm(error, axis=1) <= elastostatics.position_bound(model, q, TOOL, wrench))
+    return float(np.mean(inside))
