@@ -24,7 +24,7 @@ from postproc.plan.sensitivity import Bench, direction
 from postproc.plan.site import Site
 from postproc.program import Ints
 
-_KEPT, _ROUNDS = 3, 40
+_KEPT = 3
 _ANGLE_DECIMALS, _FORCE_DECIMALS = 3, 1
 
 Progress = Callable[[str, float, float], None]
@@ -66,6 +66,11 @@ def make(
     :param progress: told how far the work is.
     :raises PlanError: no pose can be measured, or more is asked for than can be determined.
     """
+    if data is None and options.levels > options.configurations:
+        raise PlanError(
+            f"{options.levels} levels of q2 for {options.configurations} configurations",
+            advice="Each level needs at least one: ask for fewer with --q2-levels.",
+        )
     tell = progress or (lambda *_: None)
     scale = site.robot.compliance[list(site.robot.actuated)]
     few = thinned(tests, scale, options.test_poses, options.seed)
@@ -185,9 +190,9 @@ def _law(
 
 def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]:
     best: Plan | None = None
-    steps = options.starts + _KEPT * _ROUNDS // 2
+    steps = options.starts + _KEPT * options.rounds // 2
     try:
-        for step, plan in enumerate(improved(task, options.seed, options.starts, _KEPT, _ROUNDS)):
+        for step, plan in enumerate(improved(task, options.seed, options.starts, _KEPT, options.rounds)):
             best = plan
             tell("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
     except KeyboardInterrupt:
@@ -215,8 +220,6 @@ def _check_number(options: Options, bench: Bench, points: int, levels: int, know
     """There must be more readings than unknowns, in each group for the criterion as printed."""
     if known is not None:
         return
-    if levels > options.configurations:
-        raise PlanError(f"{levels} levels of q2 for {options.configurations} configurations")
     unknowns = len(bench.keep) if options.grouped else len(bench.keep) - 1 + levels
     poses = options.configurations // levels if options.grouped else options.configurations
     if 3 * points * poses < unknowns:

@@ -23,6 +23,7 @@ class Options:
     :param test_poses: how many poses stand for the programs.
     :param repeats: readings of each point in each state.
     :param starts: starts of the search.
+    :param rounds: of refinement, at most.
     :param comparisons: compare with other plans and sizes.
     """
 
@@ -33,6 +34,7 @@ class Options:
     test_poses: int = 20
     repeats: int = 3
     starts: int = 8
+    rounds: int = 40
     comparisons: bool = True
 
 

@@ -84,7 +84,7 @@ def job(seed: int = 0, count: int = 300):
 
 
 def quick(folder: Path, *, tests=None, text: str = BASIC + RIG + AROUND, data=None, **options):
-    chosen = {"starts": 2, "comparisons": False, "configurations": 8, "levels": 4, "test_poses": 8} | options
+    chosen = {"starts": 2, "comparisons": False, "configurations": 8, "levels": 4, "test_poses": 8, "rounds": 6} | options
     place = site(folder, text)
     return make(place, SIGMA, job() if tests is None else tests, CELL, Options(**chosen), data)
 
@@ -109,12 +109,10 @@ def differences(fun, at, h=1e-6):
 
 def regressor(q, force, load_point, points):
     """∂(points)/∂(k1…k6) of a chain of joint springs: columns J_i (J_iᵀF), by differences of the oracle's positions."""
-
-    def place(point):
-        return lambda x: ORACLE.tcp(x, in_flange(point))[:3, 3]
-
-    torque = differences(place(load_point), q).T @ force
-    return np.vstack([differences(place(point), q) * torque for point in points])
+    spots = np.column_stack([np.array([load_point, *points]), np.ones(1 + len(points))])
+    moved = differences(lambda x: (ORACLE.frames(x)[-1] @ spots.T)[:3].T, q)  # (1 + P, 3, 6)
+    torque = moved[0].T @ force
+    return np.vstack([moved[1:][row] * torque for row in range(len(points))])
 
 
 def oracle_k2(q2, compliance, comp):
@@ -129,21 +127,34 @@ def normal_matrices(q, force, keep=range(6)):
     return np.array([r.T @ r for r in rows])
 
 
+_SEEN = {}
+
+
 def milling_regressors(tests):
     """A₀ (T, 3, 6) at the tool tip, by differences."""
+    if id(tests) not in _SEEN:
+        _SEEN[id(tests)] = tests, _milling_regressors(tests)
+    return _SEEN[id(tests)][1]
+
+
+def _milling_regressors(tests):
     tool = CELL.tool.pose()[:3, 3]
     return np.array([regressor(q, w[:3], tool, [tool]) for q, w in zip(tests.q, tests.wrench, strict=True)])
 
 
 def pooled(q, force, tests, variance):
+    return pooled_of(normal_matrices(q, force), q[:, 1], tests, variance)
+
+
+def pooled_of(information, q2, tests, variance):
     """Pooled criterion with K_c at its prior: Eq. (8) for the extended set, K⁰_θ2 the mean over the levels [m²]."""
     k0 = 1.0 / ORACLE.stiffness[1]
     comp = ORACLE.comp is not None
-    levels = np.unique(np.round(q[:, 1], 7))
-    group = np.searchsorted(levels, np.round(q[:, 1], 7))
+    levels = np.unique(np.round(q2, 7))
+    group = np.searchsorted(levels, np.round(q2, 7))
     size = 5 + len(levels)
     total = np.zeros((size, size))
-    for one, g in zip(normal_matrices(q, force), group, strict=True):
+    for one, g in zip(information, group, strict=True):
         where = [0, 5 + g, 1, 2, 3, 4]
         total[np.ix_(where, where)] += one
     scale = np.full(size, 1e-6)
@@ -162,13 +173,16 @@ def pooled(q, force, tests, variance):
 
 
 def grouped(q, force, tests, variance):
+    return grouped_of(normal_matrices(q, force), q[:, 1], tests, variance)
+
+
+def grouped_of(information, q2, tests, variance):
     """The second Eq. (10) as printed [m²]."""
-    levels = np.unique(np.round(q[:, 1], 7))
-    information = normal_matrices(q, force)
+    levels = np.unique(np.round(q2, 7))
     a = milling_regressors(tests)
     value = 0.0
     for level in levels:
-        total = information[np.abs(q[:, 1] - level) < 1e-6].sum(axis=0) * 1e-12
+        total = information[np.abs(q2 - level) < 1e-6].sum(axis=0) * 1e-12
         inverse = np.linalg.inv(total) * 1e-12
         value += variance * sum(w * np.trace(x @ inverse @ x.T) for w, x in zip(tests.weight, a, strict=True))
     return value

@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.identification import measurements
+from postproc.plan import Options, candidates, constraints, make, search
+from postproc.plan.errors import PlanError
+from tests.identification import simulator
+from tests.plan import setting
+from tests.plan.setting import BASIC, RIG
+
+VARIANCE = 2 * setting.SIGMA**2 / 3
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("grouped", [False, True])
+def test_a_plan_beats_the_best_of_200_random_ones_by_an_independent_criterion(tmp_path, seed, grouped, capsys):
+    """Random plans: levels, poses and loads at random that can be measured; criterion by tests/plan/setting.py."""
+    result = setting.quick(
+        tmp_path, tests=setting.job(seed), configurations=15, levels=5, test_poses=3, grouped=grouped, seed=seed
+    )
+    criterion = setting.grouped if grouped else setting.pooled
+    own = criterion(result.plan.q, result.force, result.tests, VARIANCE)
+    assert own == pytest.approx(result.plan.value, rel=1e-4)
+    of_matrices = setting.grouped_of if grouped else setting.pooled_of
+    q2, information = random_poses(setting.site(tmp_path), np.random.default_rng(seed))
+    rng, random = np.random.default_rng(seed + 100), []
+    for _ in range(200):
+        rows = rng.choice(len(q2), 5, replace=False)
+        picks = np.array([rng.choice(information.shape[1], 3, replace=False) for _ in rows])
+        chosen = information[rows[:, None], picks].reshape(15, 6, 6)
+        random.append(of_matrices(chosen, np.repeat(q2[rows], 3), result.tests, VARIANCE))
+    random = np.sqrt(random)
+    own = np.sqrt(own)
+    with capsys.disabled():
+        print(f"\n{len(random)} random plans: best {random.min() / own:.2f} ×, median {np.median(random) / own:.2f} × ")
+    assert own < random.min()
+    assert np.median(random) / own > 1.6
+
+
+def random_poses(place, rng):
+    """Levels (L,) and matrices AᵀA (L, 12, 6, 6) of random poses that can be measured under random loads."""
+    q2, found = [], []
+    while len(q2) < 16:
+        level = rng.uniform(place.lower[1], place.upper[1])
+        q, tilt = candidates.draw(place, 120, rng, q2=level)
+        good = np.flatnonzero(constraints.feasible(place, q, tilt))[:12]
+        if len(good) == 12:
+            q2.append(level)
+            found.append(setting.normal_matrices(q[good], place.rig.force * search_direction(tilt[good])))
+    return np.array(q2), np.array(found)
+
+
+def search_direction(tilt):
+    angle = np.linalg.norm(tilt, axis=1)
+    flat = tilt / np.maximum(angle, 1e-12)[:, None] * np.sin(angle)[:, None]
+    return np.column_stack([flat, -np.cos(angle)])
+
+
+def test_the_same_seed_gives_the_same_plan_and_another_seed_another(tmp_path):
+    one, same, other = (setting.quick(tmp_path, seed=seed) for seed in (3, 3, 4))
+    assert (one.plan.q == same.plan.q).all()
+    assert (one.force == same.force).all()
+    assert not np.array_equal(one.plan.q, other.plan.q)
+
+
+def test_every_pose_of_a_plan_can_be_measured_and_stands_on_its_level(tmp_path):
+    result = setting.quick(tmp_path)
+    assert constraints.feasible(result.site, result.plan.q, result.plan.tilt).all()
+    assert len(np.unique(result.plan.q[:, 1])) == 4
+    assert np.diff(np.sort(np.unique(result.plan.q[:, 1]))).min() > np.radians(2)
+    assert (np.bincount(result.plan.level) == 2).all()
+    assert np.abs(np.linalg.norm(result.force, axis=1) - 275 * 9.81).max() < 0.2
+
+
+def test_an_interrupt_gives_the_best_plan_so_far(tmp_path):
+    class Stop:
+        def __init__(self):
+            self.values = []
+
+        def __call__(self, stage, share, best):
+            if stage == "searching":
+                self.values.append(best)
+                if len(self.values) == 4:
+                    raise KeyboardInterrupt
+
+    stop = Stop()
+    options = Options(configurations=8, levels=4, starts=3, test_poses=8, rounds=6)
+    result = make(setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=stop)
+    assert result.interrupted
+    assert np.sqrt(result.plan.value) == pytest.approx(min(stop.values), rel=1e-3)
+    assert len(result.random) == 0
+
+
+def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
+    values = []
+
+    def note(stage, share, best):
+        if stage == "searching":
+            values.append(best)
+
+    options = Options(configurations=10, levels=5, starts=3, test_poses=8, rounds=8, comparisons=False)
+    make(setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=note)
+    assert (np.diff(values) <= 0).all()
+    assert values[-1] < 0.97 * values[2]
+
+
+def test_a_hanging_weight_cannot_show_k1_and_the_plan_says_so_before_anyone_measures(tmp_path):
+    result = setting.quick(tmp_path, text=BASIC + "\n[rig]\nmass_kg = 275\n")
+    assert "k1" not in result.accuracy.names
+    assert any("k1 is not observable" in text and "max_angle_deg" in text for text in result.warnings)
+    assert (result.force[:, :2] == 0).all()
+
+
+def test_a_load_on_the_axis_of_a6_cannot_show_k6(tmp_path):
+    text = BASIC.replace("X = 210\nY = -60", "X = 0\nY = 0") + RIG
+    result = setting.quick(tmp_path, text=text)
+    assert any("k6 is not observable" in text and "bracket" in text for text in result.warnings)
+
+
+def test_a_load_too_small_to_be_seen_is_refused(tmp_path):
+    with pytest.raises(PlanError, match="load is too small"):
+        setting.quick(tmp_path, text=BASIC + "\n[rig]\nmass_kg = 0.01\nmax_angle_deg = 30\n")
+
+
+def test_the_compensator_is_planned_for_only_where_it_can_be_identified(tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    assert not setting.quick(tmp_path).compensator_free
+    spring = setting.ROBOT.compensator
+    stiff = replace(setting.ROBOT, compensator=replace(spring, stiffness=6e6))
+    monkeypatch.setattr(setting, "ROBOT", stiff)
+    result = setting.quick(tmp_path, configurations=15, levels=5)
+    assert result.compensator_free
+    assert "K_c" in result.accuracy.names
+    assert np.ptp(result.plan.q[:, 1]) > np.radians(80)
+
+
+def test_more_than_can_be_determined_is_refused(tmp_path):
+    with pytest.raises(PlanError, match="5 levels of q2 for 4 configurations"):
+        setting.quick(tmp_path, configurations=4, levels=5)
+    one_point = BASIC[: BASIC.index("[points.P2]")]
+    with pytest.raises(PlanError, match=r"2 poses of 1 points on a level are 6 .* for 6|are 3 coordinates for 6"):
+        setting.quick(tmp_path, text=one_point + RIG, configurations=4, levels=4, grouped=True)
+
+
+def measured_so_far(folder, count=6):
+    q, f = simulator.plan(np.random.default_rng(5), count=count, levels=(-40, -100))
+    robot = simulator.paper_like(np.random.default_rng(6), stiff_compensator=False)
+    _, raw = simulator.measure(robot, q, f, np.random.default_rng(7))
+    simulator.write(folder, q, f, raw)
+    setup = measurements.read_experiment(setting.experiment(folder))
+    return measurements.read(folder / "measurements.csv", setup), q, f
+
+
+def test_with_measurements_the_plan_says_what_to_measure_next(tmp_path):
+    data, q, force = measured_so_far(tmp_path)
+    result = setting.quick(tmp_path, data=data, configurations=3, levels=3, test_poses=3)
+    assert result.before is not None
+    assert result.accuracy.rms < result.before.rms
+    levels = np.degrees(np.unique(result.plan.q2))
+    assert {-100.0, -40.0} <= set(levels.round(3))
+    assert len(levels) == 3
+    together = setting.pooled(
+        np.vstack([q, result.plan.q]), np.vstack([force, result.force]), result.tests, VARIANCE
+    )
+    assert together == pytest.approx(result.plan.value, rel=1e-3)
+
+
+def test_next_poses_help_more_than_the_same_number_planned_without_the_measurements(tmp_path):
+    data, q, force = measured_so_far(tmp_path)
+    options = {"configurations": 3, "levels": 2, "test_poses": 3}
+    next_ones = setting.quick(tmp_path, data=data, **options)
+    rng = np.random.default_rng(1)
+    place = setting.site(tmp_path)
+    random = []
+    for _ in range(30):
+        drawn = candidates.draw(place, 3, rng)
+        drawn[0][:, 1] = np.radians(rng.choice([-40.0, -100.0], 3))
+        both = np.vstack([force, place.rig.force * search_direction(drawn[1])])
+        random.append(setting.pooled(np.vstack([q, drawn[0]]), both, next_ones.tests, VARIANCE))
+    assert next_ones.plan.value < min(random)
+
+
+def test_exchange_keeps_levels_apart(tmp_path):
+    result = setting.quick(tmp_path, configurations=12, levels=6)
+    assert np.diff(np.sort(result.plan.q2)).min() >= search._APART - 1e-4
