@@ -25,12 +25,15 @@ _NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 
 def _runs_of(number: str) -> re.Pattern[str]:
     """Return the expression for lines in sequence that are plain, with a given expression for their numbers."""
-    components = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
-    components += [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
+    position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
+    all_six = r"[ \t]*+,[ \t]*+".join(position) + _NEXT  # so common that trying it first is faster
+    some = "".join(f"(?:{component}{_NEXT})?+" for component in position)
+    components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
     line = (
         r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])[ \t]*+"
         r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?+(?=[XYZABCxyzabc])"
+        + f"(?>{all_six}|{some})"
         + "".join(f"(?:{component}{_NEXT})?+" for component in components)
         + r"\}(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
     )
@@ -82,20 +85,17 @@ def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
     starts, stops = borders[0::2], borders[1::2]
     if len(values) != len(starts):
         return None
-    row = np.repeat(np.arange(len(index)), np.diff(np.searchsorted(starts, begins), append=len(starts)))
-    column = _COLUMN[_before(raw, starts)]
     numbers = np.full((len(index), NUMBERS), np.nan)
-    numbers[row, column] = values
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        offset = int(shift[row[bad[0]]])
-        number = text[int(starts[bad[0]]) + offset : int(stops[bad[0]]) + offset]
-        raise source.error(f"{number} is not a finite number", int(starts[bad[0]]) + offset)
-    spans = np.full((len(index), len(COLUMNS), 2), -1, dtype=np.int32)
-    kept = column < len(COLUMNS)
-    row, column = row[kept], column[kept]
-    spans[row, column, 0] = starts[kept] + shift[row]
-    spans[row, column, 1] = stops[kept] + shift[row]
+    spans = np.full((len(index), NUMBERS, 2), -1, dtype=np.int32)
+    row, column = _places(raw, begins, starts)
+    offset = shift[row]
+    shape = offset.shape if offset.ndim == 1 else (len(index), -1)
+    numbers[row, column] = values.reshape(shape)
+    spans[row, column, 0] = starts.reshape(shape) + offset
+    spans[row, column, 1] = stops.reshape(shape) + offset
+    if not np.isfinite(values).all():
+        start, stop = spans[np.isinf(numbers)][0].tolist()
+        raise source.error(f"{text[start:stop]} is not a finite number", start)
 
     keyword = _skip_blanks(raw, begins, 1)
     letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32
@@ -107,12 +107,24 @@ def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
         line=index + 1,
         kind=np.where(ptp, PTP, LIN),
         numbers=numbers,
-        spans=spans,
+        spans=spans[:, : len(COLUMNS)],
         keyword=keyword + shift,
         target=aggregate + shift[:, None],
         tail=np.stack([aggregate[:, 1], stop], axis=1) + shift[:, None],
         approximated=_approximated(raw, begins, ptp),
     )
+
+
+def _places(raw: Bytes, begins: Ints, starts: Ints) -> tuple[Ints, Ints]:
+    """Return which row and column numbers belong to: (T,) each, or where all lines are alike (P, 1) and (1, C)."""
+    column = _COLUMN[_before(raw, starts)]
+    each, rest = divmod(len(starts), len(begins))
+    if rest == 0:
+        groups = column.reshape(-1, each)
+        if (groups == groups[0]).all():  # columns increase within a line, so that no line reaches into the next group
+            return np.arange(len(begins))[:, None], groups[:1]
+    first = np.searchsorted(starts, begins)
+    return np.repeat(np.arange(len(begins)), np.diff(first, append=len(starts))), column
 
 
 def _digits(body: bytes) -> Bytes:
