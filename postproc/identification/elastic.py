@@ -142,7 +142,14 @@ def measured_displacements(data: Measurements, placement: Placement) -> Array:
     """Return loaded − unloaded mean positions (L, P, 3) [m] in root axes, L loaded states."""
     mean, _ = data.means()
     rest = data.unloaded[data.state_config[data.loaded]]
-    return in_root_axes(placement, mean[data.loaded] - mean[rest])
+    return visible(data) * in_root_axes(placement, mean[data.loaded] - mean[rest])
+
+
+def visible(data: Measurements) -> Array:
+    """Return (L, P, 1) one where a loaded point and its unloaded counterpart have readings, zero elsewhere."""
+    _, count = data.means()
+    rest = data.unloaded[data.state_config[data.loaded]]
+    return np.asarray(((count[data.loaded] > 0) & (count[rest] > 0)).astype(float)[..., None])
 
 
 def whitening(data: Measurements) -> Array:

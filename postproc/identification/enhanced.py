@@ -13,17 +13,14 @@ import numpy as np
 
 from postproc.compensator import Compensator
 from postproc.errors import PostprocError
-from postproc.frames import RAD_PER_DEG, Array
+from postproc.frames import Array
 from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS, Structure
 from postproc.identification.errors import MeasurementError
 from postproc.identification.fit import Fit, gauss_newton
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import NotObservable, not_observable
+from postproc.identification.observability import NotObservable, levels_of, not_observable
 from postproc.identification.placement import Placement
-from postproc.program import Ints
 from postproc.robot import RobotModel
-
-_SAME_LEVEL = 2.0 * RAD_PER_DEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +43,6 @@ class SpringOfJoint2:
 
     values: Array
     covariance: Array
-
-
-def levels_of(data: Measurements) -> Ints:
-    """Group the configurations (C,) by q2; angles within 2° share a level."""
-    order = np.argsort(data.q[:, 1])
-    steps = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])
-    level = np.empty(len(order), dtype=np.int64)
-    level[order] = steps
-    return level
 
 
 def extended_set(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Fit, Levels] | None:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import Array
-from postproc.identification.elastic import Structure, measured_displacements, predict, whitening
+from postproc.identification.elastic import Structure, measured_displacements, predict, visible, whitening
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 
 _ITERATIONS = 12
+_DEAD = 1e-6
+"""Effect of a parameter of usual size on all readings, in σ, below which it has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,8 @@ class Fit:
     @property
     def rms(self) -> float:
         """RMS distance [m] of the points from their prediction."""
-        return float(np.sqrt(np.mean(np.sum(self.residual**2, axis=-1))))
+        squares = np.sum(self.residual**2, axis=-1)
+        return float(np.sqrt(squares.sum() / max(1, np.count_nonzero(squares))))
 
     @property
     def ci95(self) -> Array:
@@ -68,6 +71,7 @@ def gauss_newton(
     for _ in range(iterations):
         moved, slopes = predict(structure, values, data, placement)
         design = whiten(w, slopes).reshape(-1, size)
+        design[:, np.linalg.norm(design, axis=0) * structure.typical() < _DEAD] = 0.0
         target = whiten(w, displacement - moved).ravel() + design @ values
         new = solve(design, target, ridge)
         scale = np.linalg.norm(design, axis=0)
@@ -77,7 +81,7 @@ def gauss_newton(
             break
     moved, slopes = predict(structure, values, data, placement)
     design = whiten(w, slopes).reshape(-1, size)
-    left = displacement - moved
+    left = (displacement - moved) * visible(data)
     white = whiten(w, left).ravel()
     return Fit(
         structure,
@@ -120,7 +124,7 @@ def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> 
     :param typical: (p,) usual sizes of the parameters: one that then moves the readings by less than 10⁻⁶ σ is dead.
     """
     scale = np.linalg.norm(design, axis=0)
-    dead = scale * typical < 1e-6
+    dead = scale * typical < _DEAD
     safe = np.where(dead, 1.0, scale)
     rows = design / safe
     if ridge is not None:

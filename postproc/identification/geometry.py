@@ -257,7 +257,7 @@ def _solve(
             break
     robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
     flange, _ = _at_rest(robot, data.q)
-    residual = seen - _placed(root @ flange, points)
+    residual = (seen - _placed(root @ flange, points)) * (weight > 0.0)[..., None]
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
     white = residual.ravel() * scale
     dof = max(1, len(white) - design.shape[1])
@@ -309,7 +309,7 @@ def _held_out(solution: _Solution, data: Measurements) -> Array:
         state = np.linalg.lstsq(solution.design[train], solution.target[train], rcond=None)[0]
         test = ~train
         left = (solution.target[test] - solution.design[test] @ state) / solution.weight[test[:readings]]
-        out[fold == index] = np.sum(left.reshape(-1, rows) ** 2, axis=1) / len(data.points)
+        out[fold == index] = np.sum(np.nan_to_num(left).reshape(-1, rows) ** 2, axis=1) / len(data.points)
     return out
 
 

@@ -148,7 +148,9 @@ def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable
     known = {entry.name: entry for entry in missing}
     found = [entry for entry in missing if entry.name == STIFFNESS and STIFFNESS not in names]
     for joint, value in whole.items():
-        if value <= 0.0:
+        if joint not in names and joint in known:
+            found.append(known[joint])
+        elif value <= 0.0:
             found.append(
                 known.get(joint)
                 or NotObservable(

@@ -7,15 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.frames import Array
+from postproc.frames import RAD_PER_DEG, Array
 from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS
 from postproc.identification.fit import Fit
 from postproc.identification.measurements import Measurements
+from postproc.program import Ints
 from postproc.robot import RobotModel
 
 _UNCERTAIN = 0.5
 """Half width of the 95 % interval over the value beyond which a parameter counts as not determined."""
 _NO_TORQUE = 0.02
+"""Largest torque on a joint over the largest on any, below which the loads do not reach it."""
+_SAME_LEVEL = 2.0 * RAD_PER_DEG
+_LONGEST_SPRING = 3.0
+"""Free length [m] that no compensator has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +57,47 @@ def not_observable(fit: Fit, data: Measurements, scaled: bool = False) -> list[N
             continue
         joint = JOINT_NAMES.index(name)
         found.append((half, _joint_reason(name, joint, torque, fit, index, half, correlation)))
-    if STIFFNESS in names:
-        index = names.index(STIFFNESS)
-        value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
-        free = fit.value(PRELOAD) / value if value > 0.0 else -1.0
-        physical = value > 0.0 and 0.0 <= free <= 3.0
-        if not physical or half > _UNCERTAIN * value:
-            interval = "unbounded" if not np.isfinite(half) else f"± {half:.2g} N/m"
-            reason = f"the fit gives {value:.3g} N/m, 95 % interval {interval}"
-            if not physical:
-                reason += ", which no spring has"
-            levels = len(np.unique(np.round(np.degrees(data.q[:, 1]))))
-            found.append(
-                (
-                    np.inf,
-                    NotObservable(
-                        "K_c",
-                        f"its effect on joint 2 is too small against the noise ({reason})",
-                        f"Measure more and heavier loads at levels of q2 far apart (there are {levels}); a "
-                        "compensator that only balances the weights can not be seen in deflections.",
-                    ),
-                )
-            )
-    return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
+    if STIFFNESS in names and (entry := _compensator(fit, data, wider, any(e.name == "k2" for _, e in found))):
+        found.append((np.inf, entry))
+    # the compensator first: without it k2 is determined again
+    return [entry for _, entry in sorted(found, key=lambda pair: (pair[1].name != STIFFNESS, -pair[0]))]
+
+
+def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> NotObservable | None:
+    index = fit.structure.names.index(STIFFNESS)
+    value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
+    levels = int(levels_of(data).max()) + 1
+    if levels < 3 or k2_is_open:
+        return NotObservable(
+            STIFFNESS,
+            f"K_theta2_0, K_c and s_0 are three unknowns, and there are {levels} levels of q2",
+            "Measure at five levels of q2, far apart.",
+        )
+    free = fit.value(PRELOAD) / value if value > 0.0 else -1.0
+    if not (value > 0.0 and 0.0 <= free <= _LONGEST_SPRING):
+        return NotObservable(
+            STIFFNESS,
+            f"the fit gives K_c {value:.3g} N/m, which no spring has: noise, or flexibility that is not the joint's, "
+            "outweighs its effect",
+            "Measure more and heavier loads at levels of q2 far apart.",
+        )
+    if half > _UNCERTAIN * value:
+        return NotObservable(
+            STIFFNESS,
+            f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half:.2g} N/m)",
+            f"Measure more and heavier loads at levels of q2 far apart (there are {levels}); a compensator that only "
+            "balances the weights can not be seen in deflections.",
+        )
+    return None
+
+
+def levels_of(data: Measurements) -> Ints:
+    """Group the configurations (C,) by q2; angles within 2° share a level."""
+    order = np.argsort(data.q[:, 1])
+    steps = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])
+    level = np.empty(len(order), dtype=np.int64)
+    level[order] = steps
+    return level
 
 
 def joint_torques(robot: RobotModel, data: Measurements) -> Array:
@@ -122,3 +145,9 @@ def _correlation(covariance: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviation, deviation)
     return np.asarray(np.nan_to_num(correlation))
+
+
+def untouched(robot: RobotModel, data: Measurements) -> set[str]:
+    """Return the joint compliances on which the loads put no torque worth the name."""
+    largest = np.abs(joint_torques(robot, data)).max(axis=0)
+    return {name for name, value in zip(JOINT_NAMES, largest, strict=True) if value < _NO_TORQUE * largest.max()}

@@ -36,7 +36,8 @@ class Placement:
     @property
     def rms(self) -> float:
         """RMS distance of the unloaded readings from the model [m]."""
-        return float(np.sqrt(np.mean(np.sum(self.residual**2, axis=-1))))
+        squares = np.sum(self.residual**2, axis=-1)
+        return float(np.sqrt(squares.sum() / max(1, np.count_nonzero(squares))))
 
 
 def kabsch(source: Array, target: Array) -> Array:
@@ -70,7 +71,8 @@ def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -
         )
     position = data.guess.copy()
     model = _place(flange, position)
-    pose = kabsch(model.reshape(-1, 3), seen.reshape(-1, 3))
+    known = weight.ravel() > 0.0
+    pose = kabsch(model.reshape(-1, 3)[known], seen.reshape(-1, 3)[known])
     normal = np.eye(6 + 3 * points)
     for _ in range(_STEPS):
         model = _place(pose @ flange, position)
@@ -95,7 +97,8 @@ def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -
         position = position + step[6:].reshape(points, 3)
         if np.abs(step).max() < 1e-11:
             break
-    return Placement(pose, position, np.asarray(np.linalg.inv(normal)), seen - _place(pose @ flange, position))
+    left = (seen - _place(pose @ flange, position)) * (weight > 0.0)[..., None]
+    return Placement(pose, position, np.asarray(np.linalg.inv(normal)), left)
 
 
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.frames import Array, twist_between
-from postproc.identification.elastic import JOINT_NAMES, Structure, measured_displacements, predict, whitening
+from postproc.identification.elastic import JOINT_NAMES, Structure, measured_displacements, predict, visible, whitening
 from postproc.identification.errors import MeasurementError
 from postproc.identification.fit import Fit, covariance_of, whiten
 from postproc.identification.measurements import Measurements
@@ -79,7 +79,7 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     deviation = np.sqrt(sigma2)
     covariance = covariance_of(design / deviation, structure.typical())
     moved, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
-    residual = measured_displacements(data, placement) - moved
+    residual = (measured_displacements(data, placement) - moved) * visible(data)
     w = whitening(data)
     white = whiten(w, residual).ravel()
     whole = whiten(w, slopes).reshape(-1, 6)

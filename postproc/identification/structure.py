@@ -18,7 +18,7 @@ from postproc.frames import Array
 from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS, Structure
 from postproc.identification.fit import Fit, covariance_of, gauss_newton, solve
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import joint_torques
+from postproc.identification.observability import joint_torques, levels_of, untouched
 from postproc.identification.placement import Placement
 from postproc.robot import BASE, JOINTS, LINK_AXES, RobotModel
 
@@ -94,22 +94,23 @@ def _along(robot: RobotModel) -> set[str]:
     return found
 
 
-def gear_names(robot: RobotModel, data: Measurements) -> list[str]:
+def gear_names(robot: RobotModel, data: Measurements, joints: Sequence[str] = JOINT_NAMES) -> list[str]:
     """Return the fading parts of the gears, at a fifth to twice the largest torque measured on the joint."""
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     return [
         f"{name}@{float(f'{step * torque:.2g}'):g}"
         for name, torque in zip(JOINT_NAMES, largest, strict=True)
         for step in _TORQUE_STEPS
-        if torque > 1.0
+        if name in joints and torque > 1.0
     ]
 
 
 def candidates(robot: RobotModel, data: Measurements) -> list[tuple[str, Structure]]:
     """Return the nested structures, simple to rich."""
-    joints = list(JOINT_NAMES)
-    spring = [STIFFNESS, PRELOAD] if robot.compensator is not None else []
-    links, gears = link_names(robot, rich=False), gear_names(robot, data)
+    idle = untouched(robot, data)
+    joints = [name for name in JOINT_NAMES if name not in idle]
+    spring = [STIFFNESS, PRELOAD] if robot.compensator is not None and levels_of(data).max() >= 2 else []
+    links, gears = link_names(robot, rich=False), gear_names(robot, data, joints)
     rich = link_names(robot, rich=True)
     found = [("joint springs", Structure(tuple(joints), robot))]
     if spring:
