@@ -84,7 +84,14 @@ def job(seed: int = 0, count: int = 300):
 
 
 def quick(folder: Path, *, tests=None, text: str = BASIC + RIG + AROUND, data=None, **options):
-    chosen = {"starts": 2, "comparisons": False, "configurations": 8, "levels": 4, "test_poses": 8, "rounds": 6} | options
+    chosen = {
+        "starts": 2,
+        "comparisons": False,
+        "configurations": 8,
+        "levels": 4,
+        "test_poses": 8,
+        "rounds": 6,
+    } | options
     place = site(folder, text)
     return make(place, SIGMA, job() if tests is None else tests, CELL, Options(**chosen), data)
 

@@ -52,7 +52,11 @@ def test_random_poses_that_pass_keep_every_limit_by_an_independent_forward_kinem
     ("text", "q", "expected"),
     [
         ("[floor]\nZ = 1500", [0.0, -20, 60, 0, 30, 0], "floor"),
-        ("[[boxes]]\nname = 'press'\nX = 1400\nZ = 1800\nsize = [500, 500, 500]", [0.0, -80, 95, 0, 60, 0], "box press"),
+        (
+            "[[boxes]]\nname = 'press'\nX = 1400\nZ = 1800\nsize = [500, 500, 500]",
+            [0.0, -80, 95, 0, 60, 0],
+            "box press",
+        ),
         ("[tracker]\nX = -4000\nY = 0\nZ = 1000", [0.0, -80, 95, 0, 60, 0], "line of sight to marker P1"),
     ],
 )

@@ -162,9 +162,7 @@ def test_with_measurements_the_plan_says_what_to_measure_next(tmp_path):
     levels = np.degrees(np.unique(result.plan.q2))
     assert {-100.0, -40.0} <= set(levels.round(3))
     assert len(levels) == 3
-    together = setting.pooled(
-        np.vstack([q, result.plan.q]), np.vstack([force, result.force]), result.tests, VARIANCE
-    )
+    together = setting.pooled(np.vstack([q, result.plan.q]), np.vstack([force, result.force]), result.tests, VARIANCE)
     assert together == pytest.approx(result.plan.value, rel=1e-3)
 
 

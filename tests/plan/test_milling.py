@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.plan import milling
+from postproc.plan.errors import PlanError
+from tests import programs
+from tests.oracle.arm import abc
+from tests.plan import setting
+
+SQUARE = [("PTP", 0, 0, 50), ("RAPID", 0, 0, 5), ("LIN", 0, 0, -2), ("LIN", 100, 0, -2), ("LIN", 100, 60, -2)]
+FORCE = (3, (120.0, -40.0, 300.0, 0.0, 0.0, 0.0))
+
+
+def test_test_poses_lie_on_the_cutting_moves_under_their_force_in_root_axes():
+    turned = abc(1500, -200, 700, a=30)[None]
+    program = programs.program(SQUARE, notes=[FORCE], bases=turned)
+    tests = milling.from_program(program, setting.ROBOT, setting.CELL)
+    force = turned[0, :3, :3] @ FORCE[1][:3]
+    whole = np.linalg.norm(tests.wrench[:, :3], axis=1) > 0.999 * np.linalg.norm(force)
+    assert np.abs(tests.wrench[whole, :3] - force).max() < 1e-9
+    assert whole.mean() > 0.5
+    tool = setting.CELL.tool.pose()
+    for q in tests.q:
+        spot = np.linalg.inv(turned[0]) @ setting.ORACLE.nominal_tcp(q, tool) @ [0, 0, 0, 1]
+        assert -0.0021 <= spot[2] <= 0.0051
+
+
+def test_weights_are_shares_of_the_way_cut():
+    program = programs.program(SQUARE, notes=[FORCE])
+    tests = milling.from_program(program, setting.ROBOT, setting.CELL)
+    assert tests.weight.sum() == pytest.approx(1.0)
+    places = np.array(
+        [(np.linalg.inv(program.bases[0]) @ setting.ORACLE.nominal_tcp(q, program.tools[0]))[:3, 3] for q in tests.q]
+    )
+    along_y = places[:, 1] > 1e-6
+    assert tests.weight[along_y].sum() == pytest.approx(60 / (7 + 100 + 60), rel=1e-6)
+
+
+def test_regressor_is_that_of_an_independent_arm():
+    tests = setting.job(2).take(np.array([0, 99]), np.ones(2) / 2)
+    expected = setting.milling_regressors(tests)
+    assert np.abs(tests.regressor - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_a_few_poses_stand_for_all():
+    tests = setting.job(7, count=2000)
+    scale = setting.ROBOT.compliance
+    few = milling.thinned(tests, scale, 20, 0)
+    assert len(few) <= 20
+    assert few.weight.sum() == pytest.approx(1.0)
+    all_of_them, those = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
+    assert np.abs(all_of_them - those).max() < 0.02 * np.abs(all_of_them).max()
+    assert np.trace(all_of_them) == pytest.approx(np.trace(those))
+
+
+def test_few_poses_are_left_as_they_are():
+    tests = setting.job(7, count=12)
+    assert milling.thinned(tests, setting.ROBOT.compliance, 20, 0) is tests
+
+
+def test_programs_without_force_are_refused_with_advice():
+    with pytest.raises(PlanError, match=r"part\.nc: no cutting move .* carries a force\. .*--forces"):
+        milling.from_program(programs.program(SQUARE), setting.ROBOT, setting.CELL)
+
+
+def test_poses_out_of_reach_name_the_line():
+    far = [*SQUARE[:3], ("LIN", 3000, 0, -2)]
+    with pytest.raises(PlanError, match=r"part\.nc:4: out of reach"):
+        milling.from_program(programs.program(far, notes=[FORCE]), setting.ROBOT, setting.CELL)
+
+
+def write(folder, text):
+    path = folder / "tests.csv"
+    path.write_text(text)
+    return path
+
+
+def test_test_poses_by_hand_are_read(tmp_path):
+    path = write(
+        tmp_path, "A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,weight\n0,-70,110,0,50,0,100,0,0,3\n10,-60,100,0,50,0,0,0,-200,1\n"
+    )
+    tests = milling.from_file(path, setting.ROBOT, setting.CELL)
+    assert tests.weight.tolist() == [0.75, 0.25]
+    assert tests.wrench[1].tolist() == [0, 0, -200, 0, 0, 0]
+    assert np.degrees(tests.q[0]).round(9).tolist() == [0, -70, 110, 0, 50, 0]
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ("", "no test poses"),
+        ("0,-70,110,0,50,0,0,0,0,1\n", r"tests\.csv:2: the force is zero"),
+        ("0,-70,110,0,50,0,1,0,0,0\n", r"tests\.csv:2: weight must be larger than 0"),
+        ("0,-70,nan,0,50,0,1,0,0,1\n", "column A3 is not a finite number"),
+    ],
+)
+def test_bad_test_poses_name_the_row(tmp_path, rows, problem):
+    with pytest.raises(PlanError, match=problem):
+        milling.from_file(write(tmp_path, "A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,weight\n" + rows), setting.ROBOT, setting.CELL)
