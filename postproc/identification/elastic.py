@@ -133,9 +133,17 @@ class Structure:
 
 
 def _compensator(law: Compensator, stiffness: float, preload: float) -> Compensator:
-    """Return the law with K_c and K_c·s₀; a fit may pass through values that no spring has."""
-    free = preload / stiffness if stiffness > 0.0 else 0.0
-    return replace(law, stiffness=max(stiffness, 0.0), free_length=max(free, 0.0))
+    """Return the law with K_c and K_c·s₀; on its way a fit may pass through values that no spring has.
+
+    The check of `Compensator` is therefore left out here; what is written is checked (`observability`).
+    """
+    stiffness = stiffness if abs(stiffness) > _LEAST else _LEAST
+    made = object.__new__(Compensator)
+    for name, value in (("stiffness", stiffness), ("free_length", preload / stiffness)):
+        object.__setattr__(made, name, value)
+    for name in ("L", "ax", "ay"):
+        object.__setattr__(made, name, getattr(law, name))
+    return made
 
 
 def measured_displacements(data: Measurements, placement: Placement) -> Array:

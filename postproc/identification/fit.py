@@ -11,7 +11,9 @@ from postproc.identification.elastic import Structure, measured_displacements, p
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 
-_ITERATIONS = 12
+_ITERATIONS = 25
+_WORSE = 1.5
+"""Growth of the squares that calls for a shorter step."""
 _DEAD = 1e-6
 """Effect of a parameter of usual size on all readings, in σ, below which it has none."""
 
@@ -68,8 +70,14 @@ def gauss_newton(
     values = structure.start() if start is None else start.copy()
     displacement, w = measured_displacements(data, placement), whitening(data)
     size = len(structure.names)
+    previous, smallest = values, np.inf
     for _ in range(iterations):
         moved, slopes = predict(structure, values, data, placement)
+        cost = float(np.sum(whiten(w, displacement - moved) ** 2))
+        if cost > _WORSE * smallest and ridge is None:  # a step too far: halve it
+            values = 0.5 * (previous + values)
+            continue
+        previous, smallest = values, min(cost, smallest)
         design = whiten(w, slopes).reshape(-1, size)
         design[:, np.linalg.norm(design, axis=0) * structure.typical() < _DEAD] = 0.0
         target = whiten(w, displacement - moved).ravel() + design @ values

@@ -73,8 +73,7 @@ def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -
             f"K_theta2_0, K_c and s_0 are three unknowns, and there are {levels} levels of q2",
             "Measure at five levels of q2, far apart.",
         )
-    free = fit.value(PRELOAD) / value if value > 0.0 else -1.0
-    if not (value > 0.0 and 0.0 <= free <= _LONGEST_SPRING):
+    if not is_physical(fit):
         return NotObservable(
             STIFFNESS,
             f"the fit gives K_c {value:.3g} N/m, which no spring has: noise, or flexibility that is not the joint's, "
@@ -89,6 +88,14 @@ def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -
             "balances the weights can not be seen in deflections.",
         )
     return None
+
+
+def is_physical(fit: Fit) -> bool:
+    """Return whether the compensator of a fit, if it has one, is one that could be built."""
+    if STIFFNESS not in fit.structure.names:
+        return True
+    value = fit.value(STIFFNESS)
+    return value > 0.0 and 0.0 <= fit.value(PRELOAD) / value <= _LONGEST_SPRING
 
 
 def levels_of(data: Measurements) -> Ints:

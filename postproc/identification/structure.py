@@ -18,7 +18,7 @@ from postproc.frames import Array
 from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS, Structure
 from postproc.identification.fit import Fit, covariance_of, gauss_newton, solve
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import joint_torques, levels_of, untouched
+from postproc.identification.observability import is_physical, joint_torques, levels_of, untouched
 from postproc.identification.placement import Placement
 from postproc.robot import BASE, JOINTS, LINK_AXES, RobotModel
 
@@ -150,7 +150,9 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
     tried: list[tuple[str, Fit, Array]] = []
     for name, structure in candidates(robot, data):
         try:
-            tried.append((name, *_fit(structure, data, placement)))
+            fit, held_out = _fit(structure, data, placement)
+            if is_physical(fit):
+                tried.append((name, fit, held_out))
         except PostprocError:
             if not tried:
                 raise
