@@ -203,7 +203,7 @@ def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]
     return best, False
 
 
-def _ordered(problem: _Problem, plan: Plan, cell: Cell) -> tuple[Plan, Array, float, Ints, Ints]:
+def _ordered(problem: _Problem, plan: Plan, cell: Cell) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
     """Round to what is written, order by travel, and look at the ways between."""
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
@@ -212,7 +212,7 @@ def _ordered(problem: _Problem, plan: Plan, cell: Cell) -> tuple[Plan, Array, fl
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
     force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
     value = problem.task.criterion_at(q2).value(problem.bench.information_of(q, force), level)
-    via, blocked = order.through_start(site, cell.start_joints, q, hit)
+    via, blocked = order.ways(site, cell.start_joints, q, hit)
     return Plan(q, tilt, level, q2, value), force, seconds, via, blocked
 
 

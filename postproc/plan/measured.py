@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import Array
-from postproc.identification.enhanced import levels_of
 from postproc.identification.measurements import Measurements
+from postproc.identification.observability import levels_of
 from postproc.plan.criterion import Done
 from postproc.plan.sensitivity import Bench
 

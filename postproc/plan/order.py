@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ from postproc.plan.site import Site
 from postproc.program import Bools, Ints
 
 _STEP = 4.0 * RAD_PER_DEG
+_SHAPES = 400
 _BLOCKED = 1e3
 """Added seconds of a move that would hit something."""
 
@@ -87,16 +89,41 @@ def _improved(tour: list[int], cost: Array) -> list[int] | None:
     return None
 
 
-def through_start(site: Site, start: Array, q: Array, hit: Ints) -> tuple[Ints, Ints]:
-    """Return before which of the rows `hit` the robot can go through its start position, and where not even that."""
-    via: list[int] = []
-    blocked: list[int] = []
+def ways(site: Site, start: Array, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
+    """Return what the robot passes on its way to each pose, (k, 6) configurations, and the rows it cannot get to.
+
+    A blocked move goes through the start position, or with the arm as there, or drawn in, turned by A1 to where it
+    comes from and to where it goes.
+
+    :param hit: rows whose direct way is blocked.
+    """
+    passed = [np.zeros((0, 6)) for _ in q]
+    blocked = []
+    shapes = [start, drawn_in(site)] if len(hit) else []
     for row in hit:
-        here = start if row == 0 else q[row - 1]
-        free = (
-            row > 0
-            and free_moves(site, np.array([here, start]))[0, 1]
-            and free_moves(site, np.array([start, q[row]]))[0, 1]
-        )
-        (via if free else blocked).append(int(row))
-    return np.array(via, dtype=np.int64), np.array(blocked, dtype=np.int64)
+        here, there = start if row == 0 else q[row - 1], q[row]
+        options = [start[None]]
+        for shape in shapes:
+            from_here, to_there = shape.copy(), shape.copy()
+            from_here[0], to_there[0] = here[0], there[0]
+            options += [to_there[None], from_here[None], np.array([from_here, to_there])]
+        for between in options:
+            stops = np.vstack([here, between, there])
+            if constraints.passable(site, between).all() and np.diag(free_moves(site, stops), 1).all():
+                passed[row] = between
+                break
+        else:
+            blocked.append(int(row))
+    return tuple(passed), np.array(blocked, dtype=np.int64)
+
+
+def drawn_in(site: Site) -> Array:
+    """Return joint angles (6,), A1 = 0, in which the arm with its tool reaches least far out; of some at random."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
+    q[:, 0] = np.clip(0.0, site.lower[0], site.upper[0])
+    posed = site.arm.pose(q)
+    places = np.concatenate([posed.origin, posed.point(np.vstack([site.load_point, site.points]))], axis=1)
+    reach = np.linalg.norm(places[..., :2], axis=2).max(axis=1)
+    alone = replace(site, obstacles=())
+    return np.asarray(q[np.argmin(np.where(constraints.passable(alone, q), reach, np.inf))])

@@ -39,8 +39,9 @@ def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
         _ptp(start),
     ]
     for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
-        if row in result.via:
-            lines += [";by way of the start position, the direct way is blocked", _ptp(start)]
+        lines += [
+            _ptp(angles) + " ;on the way, the straight one is blocked" for angles in result.via[row] * DEG_PER_RAD
+        ]
         if row in result.blocked:
             lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
         lines += [

@@ -64,8 +64,8 @@ class PlanResult:
     :param serial: the semi-intuitive plan of the serial approach, or None.
     :param sizes: other numbers of poses.
     :param seconds: least travel time, the slowest joint at full speed.
-    :param via: rows before which the robot goes through its start position, as the direct way is blocked.
-    :param blocked: rows before which even that way is blocked.
+    :param via: for each pose the configurations (k, 6) that the robot passes on its way there, none if straight.
+    :param blocked: rows to which no free way was found.
     :param compensator_free: K_c and s₀ can be determined too; else they stay at the robot's values.
     :param warnings: what the user should know before measuring.
     :param interrupted: the search was stopped; the plan is the best found so far.
@@ -84,7 +84,7 @@ class PlanResult:
     serial: Plan | None
     sizes: tuple[Size, ...]
     seconds: float
-    via: Ints
+    via: tuple[Array, ...]
     blocked: Ints
     compensator_free: bool
     warnings: tuple[str, ...]

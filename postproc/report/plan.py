@@ -93,7 +93,7 @@ def _comparison(result: PlanResult, unit: str, factor: float) -> str:
     intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} {unit}"
     return (
         f"<section><h2>Among other plans of the same size</h2>{picture}<p>{best}{intuitive}. Random plans: levels, "
-        "poses and loads at random among those that can be measured. Semi-intuitive: poses of well-conditioned Jacobian, "
+        "poses and loads at random among those that can be measured. Semi-intuitive: well-conditioned poses, "
         "far apart, on evenly spaced levels.</p></section>"
     )
 
@@ -171,7 +171,7 @@ def _notes(result: PlanResult) -> str:
     how = (
         "Criterion as printed in the paper: each level of q2 identified alone."
         if result.options.grouped
-        else "Criterion: covariance of Eq. (8), shared by the levels; k2 at a test pose from the levels by Eq. (9), (10)."
+        else "Criterion: covariance of Eq. (8), shared by the levels; k2 at a test pose from them by Eq. (9), (10)."
     )
     return (
         f"<footer><p>{how} The expected accuracy is that of an identification which weights all readings by their "

@@ -26,7 +26,7 @@ def test_a_comfortable_pose_passes_everything(tmp_path):
 
 
 def test_random_poses_that_pass_keep_every_limit_by_an_independent_forward_kinematics(tmp_path):
-    """Markers, load point, wrist and weight above the floor and out of the box; limits with margin; load in the cone."""
+    """Markers, load point, wrist and weight above the floor and out of the box; limits with margin; load in cone."""
     site = setting.site(tmp_path)
     rng = np.random.default_rng(0)
     q, tilt = candidates.draw(site, 1500, rng)
@@ -107,7 +107,7 @@ def test_a_mesh_of_the_cell_keeps_the_arm_out(tmp_path):
 def test_constraints_that_leave_no_pose_say_which_one_blocks(tmp_path):
     text = BASIC.replace("Z = 262\n", "Z = 262\nnormal = [0, 0, 1]\n")
     text = text.replace("Z = 255\n", "Z = 255\nnormal = [0, 0, -1]\n")  # never both towards the tracker
-    with pytest.raises(PlanError, match="acceptance angle of marker P[12] forbids"):
+    with pytest.raises(PlanError, match=r"acceptance angle of marker P[12] forbids"):
         setting.quick(tmp_path, text=text + RIG + "[tracker]\nX = 4000\nY = 0\nZ = 1500\nacceptance_deg = 40\n")
     with pytest.raises(PlanError, match=r"what blocks is: floor.*without it \d+ poses were possible"):
         setting.quick(tmp_path, text=BASIC + RIG + "[floor]\nZ = 5000\n")

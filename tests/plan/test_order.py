@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -17,10 +17,7 @@ def test_the_order_is_the_shortest_of_all(tmp_path):
     q = np.radians([0.0, -80, 90, 0, 60, 0]) + rng.uniform(-0.5, 0.5, (6, 6))
     sequence, seconds, blocked = order.shortest(site, START, q)
     times = order.travel_times(site, np.vstack([START, q]))
-    lengths = [
-        times[0, p[0] + 1] + sum(times[a + 1, b + 1] for a, b in zip(p, p[1:], strict=False))
-        for p in permutations(range(6))
-    ]
+    lengths = [times[0, p[0] + 1] + sum(times[a + 1, b + 1] for a, b in pairwise(p)) for p in permutations(range(6))]
     assert len(blocked) == 0
     assert sorted(sequence) == list(range(6))
     assert seconds <= min(lengths) * 1.1
@@ -46,6 +43,16 @@ def test_a_way_through_an_obstacle_is_avoided(tmp_path):
     sequence, _, blocked = order.shortest(site, start, q)
     assert sorted(sequence[:2]) == [0, 2]
     assert blocked.tolist() == [2]
-    via, stuck = order.through_start(site, start, q[sequence], blocked)
-    assert via.tolist() == []
-    assert stuck.tolist() == [2]
+    passed, stuck = order.ways(site, start, q[sequence], blocked)
+    assert stuck.tolist() == []
+    stops = np.vstack([q[sequence[1]], passed[2], q[sequence[2]]])
+    assert len(stops) > 2  # behind the wall, with the arm drawn in
+    assert np.diag(order.free_moves(site, stops), 1).all()
+
+
+def test_a_pose_that_cannot_be_reached_on_a_free_way_is_told(tmp_path):
+    wall = "[[boxes]]\nname = 'wall'\nX = 0\nY = -1100\nZ = 1500\nsize = [6000, 100, 6000]\n"
+    site = setting.site(tmp_path, BASIC + RIG + wall)
+    inside = np.radians([[90.0, -20, 40, 0, 40, 0]])  # stretched through the wall: not even passable
+    _, stuck = order.ways(site, START, inside, np.array([0]))
+    assert stuck.tolist() == [0]

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+from postproc.dialects import krl
+from postproc.dialects.text import decode
+from postproc.kinematics import tcp
+from tests.plan import setting
+from tests.plan.setting import AROUND, BASIC, RIG
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+POSES = """A1,A2,A3,A4,A5,A6,Fx,Fy,Fz
+0,-70,110,0,50,0,100,50,300
+10,-60,100,10,50,0,0,80,-200
+-10,-75,105,0,60,0,90,0,250
+"""
+QUICK = ("--configurations", "6", "--q2-levels", "3", "--test-poses", "6")
+
+
+def run(folder, *arguments, text=BASIC + RIG + AROUND):
+    setting.experiment(folder, text)
+    (folder / "tests.csv").write_text(POSES)
+    common = ["plan", "--experiment", str(folder / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")]
+    return CliRunner().invoke(main, [*common, *arguments, "-o", str(folder / "out" / "plan.csv")])
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    result = run(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
+    assert result.exit_code == 0, result.output
+    return folder / "out", result
+
+
+def test_the_csv_has_the_columns_units_and_number_of_the_contract(written):
+    rows = list(csv.DictReader((written[0] / "plan.csv").read_text().splitlines()))
+    assert list(rows[0]) == ["config", "A1", "A2", "A3", "A4", "A5", "A6", "Fx", "Fy", "Fz"]
+    assert [row["config"] for row in rows] == ["1", "2", "3", "4", "5", "6"]
+    assert len({row["A2"] for row in rows}) == 3
+    force = np.array([[float(row[name]) for name in ("Fx", "Fy", "Fz")] for row in rows])
+    assert np.abs(np.linalg.norm(force, axis=1) - 275 * 9.81).max() < 0.2
+    assert np.degrees(np.arccos(-force[:, 2] / np.linalg.norm(force, axis=1))).max() <= 30.01
+    assert "-0.000" not in (written[0] / "plan.csv").read_text()
+
+
+def test_the_krl_program_visits_the_poses_of_the_csv_and_waits_twice_at_each(written):
+    document = decode("plan.src", (written[0] / "plan.src").read_bytes())
+    forward = lambda q: tcp(setting.ROBOT.nominal, q[None], np.eye(4))[0][0]  # noqa: E731
+    motions = krl.read([document], setting.CELL, forward, "plan").motions
+    q, _ = setting.read_plan((written[0] / "plan.csv").read_text())
+    start = setting.CELL.start_joints
+    halts = [line for line in document.text.splitlines() if line.startswith("HALT ;measure")]
+    assert len(halts) == 2 * len(q)
+    lines = document.text.splitlines()
+    before_halt = [number for number in motions.line if lines[number].startswith("HALT")]  # `line` counts from 1
+    visited = motions.joints[np.isin(motions.line, before_halt)]
+    assert np.abs(visited - q).max() < 1e-6
+    assert np.abs(motions.joints[[0, -1]] - start).max() < 1e-6
+    assert document.text.startswith("&ACCESS RVP\r\n")
+
+
+def test_the_summary_says_what_to_expect(written):
+    content = json.loads((written[0] / "plan.json").read_text())
+    low, high = content["expected"]["interval95_mm"]
+    assert low < content["expected"]["rms_mm"] < high < content["uncompensated"]["rms_mm"]
+    assert content["random"]["plans"] == 200
+    assert content["random"]["gain_over_best"] > 1.0
+    assert content["serial_approach"]["gain"] > 1.0
+    sizes = content["sizes"]
+    assert 6 in [size["configurations"] for size in sizes]
+    assert all(a["rms_mm"] > b["rms_mm"] for a, b in pairwise(sizes))
+    assert "expected error after compensation" in written[1].output
+    assert "K_c" in written[1].output
+
+
+def test_the_page_is_self_contained_and_draws_every_pose(written):
+    page = (written[0] / "plan.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert page.count('class="pull"') == 2 * 6 + 6
+    assert "How many poses pay" in page
+    assert "nan" not in page.lower().replace("finance", "")
+
+
+def test_the_plan_can_be_measured_and_identified_by_its_own_files(written, tmp_path):
+    """Poses of the CSV through the simulator into `identify`: all compliances come out."""
+    from postproc.identification import measurements
+    from postproc.identification.identify import identify
+    from tests.identification import simulator
+    from tests.plan.monte_carlo import true_robot
+
+    q, force = setting.read_plan((written[0] / "plan.csv").read_text())
+    _, raw = simulator.measure(true_robot(), q, force, np.random.default_rng(0))
+    simulator.write(tmp_path, q, force, raw)
+    data = measurements.read(tmp_path / "measurements.csv", measurements.read_experiment(tmp_path / "experiment.toml"))
+    found = identify(setting.ROBOT, data, depth="joints")
+    assert np.abs(found.robot().compliance / setting.ROBOT.compliance - 1)[:5].max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text", "problem"),
+    [
+        (("--poses", "tests.csv", "--q2-levels", "9", "--configurations", "6"), BASIC + RIG, "9 levels of q2 for 6"),
+        (("--poses", "tests.csv"), BASIC, r"the experiment has no [rig]"),
+        (("--poses", "tests.csv"), BASIC + RIG + "[floor]\nZ = 4000\n", "what blocks is: floor"),
+        (("--poses", "tests.csv"), BASIC + RIG + "[tracker]\nX = 1\nY = 2\nQ = 3\n", "Valid keys: X, Y, Z"),
+        (("--poses", "tests.csv"), BASIC + RIG + "[[boxes]]\nX = 1\n", "size"),
+        (("--poses", "tests.csv"), BASIC + RIG + "[[meshes]]\nfile = 'no.stl'\n", "no.stl: no such file"),
+        (("--poses", "absent.csv"), BASIC + RIG, "no such file"),
+        (("--program", str(SAMPLES / "freeform.nc")), BASIC + RIG, "no cutting move of this program carries a force"),
+        (("--poses", "tests.csv"), BASIC.replace("kr270", "kr16_2") + RIG, "an arm of other dimensions"),
+    ],
+)
+def test_bad_input_is_a_message_with_exit_code_1_and_nothing_is_written(
+    tmp_path, monkeypatch, arguments, text, problem
+):
+    monkeypatch.chdir(tmp_path)
+    result = run(tmp_path, *arguments, text=text)
+    assert result.exit_code == 1, result.output
+    assert problem in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_usage_is_exit_code_2(tmp_path):
+    assert run(tmp_path).exit_code == 2
+    both = run(tmp_path, "--program", str(SAMPLES / "pocket.nc"), "--poses", str(tmp_path / "tests.csv"))
+    assert both.exit_code == 2
+    assert "either --program" in both.output
+
+
+def test_an_input_is_never_overwritten(tmp_path):
+    setting.experiment(tmp_path)
+    (tmp_path / "plan.csv").write_text(POSES)
+    arguments = ["plan", "--experiment", str(tmp_path / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")]
+    arguments += ["--poses", str(tmp_path / "plan.csv"), "-o", str(tmp_path / "plan.csv"), *QUICK]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 1
+    assert "would be overwritten" in result.output
+    assert (tmp_path / "plan.csv").read_text() == POSES
+
+
+def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
+    assert result.exit_code == 0, result.output
+    assert "warning: k1 is not observable with this rig" in result.output
+    page = (tmp_path / "out" / "plan.html").read_text(encoding="utf-8")
+    assert "k1 is not observable" in page
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+def test_ctrl_c_writes_the_best_plan_so_far(tmp_path):
+    setting.experiment(tmp_path)
+    command = [
+        *(sys.executable, "-c", "from postproc.cli import main; main()", "plan"),
+        *("--experiment", str(tmp_path / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")),
+        *("--program", str(SAMPLES / "pocket.nc"), "--configurations", "40", "-o", str(tmp_path / "plan.csv")),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    time.sleep(7)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 0, output
+    assert "interrupted: this is the best plan so far" in output
+    assert len((tmp_path / "plan.csv").read_text().splitlines()) == 41
+
+
+def test_help_shows_examples_and_explains_every_option():
+    result = CliRunner().invoke(main, ["plan", "--help"])
+    assert "Examples:" in result.output
+    command = main.get_command(None, "plan")
+    assert all(getattr(parameter, "help", "x") for parameter in command.params if isinstance(parameter, click.Option))
