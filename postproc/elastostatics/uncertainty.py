@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from postproc import kinematics
-from postproc.elastostatics.springs import A2, compensator_share, coordinates, fading
+from postproc.elastostatics.springs import (
+    A2,
+    compensator_share,
+    coordinates,
+    fading,
+    rest_torque,
+    spring_deflection,
+)
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, Array
 from postproc.robot import RobotModel
@@ -55,8 +62,14 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     _, jacobian = kinematics.tcp(robot.loaded, x, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
     second = robot.actuated[A2]
-    share = compensator_share(robot, x, np.repeat(robot.compliance[None], len(x), axis=0))
+    law_of_gears = robot.stiffening
+    at_rest = np.zeros_like(torque)
+    if law_of_gears is not None and (law_of_gears.carries_weight or not robot.subtract_reference):
+        at_rest = -rest_torque(robot, robot.actual, x)
+    _, slope = spring_deflection(robot, torque, at_rest)
+    share = compensator_share(robot, x, slope)
     torque[:, second] /= share  # what is left for the gear
+    theta, slope = spring_deflection(robot, torque, at_rest)
     reach = jacobian[:, :3].copy()
     reach[:, :, second] /= share[:, None]
     link_rows = dict(zip((f"{s.link}.{s.axis}" for s in robot.link_springs), robot.passive, strict=True))
@@ -70,16 +83,15 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
             if name == "s_0":
                 longer = replace(law, free_length=law.free_length + M_PER_MM)
                 factor = longer.stiffness_about_joint(x[:, second]) - law.stiffness_about_joint(x[:, second])
-            columns.append(
-                reach[:, :, second] * (-(robot.compliance[second] ** 2) * torque[:, second] * factor)[:, None]
-            )
+            columns.append(reach[:, :, second] * (-slope[:, second] * theta[:, second] * factor)[:, None])
         elif name in link_rows:
             columns.append(1e-6 * reach[:, :, link_rows[name]] * torque[:, link_rows[name], None])
         elif joint in _JOINT_PARAMETERS:
             row = robot.actuated[_JOINT_PARAMETERS.index(joint)]
             amount = torque[:, row]
             if limit:
-                amount = float(limit) * fading(amount / float(limit)) - amount
+                u0 = at_rest[:, row] / float(limit)
+                amount = float(limit) * (fading(amount / float(limit) + u0) - fading(u0)) - amount
             columns.append(1e-6 * reach[:, :, row] * amount[:, None])
         else:
             raise ModelError(f"[covariance] names {name!r}, which the model does not have")

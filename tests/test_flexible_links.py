@@ -1,0 +1,190 @@
+"""Springs of links and gears that stiffen: the folder, the equilibrium forward and inverse, the bound u95."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from postproc import compensation, elastostatics, files, kinematics, robot
+from postproc.errors import ModelError
+from postproc.model_file import Gravity, ModelFile, Stiffening
+
+FOLDER = robot.find("kuka_kr270")
+CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
+PLAIN = robot.load(FOLDER)
+TOOL = np.eye(4)
+TOOL[:3, 3] = [0.2, -0.06, 0.18]
+PARAMETERS = ["k1", "k2", "k1@500", "K_c", "s_0", "A2.RX", "A5.Z"]
+
+
+def flexible(translation=0.02, rotation=0.1, **changes):
+    links = {
+        link: robot.LinkSprings(
+            source="test",
+            **{f"{a}_um_per_N": translation for a in "XYZ"},
+            **{f"{a}_urad_per_Nm": rotation for a in robot.LINK_AXES[3:]},
+        )
+        for link in ("base", *robot.JOINTS)
+    }
+    joints = {
+        name: msgspec.structs.replace(spring, stiffening=[Stiffening(500.0, 0.1), Stiffening(100.0, 0.05)])
+        for name, spring in CONTENT.joints.items()
+    }
+    content = msgspec.structs.replace(CONTENT, **({"links": links, "joints": joints} | changes))
+    return robot.assemble("flexible", content, PLAIN.nominal)
+
+
+def cases(count=20, force=2000.0):
+    rng = np.random.default_rng(0)
+    q = np.radians([0, -70, 90, 10, 40, 20]) + rng.uniform(-0.4, 0.4, (count, 6))
+    return q, np.c_[rng.uniform(-force, force, (count, 3)), rng.uniform(-0.05, 0.05, (count, 3)) * force]
+
+
+def test_links_that_hardly_bend_change_nothing():
+    q, wrench = cases()
+    stiff = flexible(1e-9, 1e-9, joints=CONTENT.joints)
+    assert stiff.actual.nv == 6 + 7 * 9
+    for function in (elastostatics.deflect, elastostatics.linear_deflection):
+        one, other = function(stiff, q, TOOL, wrench), function(PLAIN, q, TOOL, wrench)
+        if function is elastostatics.deflect:
+            one, other = one.twist, other.twist
+        np.testing.assert_allclose(one, other, atol=2e-8)
+
+
+@pytest.mark.parametrize("in_gears", [False, True])
+@pytest.mark.parametrize("reference", ["calibrated", "rigid"])
+def test_inverse_and_compensation_undo_the_deflection(in_gears, reference):
+    model = flexible(gravity=Gravity(reference, in_gears))
+    q, wrench = cases()
+    found = elastostatics.deflect(model, q, TOOL, wrench)
+    x = elastostatics.coordinates(model, q) + found.theta
+    _, jacobian = kinematics.tcp(model.loaded, x, TOOL)
+    np.testing.assert_allclose(elastostatics.springs_at(model, x, jacobian, wrench), found.theta, atol=2e-8)
+    target = kinematics.tcp(model.nominal, q, TOOL)[0]
+    command = compensation.compensate(model, target, q, TOOL, wrench)
+    reached = elastostatics.deflect(model, command.q, TOOL, wrench).pose
+    np.testing.assert_allclose(reached, target, atol=1e-7)
+
+
+def test_tangent_compliance_is_the_derivative_of_the_equilibrium():
+    model = flexible()
+    q, _ = cases(3)
+    small = np.eye(6) * 0.5
+    for column in range(6):
+        wrench = np.repeat(small[None, column], 3, axis=0)
+        plus, minus = (elastostatics.deflect(model, q, TOOL, sign * wrench).twist for sign in (1, -1))
+        tangent = elastostatics.tangent_compliance(model, q, TOOL, 0 * wrench)[:, :, column]
+        np.testing.assert_allclose(plus - minus, tangent, rtol=1e-3, atol=1e-8)
+
+
+def test_gears_grow_stiffer_with_load_and_never_softer():
+    model = flexible()
+    torque = np.linspace(0.0, 5000.0, 200)[:, None] * np.ones(model.actual.nv)
+    theta, slope = elastostatics.spring_deflection(model, torque)
+    row = model.actuated[0]
+    assert np.all(np.diff(slope[:, row]) < 0)
+    assert np.all(slope[:, row] > 0)
+    np.testing.assert_allclose(np.gradient(theta[:, row], torque[:, 0])[1:-1], slope[1:-1, row], rtol=1e-2)
+
+
+def test_sensitivity_of_the_bound_is_that_of_the_deflection():
+    """Central differences in each parameter, at small load, where first order is exact to a per cent."""
+    covariance = robot.Covariance(PARAMETERS, np.eye(len(PARAMETERS)).tolist())
+    model = replace(flexible(), covariance=covariance)
+    q, wrench = cases(force=100.0)
+    slopes = elastostatics.sensitivity(model, q, TOOL, wrench)
+
+    def joint(name, step, part=0.0):
+        old = flexible_content().joints[name]
+        parts = [Stiffening(500.0, 0.1 + part), Stiffening(100.0, 0.05)]
+        new = msgspec.structs.replace(old, compliance_urad_per_Nm=old.compliance_urad_per_Nm + step, stiffening=parts)
+        return {"joints": {**flexible_content().joints, name: new}}
+
+    def link(name, key, step):
+        old = flexible_content().links[name]
+        return {
+            "links": {**flexible_content().links, name: msgspec.structs.replace(old, **{key: getattr(old, key) + step})}
+        }
+
+    def spring(key, step):
+        old = CONTENT.compensator
+        return {"compensator": msgspec.structs.replace(old, **{key: getattr(old, key) + step})}
+
+    steps = {
+        "k1": (1e-2, lambda h: joint("A1", h)),
+        "k2": (1e-2, lambda h: joint("A2", h)),
+        "k1@500": (1e-2, lambda h: joint("A1", 0.0, h)),
+        "K_c": (1e5, lambda h: spring("stiffness_N_per_m", h)),
+        "s_0": (50.0, lambda h: spring("free_length_mm", h)),
+        "A2.RX": (1e-2, lambda h: link("A2", "RX_urad_per_Nm", h)),
+        "A5.Z": (1e-3, lambda h: link("A5", "Z_um_per_N", h)),
+    }  # fmt: skip
+    for index, name in enumerate(PARAMETERS):
+        h, change = steps[name]
+        plus, minus = (
+            elastostatics.deflect(flexible(**change(sign * h)), q, TOOL, wrench).twist[:, :3] for sign in (1, -1)
+        )
+        slope = (plus - minus) / (2 * h)
+        np.testing.assert_allclose(slopes[:, :, index], slope, atol=3e-2 * np.abs(slope).max(), err_msg=name)
+
+
+def flexible_content():
+    links = {
+        link: robot.LinkSprings(
+            source="test",
+            **{f"{a}_um_per_N": 0.02 for a in "XYZ"},
+            **{f"{a}_urad_per_Nm": 0.1 for a in robot.LINK_AXES[3:]},
+        )
+        for link in ("base", *robot.JOINTS)
+    }
+    return msgspec.structs.replace(CONTENT, links=links)
+
+
+def test_95_percent_of_random_parameters_stay_within_the_bound():
+    rng = np.random.default_rng(1)
+    spread = 0.05
+    names = ["k1", "k2", "k3", "k4", "k5", "k6"]
+    values = np.array([CONTENT.joints[j].compliance_urad_per_Nm for j in robot.JOINTS])
+    model = replace(PLAIN, covariance=robot.Covariance(names, np.diag((spread * values) ** 2).tolist()))
+    q, wrench = cases(30, 600.0)
+    bound = elastostatics.position_bound(model, q, TOOL, wrench)
+    nominal = elastostatics.deflect(model, q, TOOL, wrench).twist[:, :3]
+    inside = []
+    for _ in range(200):
+        drawn = values * (1 + spread * rng.normal(size=6))
+        other = replace(model, stiffness=np.diag(1e6 / drawn))
+        error = elastostatics.deflect(other, q, TOOL, wrench).twist[:, :3] - nominal
+        inside.append(np.linalg.norm(error, axis=1) <= bound)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+    assert elastostatics.position_bound(PLAIN, q, TOOL, wrench) is None
+
+
+def test_covariance_that_names_an_unknown_parameter_is_refused():
+    model = replace(PLAIN, covariance=robot.Covariance(["k9"], [[1.0]]))
+    with pytest.raises(ModelError, match="k9"):
+        elastostatics.position_bound(model, *(lambda c: (c[0], TOOL, c[1]))(cases(2)))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('\n[links.A9]\nsource = "x"\nX_um_per_N = 0.1\n', "unknown joint 'A9'"),
+        ('\n[links.A2]\nsource = "x"\nXX_um_per_N = 0.1\n', "unknown field `XX_um_per_N`"),
+        ('\n[links.A2]\nsource = "x"\nX_um_per_N = -0.1\n', "X_um_per_N"),
+    ],
+)
+def test_wrong_link_entries_are_named(tmp_path, text, message):
+    (tmp_path / "robot.urdf").write_bytes((FOLDER / "robot.urdf").read_bytes())
+    (tmp_path / "model.toml").write_text((FOLDER / "model.toml").read_text(encoding="utf-8") + text, encoding="utf-8")
+    with pytest.raises(ModelError, match=message):
+        robot.load(tmp_path)
+
+
+def test_stiffening_beyond_the_whole_compliance_is_refused(tmp_path):
+    text = (FOLDER / "model.toml").read_text(encoding="utf-8")
+    parts = "compliance_urad_per_Nm = 0.623\nstiffening = [{ torque_Nm = 500.0, compliance_urad_per_Nm = 0.7 }]"
+    (tmp_path / "robot.urdf").write_bytes((FOLDER / "robot.urdf").read_bytes())
+    (tmp_path / "model.toml").write_text(text.replace("compliance_urad_per_Nm = 0.623", parts), encoding="utf-8")
+    with pytest.raises(ModelError, match="more than the whole compliance"):
+        robot.load(tmp_path)
