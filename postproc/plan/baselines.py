@@ -13,7 +13,7 @@ from postproc.program import Ints
 
 RANDOM_PLANS = 200
 _BEST_SHARE = 0.2
-_FACTORS = (0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0)
+_FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
 
 
 def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
@@ -76,6 +76,6 @@ def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, f
         other = replace(task, count=count)
         value = best.value
         if count != task.count:
-            for plan in improved(other, seed, starts=2, kept=1, rounds=10):
+            for plan in improved(other, seed, starts=2, kept=1, rounds=8):
                 value = plan.value
         yield count, value, float(np.median(random_values(other, seed, 60)))

@@ -158,17 +158,19 @@ def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     # hand and tool begin where the forearm ends: its round end must not count against them
     back = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
     forearm = Capsule("forearm", forearm.start, forearm.start + back * (forearm.end - forearm.start), forearm.radius)
-    for near, others in (
+    groups = (
         (column, (front, hand, *tool, *load)),
         (link, (front, hand, *tool, *load)),
         (elbow, (hand, *tool, *load)),
         (forearm, (*tool, *load)),
-    ):
-        good = np.ones(len(state.q), dtype=bool)
-        for other in others:
-            gap = between_segments(near.start, near.end, other.start, other.end)
-            good &= gap >= near.radius + other.radius + site.clearance
-        yield f"tool, load and arm against the robot's {near.name}", good
+    )
+    pairs = [(near, other) for near, others in groups for other in others]
+    starts, ends = ([np.array([getattr(pair[k], side) for pair in pairs]) for k in (0, 1)] for side in ("start", "end"))
+    gap = between_segments(starts[0], ends[0], starts[1], ends[1])
+    free = gap >= np.array([near.radius + other.radius + site.clearance for near, other in pairs])[:, None]
+    for part, _ in groups:
+        own = [row for row, (near, _) in enumerate(pairs) if near is part]
+        yield f"tool, load and arm against the robot's {part.name}", np.asarray(free[own].all(axis=0))
 
 
 def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
@@ -203,20 +205,20 @@ def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     """A marker is seen if no part of the arm, of the load, or of an obstacle stands between it and the tracker."""
     if site.tracker is None:
         return
-    point = state.posed.point(site.points)
-    eye = np.broadcast_to(site.tracker, (len(state.q), 3))
+    marker = np.swapaxes(state.posed.point(site.points), 0, 1)  # (P, N, 3)
+    eye = np.broadcast_to(site.tracker, marker.shape)
     parts = [*arm_parts(site, state), *load_parts(site, state)]
+    start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
+    radius = np.array([part.radius for part in parts])[:, None]
+    # the coarse shape of the hand may hold the marker itself: then it does not hide it
+    inside = between_segments(marker[:, None], marker[:, None], start, end) < radius
+    free = inside | (between_segments(eye[:, None], marker[:, None], start, end) >= radius)
+    good = np.asarray(free.all(axis=1))
     for row, name in enumerate(site.names):
-        marker = point[:, row]
-        good = np.ones(len(state.q), dtype=bool)
-        for part in parts:
-            # the coarse shape of the hand may hold the marker itself: then it does not hide it
-            inside = between_segments(marker, marker, part.start, part.end) < part.radius
-            good &= inside | (between_segments(eye, marker, part.start, part.end) >= part.radius)
-        rows = np.flatnonzero(good)
+        rows = np.flatnonzero(good[row])
         for obstacle in site.obstacles:
-            good[rows] &= ~obstacle.blocks(eye[rows], marker[rows])
-        yield f"line of sight to marker {name}", good
+            good[row, rows] &= ~obstacle.blocks(eye[row, rows], marker[row, rows])
+        yield f"line of sight to marker {name}", good[row]
 
 
 _GROUPS = (_floor, _torque, _acceptance, _itself, _sight, _room)

@@ -82,8 +82,8 @@ class Criterion:
         if self.grouped:
             np.add.at(out, level, information)
             return out
-        for one, where in zip(information, self.spread[level], strict=True):
-            out[np.ix_(where, where)] += one
+        where = self.spread[level]
+        np.add.at(out, (where[:, :, None], where[:, None, :]), information)
         return out
 
     def value(self, information: Array, level: Ints) -> float:

@@ -92,7 +92,7 @@ def make(
             serial = baselines.serial_plan(problem.task)
             for count, value, median in baselines.by_number(problem.task, options.seed, plan):
                 sizes.append(Size(count, value, median))
-                tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 7, np.sqrt(plan.value))
+                tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
             interrupted = True
     warnings = (*problem.warnings, *doubts(found, problem.law, blocked))

@@ -16,6 +16,8 @@ _SPACING = 0.04
 """Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
 _MOST_VERTICES = 400_000
 _NEAR = 0.005
+_POINT = 1e-12
+"""Square of a length [m²] below which a segment is a point."""
 
 
 def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
@@ -23,17 +25,21 @@ def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
     Detection", 2005, 5.1.9).
     """
     u, v, w = p_end - p, r_end - r, p - r
-    a, b, c = np.sum(u * u, -1), np.sum(u * v, -1), np.sum(v * v, -1)
-    d, e = np.sum(u * w, -1), np.sum(v * w, -1)
+    a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
+    d, e = _dot(u, w), _dot(v, w)
     denominator = a * c - b * b
-    safe_a, safe_c = np.where(a > 1e-12, a, 1.0), np.where(c > 1e-12, c, 1.0)
-    s = np.where(denominator > 1e-12, np.clip((b * e - c * d) / np.where(denominator > 1e-12, denominator, 1), 0, 1), 0)
-    t = np.where(c > 1e-12, (b * s + e) / safe_c, 0.0)
-    outside = (t < 0.0) | (t > 1.0) | (c <= 1e-12)
+    skew = denominator > _POINT
+    s = np.where(skew, np.clip((b * e - c * d) / np.where(skew, denominator, 1.0), 0.0, 1.0), 0.0)
+    t = np.where(c > _POINT, (b * s + e) / np.where(c > _POINT, c, 1.0), 0.0)
+    outside = ((t < 0.0) | (t > 1.0) | (c <= _POINT)) & (a > _POINT)
     t = np.clip(t, 0.0, 1.0)
-    s = np.where(outside & (a > 1e-12), np.clip((b * t - d) / safe_a, 0.0, 1.0), s)
+    s = np.where(outside, np.clip((b * t - d) / np.where(a > _POINT, a, 1.0), 0.0, 1.0), s)
     gap = w + s[..., None] * u - t[..., None] * v
-    return np.asarray(np.linalg.norm(gap, axis=-1))
+    return np.sqrt(_dot(gap, gap))
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", one, other))
 
 
 def along(start: Array, end: Array, length: float) -> Array:

@@ -32,7 +32,7 @@ CSS = """
 .ground{fill:none;stroke:var(--rule);stroke-width:1}
 .bar{fill:var(--soft);fill-opacity:.45}.mine{stroke:var(--after);stroke-width:2.5;fill:none}
 .other{stroke:var(--before);stroke-width:2;fill:none;stroke-dasharray:5 4}
-.dot{fill:var(--after)}.dot.other{fill:var(--card)}
+.dot{fill:var(--after)}.dot.other{fill:var(--card);stroke-dasharray:none}
 .panel{font-weight:600}
 """
 
@@ -218,7 +218,7 @@ def against_number(number: Array, own: Array, random: Array, chosen: int, unit: 
         spots = np.column_stack([x, base - np.minimum(values, high) / high * (base - top)])
         parts.append(f'<path class="{style}" d="{_path(spots)}"/>')
         parts += [f'<circle class="dot {style}" cx="{a:.1f}" cy="{b:.1f}" r="3.5"/>' for a, b in spots]
-        end = max(float(spots[-1, 1]) - 9.0, 14.0)
+        end = max(float(spots[-1, 1]) + (16.0 if style == "mine" else -9.0), 14.0)
         parts.append(f'<text class="note" x="{x[-1]:.1f}" y="{end:.1f}" text-anchor="end">{label}</text>')
     for row in np.flatnonzero(number == chosen):
         a, b = x[row], base - own[row] / high * (base - top)
