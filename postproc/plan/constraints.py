@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from postproc.plan.site import Site
 from postproc.program import Bools, Ints
 
 _ROPE = 0.01
+_STRETCHED = 0.8
 _PARTS = ("column", "link 2", "elbow", "forearm", "hand")
 
 
@@ -99,8 +101,10 @@ def within_limits(site: Site, q: Array) -> Bools:
 
 def arm_parts(site: Site, state: State) -> list[Capsule]:
     """Return column, link 2, elbow, forearm, hand."""
-    o = state.posed.origin
-    ends = [np.zeros_like(o[:, 0]), *(o[:, row] for row in (1, 2, 3, 4)), state.posed.flange[:, :3, 3]]
+    o, along_forearm = state.posed.origin, state.posed.axis[:, 3]
+    # where the forearm begins: a URDF may put the origin of A4 anywhere on its axis
+    begin = o[:, 3] + np.einsum("ni,ni->n", o[:, 2] - o[:, 3], along_forearm)[:, None] * along_forearm
+    ends = [np.zeros_like(begin), o[:, 1], o[:, 2], begin, o[:, 4], state.posed.flange[:, :3, 3]]
     pairs = zip(_PARTS, ends[:-1], ends[1:], site.radius, strict=True)
     return [Capsule(name, start, end, float(radius)) for name, start, end, radius in pairs]
 
@@ -150,27 +154,45 @@ def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    column, link, elbow, forearm, hand = arm_parts(site, state)
-    tool, load = tool_parts(site, state), load_parts(site, state)
     if len(state.q) == 0:
         return
+    pairs = _near_and_far(site, state)
+    least = np.array([near.radius + other.radius + site.clearance for near, other in pairs])
+    # what comes that near with the arm stretched out is its coarse shape, no collision
+    stretched = _stretched(site)
+    least[: len(stretched)] = np.minimum(least[: len(stretched)], _STRETCHED * stretched)
+    free = _gaps(pairs) >= least[:, None]
+    for name in _PARTS[:4]:
+        own = [row for row, (near, _) in enumerate(pairs) if near.name == name]
+        yield f"tool, load and arm against the robot's {name}", np.asarray(free[own].all(axis=0))
+
+
+def _near_and_far(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
+    """Return the parts that could meet, those with the load last."""
+    column, link, elbow, forearm, hand = arm_parts(site, state)
+    tool, load = tool_parts(site, state), load_parts(site, state)
     front = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
     # hand and tool begin where the forearm ends: its round end must not count against them
     back = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
     forearm = Capsule("forearm", forearm.start, forearm.start + back * (forearm.end - forearm.start), forearm.radius)
-    groups = (
-        (column, (front, hand, *tool, *load)),
-        (link, (front, hand, *tool, *load)),
-        (elbow, (hand, *tool, *load)),
-        (forearm, (*tool, *load)),
+    pairs = [(near, other) for near in (column, link) for other in (front, hand, *tool)]
+    pairs += [(elbow, other) for other in (hand, *tool)] + [(forearm, other) for other in tool]
+    return pairs + [(near, other) for near in (column, link, elbow, forearm) for other in load]
+
+
+def _gaps(pairs: list[tuple[Capsule, Capsule]]) -> Array:
+    """Return the distances (pairs, N) between the axes of parts [m]."""
+    one, other = [near for near, _ in pairs], [far for _, far in pairs]
+    return between_segments(
+        *(np.array([part.start for part in one]), np.array([part.end for part in one])),
+        *(np.array([part.start for part in other]), np.array([part.end for part in other])),
     )
-    pairs = [(near, other) for near, others in groups for other in others]
-    starts, ends = ([np.array([getattr(pair[k], side) for pair in pairs]) for k in (0, 1)] for side in ("start", "end"))
-    gap = between_segments(starts[0], ends[0], starts[1], ends[1])
-    free = gap >= np.array([near.radius + other.radius + site.clearance for near, other in pairs])[:, None]
-    for part, _ in groups:
-        own = [row for row, (near, _) in enumerate(pairs) if near is part]
-        yield f"tool, load and arm against the robot's {part.name}", np.asarray(free[own].all(axis=0))
+
+
+@lru_cache(maxsize=8)
+def _stretched(site: Site) -> Array:
+    """Return the distances of the pairs without load, all joints at 0 [m]."""
+    return np.asarray(_gaps(_near_and_far(site, State.of(site, np.zeros((1, 6)), None)))[:, 0])
 
 
 def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:

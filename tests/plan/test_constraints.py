@@ -121,3 +121,11 @@ def test_a_margin_larger_than_the_range_of_a_joint_names_the_joint(tmp_path):
 def test_an_experiment_without_rig_says_what_to_give(tmp_path):
     with pytest.raises(PlanError, match=r"no \[rig\].*mass_kg"):
         setting.site(tmp_path, BASIC)
+
+
+def test_the_coarse_shape_leaves_a_small_arm_room_too(tmp_path, monkeypatch):
+    from postproc import robot
+
+    monkeypatch.setattr(setting, "ROBOT", robot.load(robot.find("kuka_kr16_2")))
+    site = setting.site(tmp_path, BASIC.replace("kr270", "kr16_2") + "\n[rig]\nmass_kg = 16\nmax_angle_deg = 30\n")
+    assert constraints.feasible(site, *candidates.draw(site, 500, np.random.default_rng(0))).mean() > 0.1
