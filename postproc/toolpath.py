@@ -103,16 +103,24 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
 
 
 def places(
-    program: Program, path: Segments, tolerance: float, kinks: Array, linearize_arcs: bool = False
+    program: Program,
+    path: Segments,
+    tolerance: float,
+    kinks: Array,
+    *,
+    linearize_arcs: bool = False,
+    also: tuple[Ints, Array] | None = None,
 ) -> tuple[Ints, Array]:
     """Choose where on the path to compute: every end, and enough places between.
 
     Deflection changes along a straight run over lengths of the order of the arm, so that samples every 20 mm and 3°
-    catch its curvature to a fraction of 0.01 mm; arcs are sampled every 5°, or as their chords need.
+    catch its curvature to a fraction of 0.01 mm; arcs are sampled every 5°, or as their chords need, and their force
+    ramps, along which travel and force turn, at eight places.
 
     :param tolerance: what the path may be left by [m].
     :param kinks: (M,) place t on each motion where the force stops changing (end of its ramp), 1 where nowhere.
     :param linearize_arcs: sample arcs so finely that their chords keep half the tolerance.
+    :param also: further places: motion (n,) and t (n,).
     :returns: motion (N,) and t (N,), in order.
     """
     m = program.motions
@@ -129,11 +137,14 @@ def places(
     motion = np.repeat(np.arange(len(m)), number)
     index = np.arange(len(motion)) - np.repeat(np.cumsum(number) - number, number) + 1
     t = index / number[motion]
-    extra = np.flatnonzero(kinks < 1.0)
-    if len(extra):
-        half = extra[m.kind[extra] == CIRC]  # the ramp of an arc is an arc too: it needs a middle
-        motion = np.concatenate([motion, extra, half])
-        t = np.concatenate([t, kinks[extra], 0.5 * kinks[half]])
+    more = [also] if also is not None else []
+    bent = np.flatnonzero(kinks < 1.0)
+    more.append((bent, kinks[bent]))
+    bent = bent[m.kind[bent] == CIRC]
+    more += [(bent, kinks[bent] * eighth / 8.0) for eighth in range(1, 8)]
+    if sum(len(rows) for rows, _ in more):
+        motion = np.concatenate([motion, *(rows for rows, _ in more)])
+        t = np.concatenate([t, *(places for _, places in more)])
         order = np.lexsort((t, motion))
         motion, t = motion[order], t[order]
         again = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))

@@ -25,6 +25,8 @@ from postproc.toolpath import Segments, Toolpath
 
 _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
+_ROUNDS = 5
+"""How often targets are inserted where the simulation of the written program leaves the tolerance."""
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
 
@@ -93,29 +95,37 @@ def process(
     :raises ForceError: forces that cannot be given to the motions.
     """
     place = InRoot.of(robot, cell)
-    try:
-        sampled = _sample(program, place, rows, mode, linearize_arcs, run)
-    except _BlockedError as cause:
-        return _nothing(program, robot, mode, cause.issue)
-    issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
-    blocked = any(issue.level == "error" for issue in issues)
-    targets, row = _targets(program, place, sampled, mode, linearize_arcs)
-    chosen = sampled.command.at(row)
+    also: tuple[Ints, Array] | None = None
+    for _ in range(_ROUNDS):
+        try:
+            sampled = _sample(program, place, rows, mode, linearize_arcs, also, run)
+        except _BlockedError as cause:
+            return _nothing(program, robot, mode, cause.issue)
+        issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
+        targets, row = _targets(program, place, sampled, mode, linearize_arcs)
+        chosen = sampled.command.at(row)
+        text, simulated = None, None
+        if mode != "predict" and not _blocked(issues):
+            text = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
+            issues += text.issues
+            if not _blocked(issues):
+                simulated = verify.simulate(
+                    program, sampled.path, sampled.load, targets, text, place, chosen, sampled.joints.branch[row], run,
+                    corrected=mode == "convert",
+                )  # fmt: skip
+        if mode != "convert" or simulated is None or len(simulated.missed[0]) == 0:
+            break
+        # between its targets the written path leaves the tolerance: look there too, and insert what is needed
+        also = simulated.missed if also is None else _joined(also, simulated.missed)
     before, deflection = _uncorrected(program, place, sampled, row, run)
     after, between = before, float(before.max(initial=0.0))
     documents: tuple[Document, ...] = ()
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
-    if mode == "predict":
-        printed = krl.numbers(program)[targets.motion] if program.dialect == "krl" else printed
-    elif not blocked:
-        written = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
-        simulated = verify.simulate(
-            program, sampled.path, sampled.load, targets, written, place, chosen, sampled.joints.branch[row], run,
-            corrected=mode == "convert",
-        )  # fmt: skip
-        issues += [*written.issues, *simulated.issues]
-        blocked = any(issue.level == "error" for issue in issues)
-        output_line, documents = written.output_line, () if blocked else written.documents
+    if mode == "predict" and program.dialect == "krl":
+        printed = krl.numbers(program)[targets.motion]
+    if text is not None and simulated is not None:
+        issues += simulated.issues
+        output_line, documents = text.output_line, () if _blocked(issues) else text.documents
         after, between, printed = simulated.after, simulated.between, simulated.printed
     frames = place.tool(program, targets.motion), place.wrench(program, targets.motion, sampled.wrench[row])
     correction = (targets.pose - sampled.sample.pose[row])[:, :3, 3]
@@ -143,13 +153,27 @@ def process(
     )
 
 
+def _blocked(issues: Sequence[Issue]) -> bool:
+    return any(issue.level == "error" for issue in issues)
+
+
+def _joined(one: tuple[Ints, Array], other: tuple[Ints, Array]) -> tuple[Ints, Array]:
+    return np.concatenate([one[0], other[0]]), np.concatenate([one[1], other[1]])
+
+
 def _sample(
-    program: Program, place: InRoot, rows: ForceRows | None, mode: Mode, linearize_arcs: bool, run: Run
+    program: Program,
+    place: InRoot,
+    rows: ForceRows | None,
+    mode: Mode,
+    linearize_arcs: bool,
+    also: tuple[Ints, Array] | None,
+    run: Run,
 ) -> _Sampled:
     path = toolpath.segments(program, place.start_flange)
     load = forces.per_motion(program, rows)
     kinks = forces.kinks(program, path, load, place.axis, place.ramp)
-    motion, t = toolpath.places(program, path, place.tolerance, kinks, linearize_arcs)
+    motion, t = toolpath.places(program, path, place.tolerance, kinks, linearize_arcs=linearize_arcs, also=also)
     sample = toolpath.at(program, path, motion, t)
     wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
     m = program.motions

@@ -14,7 +14,7 @@ import numpy as np
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.compensation import Compensation, chunk_count, chunk_rows
 from postproc.dialects import krl
-from postproc.errors import Issue, NotConvergedError
+from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, twist_between
 from postproc.parallel import Run
@@ -32,6 +32,11 @@ _LONG = 0.005
 """Runs longer than this [m] are looked at between their ends; on shorter ones the deflection is a straight line."""
 _SPACING = 0.010
 _TURNED = 0.02
+_STEEP = 2e-4
+"""Change of the correction over a run [m] from which on it is looked at between its ends."""
+_ON_RAMPS = 4
+_ON_ARCS = 8
+"""Places looked at on such runs, and on pieces of arcs."""
 _REACHED = 1e-9
 """How near joint angles must come to a commanded pose [m, rad]."""
 
@@ -43,12 +48,14 @@ class Simulated:
     :param after: (K,) distance of the predicted tip from nominal at each target [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param printed: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
+    :param missed: motion (n,) and t (n,) of places where the path leaves the tolerance.
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
     after: Array
     between: float
     printed: Array
+    missed: tuple[Ints, Array]
     issues: tuple[Issue, ...]
 
 
@@ -77,7 +84,11 @@ def simulate(
     :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
-    written = krl.read(text.documents, place.cell, place.forward, program.name)
+    try:
+        written = krl.read(text.documents, place.cell, place.forward, program.name)
+    except ProgramError as cause:
+        message = f"the written program cannot be read back ({cause.problem}): a fault of postproc, please report it"
+        return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))
     m = written.motions
     row = np.flatnonzero(np.isnan(m.joints[:, 0]))
     mismatch = _mismatch(program, targets, written, row)
@@ -85,7 +96,10 @@ def simulate(
         return _unusable(targets, mismatch)
     printed = krl.numbers(written)[row]
     written_path = toolpath.segments(written, place.start_flange)
-    index, share = _probes(targets, m, row, written_path)
+    ends = toolpath.at(program, path, targets.motion, targets.t).pose[:, :3, 3]
+    correction = targets.pose[:, :3, 3] - ends
+    changed = np.linalg.norm(np.diff(correction, axis=0, prepend=correction[:1]), axis=1)
+    index, share = _probes(program, targets, m, row, written_path, changed)
     begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
     t = begin[index] + share * (targets.t - begin)[index]
     t = np.where(share == 1.0, targets.t[index], t)
@@ -108,14 +122,16 @@ def simulate(
     issues: list[Issue] = []
     if corrected:
         issues += _not_held(program, place, targets, after, nominal, distance, settled)
-        ends = nominal.pose[share == 1.0, :3, 3]
         issues += checks.blending(program, targets.motion, ends, targets.pose[:, :3, 3], m.blend[row], place.tolerance)
-    return Simulated(after, float(distance[settled].max(initial=0.0)), printed, tuple(issues))
+    bad = settled & (share < 1.0) & ~(distance <= place.tolerance)
+    missed = nominal.motion[bad], nominal.t[bad]
+    return Simulated(after, float(distance[settled].max(initial=0.0)), printed, missed, tuple(issues))
 
 
 def _unusable(targets: Targets, issue: Issue) -> Simulated:
     count = len(targets)
-    return Simulated(np.full(count, np.nan), np.inf, np.full((count, 6), np.nan), (issue,))
+    nowhere = np.zeros(0, dtype=np.int64), np.zeros(0)
+    return Simulated(np.full(count, np.nan), np.inf, np.full((count, 6), np.nan), nowhere, (issue,))
 
 
 def _tips(
@@ -200,14 +216,24 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     return None
 
 
-def _probes(targets: Targets, m: Motions, row: Ints, path: Segments) -> tuple[Ints, Array]:
-    """Return where to look: target index (n,) and share (n,) in (0, 1] of the run that ends at that target."""
-    number = np.ones(len(row), dtype=np.int64)
+def _probes(
+    program: Program, targets: Targets, m: Motions, row: Ints, path: Segments, changed: Array
+) -> tuple[Ints, Array]:
+    """Return where to look: target index (n,) and share (n,) in (0, 1] of the run that ends at that target.
+
+    A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
+    are long or turn, pieces of arcs, and runs over which the correction changes much are looked at between.
+
+    :param changed: (K,) change of the correction over the run that ends at each target [m].
+    """
     length, turn = path.length[row], path.turn[row]
+    number = np.ones(len(row), dtype=np.int64)
     wide = (length > _LONG) | (turn > _TURNED)
     number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
-    arcs = m.kind[row] == CIRC
-    number[arcs] = np.maximum(number[arcs], 8)
+    curved = (program.motions.kind[targets.motion] == CIRC) | (m.kind[row] == CIRC)
+    number[curved] = np.maximum(number[curved], _ON_ARCS)
+    steep = changed > _STEEP
+    number[steep] = np.maximum(number[steep], _ON_RAMPS)
     number[m.kind[row] == PTP] = 1
     index = np.repeat(np.arange(len(row)), number)
     inside = np.arange(len(index)) - np.repeat(np.cumsum(number) - number, number) + 1
