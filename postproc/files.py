@@ -95,6 +95,7 @@ def read_csv(
     optional: Sequence[str],
     error: type[InputError],
     text_columns: Sequence[str] = (),
+    may_be_empty: Sequence[str] = (),
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
     """Read a CSV file with a header line, comma separated, `.` as decimal point.
 
@@ -103,6 +104,7 @@ def read_csv(
     :param error: raised with file and line for a missing or unknown column, a row of wrong length, an empty or
         non-numeric or non-finite value.
     :param text_columns: those of the columns that hold text.
+    :param may_be_empty: those of the numeric columns whose cells may be empty: NaN.
     :returns: numeric columns by name (each (n,)), text columns by name, and the 1-based line of each row (n,).
     """
     import csv
@@ -143,7 +145,10 @@ def read_csv(
     return numeric, texts, line
 
 
-def _numeric(values: Sequence[str], name: str, path: Path, lines: Sequence[int], error: type[InputError]) -> Array:
+def _numeric(
+    values: Sequence[str], name: str, path: Path, lines: Sequence[int], error: type[InputError], *, empty_is_nan: bool
+) -> Array:
+    empty = np.array([empty_is_nan and not value.strip() for value in values], dtype=bool)
     try:
         column = np.array(values, dtype=float)
     except ValueError:
@@ -151,7 +156,7 @@ def _numeric(values: Sequence[str], name: str, path: Path, lines: Sequence[int],
         for index, value in enumerate(values):
             with contextlib.suppress(ValueError):
                 column[index] = float(value)
-    bad = np.flatnonzero(~np.isfinite(column))
+    bad = np.flatnonzero(~np.isfinite(column) & ~empty)
     if len(bad):
         raise error(
             f"column {name} is not a finite number: {values[bad[0]]!r}",

@@ -103,6 +103,11 @@ def test_a_row_for_a_move_that_goes_nowhere_is_no_error(tmp_path):
     assert forces.per_motion(made, rows).wrench[:, 0].tolist() == [0, 1, 0, 0]
 
 
+def test_an_empty_line_end_means_the_line_alone(tmp_path):
+    rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n2,1,2,3,\n3,4,5,6,3\n"))
+    assert forces.per_motion(program(SQUARE), rows).wrench[1:3, 0].tolist() == [1.0, 4.0]
+
+
 def test_cutting_moves_without_a_force_are_counted():
     load = forces.per_motion(program(SQUARE), None)
     (issue,) = load.issues

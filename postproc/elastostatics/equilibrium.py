@@ -31,7 +31,7 @@ _POSITION_TOLERANCE = 1e-9
 """Largest error of the TCP [m] left by the iterations; 1e-7 is asked of the whole correction."""
 _SPRING_TOLERANCE = 3e-9
 """Largest error of a spring's deflection [rad, m] left by the iterations; 1e-8 rad is asked of the correction."""
-_FIRST_RATIO = 0.05
+_FIRST_RATIO = 0.02
 """Assumed ratio of the second step to the first: far above what arms show that are of any use."""
 _MAX_ITERATIONS = 40
 _LARGEST_DEFLECTION = 0.1
@@ -105,7 +105,7 @@ def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench
         moved = np.einsum("nij,nj->ni", jacobian, step)
         pose[rows] = displaced(here, moved)
         size = np.abs(moved[:, :3]).max(axis=1, initial=0.0) + np.abs(moved[:, 3:]).max(axis=1, initial=0.0)
-        more = _unfinished(rows, size, previous[rows], np.minimum(_FIRST_RATIO, 4.0 * size), _POSITION_TOLERANCE)
+        more = _unfinished(rows, size, previous[rows], _POSITION_TOLERANCE)
         previous[rows] = size
         rows = rows[more]
         if len(rows) == 0:
@@ -143,7 +143,7 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array, weig
         step[:, robot.actuated[A2]] /= compensator_share(robot, x[rows], slope)
         theta[rows] += step
         size = np.abs(step).max(axis=1, initial=0.0)
-        more = _unfinished(rows, size, previous[rows], np.full(len(rows), _FIRST_RATIO), _SPRING_TOLERANCE)
+        more = _unfinished(rows, size, previous[rows], _SPRING_TOLERANCE)
         previous[rows] = size
         rows = rows[more]
         if len(rows) == 0:
@@ -152,11 +152,11 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array, weig
     raise NotConvergedError("equilibrium not found", rows)
 
 
-def _unfinished(rows: Ints, size: Array, previous: Array, first_ratio: Array, tolerance: float) -> Bools:
+def _unfinished(rows: Ints, size: Array, previous: Array, tolerance: float) -> Bools:
     """Return which rows need another round: the next step, foreseen from the last two, would still matter."""
     if not np.isfinite(size).all():
         raise NotConvergedError("equilibrium not found", rows[~np.isfinite(size)])
-    ratio = np.where(np.isnan(previous), first_ratio, size / np.where(previous > 0.0, previous, 1.0))
+    ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
     return np.asarray(~(size * np.clip(ratio, 1e-4, 1.0) <= tolerance))
 
 

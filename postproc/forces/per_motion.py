@@ -51,11 +51,12 @@ def read_force_csv(path: Path) -> ForceRows:
         whole number, `line_end` before `line`, an unknown frame, two rows for one line.
     """
     numbers, texts, at = files.read_csv(
-        path, ("line", *_COLUMNS), (*_MOMENTS, "frame", "line_end"), ForceError, text_columns=("frame",)
+        path, ("line", *_COLUMNS), (*_MOMENTS, "frame", "line_end"), ForceError, ("frame",), ("line_end",)
     )
     row = at.astype(np.int64)
     first = numbers["line"]
     last = numbers.get("line_end", first)
+    last = np.where(np.isnan(last), first, last)
     for label, column in (("line", first), ("line_end", last)):
         bad = np.flatnonzero((column != np.floor(column)) | (column < 1))
         if len(bad):

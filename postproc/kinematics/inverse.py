@@ -24,7 +24,10 @@ from postproc.robot import RobotModel
 
 _TURN = 2.0 * np.pi
 _SAME = 1e-6
+_ZERO = 1e-6
+"""A joint angle within this of zero [rad] is zero: its sign is rounding."""
 _SMALL_STEP = 1e-5
+_OFF_WRIST = 1e-3
 
 
 class UnreachableError(PostprocError):
@@ -177,7 +180,10 @@ def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
 
 
 def branch_of(robot: RobotModel, q: Array) -> int:
-    """Return the branch 0…7 on which a configuration (6,) lies."""
+    """Return the branch 0…7 on which a configuration (6,) lies; with A5 = 0 that of A5 > 0."""
+    q = np.array(q, dtype=float)
+    if abs(q[4]) < _OFF_WRIST:  # A4 and A6 are not unique there
+        q[4] = _OFF_WRIST
     pose, _ = tcp(robot.nominal, q[None], np.eye(4))
     candidates = closed_form(robot).branches(pose)[0]
     distance = np.abs(_wrapped(candidates - q)).max(axis=1)
@@ -201,8 +207,8 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
 
 
 def turn_of(q: Array) -> Ints:
-    """Return KUKA T (N,) of configurations (N, 6): bit n − 1 is set when axis n is negative."""
-    return np.asarray((q < 0.0) @ (1 << np.arange(6)), dtype=np.int64)
+    """Return KUKA T (N,) of configurations (N, 6): bit n − 1 is set when axis n is negative (zero to rounding is not)."""
+    return np.asarray((q < -_ZERO) @ (1 << np.arange(6)), dtype=np.int64)
 
 
 def follow(

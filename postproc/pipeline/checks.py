@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc import kinematics
 from postproc.errors import Issue, Level
-from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, rotation_vector
 from postproc.kinematics import JointPath
 from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
@@ -23,6 +23,10 @@ _SHOULDER = 0.005
 _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
 _LIMIT_ROUNDING = 1e-9
+_ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
+"""$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
+_NO_SIGN = 0.01 * RAD_PER_DEG
+"""A joint angle nearer to zero than this has no sign that T could name."""
 
 
 def _first(
@@ -101,6 +105,37 @@ def singularities(
     )
 
 
+def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
+    """The S and T that PTP targets give must be those of a configuration within the joint limits.
+
+    :param q: (N, 6) joint angles found for the nominal targets [rad].
+    """
+    m = program.motions
+    ends = np.flatnonzero(sample.ends & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
+    motion = sample.motion[ends]
+    signed = np.abs(q[ends]) > _NO_SIGN
+    wanted = m.turn[motion, None] >> np.arange(6) & 1
+    wrong_turn = (m.turn[motion] >= 0) & (((q[ends] < 0.0) != (wanted == 1)) & signed).any(axis=1)
+    wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ends]) != m.status[motion] & 7)
+    wrong_status &= signed[:, 4]
+    advice = "The controller would drive the axes elsewhere, or stop: correct S and T, or leave them out."
+    for bad, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
+        message = f"no configuration within the joint limits has the {name} of this target. {advice}"
+        yield from _first(program, motion, bad, "status-turn", message)
+
+
+def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
+    """[start] of the cell (6,) [rad] is driven to, and fixes the branch: it must be within limits and unambiguous."""
+    margin = kinematics.joint_margin(robot, start[None])[0]
+    if (margin < -_LIMIT_ROUNDING).any():
+        name = JOINTS[int(np.argmin(margin))]
+        message = f"[start] joints of the cell: {name} is outside its limits by {-margin.min() * DEG_PER_RAD:.3f}°."
+        yield Issue("error", "start-joints", message, source_line=int(program.motions.line[0]))
+    if abs(start[4]) < _WRIST:
+        message = "[start] joints of the cell: A5 = 0 leaves the branch open; that with A5 > 0 is taken."
+        yield Issue("warning", "start-singular", message, source_line=int(program.motions.line[0]))
+
+
 def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array, position: Array) -> Iterator[Issue]:
     """Joint speeds at the programmed feed must stay within the robot's limits.
 
@@ -109,12 +144,18 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array
 
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
-    feed = program.motions.feed[sample.motion[1:]]
-    linear = program.motions.kind[sample.motion[1:]] != PTP
-    travel = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    m = program.motions
+    feed = m.feed[sample.motion[1:]]
+    here = np.diff(sample.motion) == 0
+    same = here | (m.base[sample.motion[1:]] == m.base[sample.motion[:-1]])
+    step = np.diff(sample.pose[:, :3, 3], axis=0)
+    nominal = np.linalg.norm(step, axis=1)
+    travel = np.maximum(nominal, np.linalg.norm(np.diff(position, axis=0), axis=1))
     turned = np.abs(np.diff(q, axis=0))
-    same = program.motions.base[sample.motion[1:]] == program.motions.base[sample.motion[:-1]]
-    usable = linear & same & (travel > 1e-6) & (feed > 0)
+    # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
+    relative = sample.pose[1:, :3, :3] @ np.swapaxes(sample.pose[:-1, :3, :3], 1, 2)
+    by_turning = np.linalg.norm(rotation_vector(relative), axis=1) * np.nan_to_num(feed) > _ORIENTATION_SPEED * nominal
+    usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
     for axis, name in enumerate(JOINTS):

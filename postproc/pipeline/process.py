@@ -237,6 +237,8 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     position = sampled.command.pose[:, :3, 3]
     correction = np.linalg.norm(position - sample.pose[:, :3, 3], axis=1)
     return [
+        *checks.start_joints(program, robot, place.cell.start_joints),
+        *checks.status_and_turn(program, robot, sample, sampled.joints.q),
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, sampled.joints, q, flange),
         *checks.joint_speeds(program, robot, sample, q, position),
@@ -270,9 +272,7 @@ def _targets(
     start = toolpath.starts(program, end, place.start_flange)[:, :3, 3]
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     position = sampled.command.pose[:, :3, 3]
-    chosen = select.choose(
-        program, sampled.path, kind, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole
-    )
+    chosen = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
     movable = np.isnan(m.joints[sample.motion[chosen.row], 0])
     row, target_kind, via_row = chosen.row[movable], chosen.kind[movable], chosen.via[movable]
     motion = sample.motion[row]

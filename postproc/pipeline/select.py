@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import Array
-from postproc.program import CIRC, LIN, Bools, Ints, Program
-from postproc.toolpath import Segments, Toolpath, tangent
+from postproc.program import CIRC, LIN, Bools, Ints
+from postproc.toolpath import Toolpath
 
 _LARGEST_ARC = np.pi * 2.0 / 3.0
 """Arcs are written in pieces of at most 120°: three points then define the circle well."""
@@ -35,9 +35,8 @@ class Selection:
 
 
 def choose(
-    program: Program,
-    path: Segments,
     kind: Ints,
+    sweep: Array,
     sample: Toolpath,
     command: Array,
     start: Array,
@@ -46,8 +45,8 @@ def choose(
 ) -> Selection:
     """Choose targets.
 
-    :param program: the program, `path` its geometry.
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
+    :param sweep: (M,) angle of each arc [rad], NaN elsewhere.
     :param sample: N places on the path.
     :param command: (N, 3) commanded positions there, `$BASE` [m].
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
@@ -62,8 +61,8 @@ def choose(
         motions = np.flatnonzero(inner & (kind == wanted) & ~whole)
         if len(motions) == 0:
             continue
-        nodes = _Nodes.of(motions, sample, command, start, program, path)
-        right, middle = _split(nodes, program.motions.sweep, limit, arcs=wanted == CIRC)
+        nodes = _Nodes.of(motions, sample, command, start)
+        right, middle = _split(nodes, sweep, limit, arcs=wanted == CIRC)
         rows = nodes.row[right]
         if wanted == CIRC:
             at_end = np.searchsorted(ends, rows)
@@ -92,19 +91,16 @@ class _Nodes:
     motion: Ints
     t: Array
     position: Array
-    tangent: Array
 
     @classmethod
-    def of(
-        cls, motions: Ints, sample: Toolpath, command: Array, start: Array, program: Program, path: Segments
-    ) -> _Nodes:
+    def of(cls, motions: Ints, sample: Toolpath, command: Array, start: Array) -> _Nodes:
         rows = np.flatnonzero(np.isin(sample.motion, motions))
         motion = np.concatenate([motions, sample.motion[rows]])
         t = np.concatenate([np.zeros(len(motions)), sample.t[rows]])
         order = np.lexsort((t, motion))
         row = np.concatenate([np.full(len(motions), -1), rows])[order]
         position = np.concatenate([start[motions], command[rows]])[order]
-        return cls(row, motion[order], t[order], position, tangent(program, path, motion[order], t[order]))
+        return cls(row, motion[order], t[order], position)
 
 
 def _split(nodes: _Nodes, sweep: Array, limit: float, *, arcs: bool) -> tuple[Ints, Ints]:
@@ -167,8 +163,6 @@ def _miss(nodes: _Nodes, left: Ints, right: Ints, middle: Ints, piece: Ints, nod
         turned = (angle[which] * share[on_arc])[:, None]
         spot = centre[which] + np.cos(turned) * radial[which] + np.sin(turned) * across[which]
         off[on_arc] = nodes.position[node[on_arc]] - spot
-        travel = nodes.tangent[node[on_arc]]
-        off[on_arc] -= np.einsum("ni,ni->n", off[on_arc], travel)[:, None] * travel
     return np.asarray(np.linalg.norm(off, axis=1))
 
 
