@@ -139,7 +139,9 @@ def read_csv(
     columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
     line = np.array(lines, dtype=float)
     numeric = {
-        name: _numeric(values, name, path, lines, error) for name, values in columns.items() if name not in text_columns
+        name: _numeric(values, name, path, lines, error, empty_is_nan=name in may_be_empty)
+        for name, values in columns.items()
+        if name not in text_columns
     }
     texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
     return numeric, texts, line

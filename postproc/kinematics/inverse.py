@@ -207,7 +207,7 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
 
 
 def turn_of(q: Array) -> Ints:
-    """Return KUKA T (N,) of configurations (N, 6): bit n − 1 is set when axis n is negative (zero to rounding is not)."""
+    """Return KUKA T (N,) of configurations (N, 6): bit n − 1 is set when axis n is negative, beyond rounding."""
     return np.asarray((q < -_ZERO) @ (1 << np.arange(6)), dtype=np.int64)
 
 
