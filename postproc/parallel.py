@@ -24,34 +24,71 @@ class Run(Protocol):
         """Call `function(*chunk(i))` for each i; a chunk is made only when it is its turn."""
         ...
 
+    def later(
+        self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
+    ) -> Callable[[], list[T]]:
+        """Return what returns the results; they are worked on elsewhere meanwhile, or when they are asked for."""
+        ...
 
-def here(function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
-    """Work on one chunk after the other in this process."""
-    return [function(*chunk(index)) for index in range(count)]
+
+class Here:
+    """Work in this process."""
+
+    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+        """Work on one chunk after the other."""
+        return [function(*chunk(index)) for index in range(count)]
+
+    def later(
+        self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
+    ) -> Callable[[], list[T]]:
+        """Return what works on the chunks when it is called."""
+        return lambda: self(function, count, chunk)
 
 
-def shared(helper: Executor) -> Run:
-    """Return a `Run` that works from the front in this process while `helper` works from the back.
+class Shared:
+    """Work in this process and in a helper.
 
-    The function and its arguments must be picklable. An exception of any chunk is raised here; if the helper dies, its
-    chunks are worked on here.
+    Functions and arguments must be picklable. An exception of any chunk is raised here; if the helper dies, its chunks
+    are worked on here.
     """
 
-    def run(function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+    def __init__(self, helper: Executor) -> None:
+        self._helper = helper
+
+    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+        """Work from the front here while the helper works from the back."""
         front: list[T] = []
         waiting: list[Future[T]] = []
         last = count
         try:
             while len(front) < last:
                 while sum(not future.done() for future in waiting) < _AHEAD and len(front) + 1 < last:
-                    waiting.append(helper.submit(function, *chunk(last - 1)))
+                    waiting.append(self._helper.submit(function, *chunk(last - 1)))
                     last -= 1
                 front.append(function(*chunk(len(front))))
             return front + [future.result() for future in reversed(waiting)]
         except BrokenExecutor:
             return front + [function(*chunk(index)) for index in range(len(front), count)]
 
-    return run
+    def later(
+        self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
+    ) -> Callable[[], list[T]]:
+        """Leave all chunks to the helper."""
+        try:
+            futures = [self._helper.submit(function, *chunk(index)) for index in range(count)]
+        except BrokenExecutor:
+            return here.later(function, count, chunk)
+
+        def results() -> list[T]:
+            try:
+                return [future.result() for future in futures]
+            except BrokenExecutor:
+                return here(function, count, chunk)
+
+        return results
+
+
+here = Here()
 
 
 @contextmanager
@@ -66,7 +103,7 @@ def helper_process(module: str, *, wanted: bool) -> Iterator[Run]:
     helper = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_import, initargs=(module,))
     helper.submit(int)  # a pool starts its process with its first task
     try:
-        yield shared(helper)
+        yield Shared(helper)
     finally:
         helper.shutdown(wait=False, cancel_futures=True)
 

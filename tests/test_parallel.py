@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from postproc.errors import NotConvergedError
-from postproc.parallel import helper_process, here, shared
+from postproc.parallel import Shared, helper_process, here
 
 
 def square(number):
@@ -29,9 +29,10 @@ def dies_elsewhere(number, home):
 
 def test_results_come_in_the_order_of_the_chunks():
     with ThreadPoolExecutor(1) as helper:
-        for run in (here, shared(helper)):
+        for run in (here, Shared(helper)):
             for count in (0, 1, 2, 3, 30):
                 assert run(square, count, lambda index: (index,)) == [n * n for n in range(count)]
+                assert run.later(square, count, lambda index: (index,))() == [n * n for n in range(count)]
 
 
 def test_a_helper_process_shares_the_work_and_passes_on_errors_with_their_rows():
@@ -47,3 +48,4 @@ def test_if_the_helper_dies_its_chunks_are_worked_on_here():
         home = os.getpid()
         for _ in range(2):
             assert run(dies_elsewhere, 12, lambda index: (index, home)) == list(range(12))
+            assert run.later(dies_elsewhere, 12, lambda index: (index, home))() == list(range(12))

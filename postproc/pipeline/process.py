@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,6 +104,7 @@ def process(
         issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         targets, row = _targets(program, place, sampled, mode, linearize_arcs)
         chosen = sampled.command.at(row)
+        uncorrected_later = _uncorrected(program, place, sampled, row, run)
         text, simulated = None, None
         if mode != "predict" and not _blocked(issues):
             text = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
@@ -117,7 +118,7 @@ def process(
             break
         # between its targets the written path leaves the tolerance: look there too, and insert what is needed
         also = simulated.missed if also is None else _joined(also, simulated.missed)
-    before, deflection = _uncorrected(program, place, sampled, row, run)
+    before, deflection = uncorrected_later()
     after, between = before, float(before.max(initial=0.0))
     documents: tuple[Document, ...] = ()
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
@@ -300,43 +301,45 @@ def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q
     return status, turn
 
 
-def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints, run: Run) -> tuple[Array, Array]:
-    """Return what the targets (K rows of the samples) would do uncorrected.
+def _uncorrected(
+    program: Program, place: InRoot, sampled: _Sampled, row: Ints, run: Run
+) -> Callable[[], tuple[Array, Array]]:
+    """Return what returns what the targets (K rows of the samples) would do uncorrected.
 
-    :returns: distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
+    That is the distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
     """
     motion = sampled.sample.motion[row]
-    nominal = sampled.sample.pose[row]
+    nominal = sampled.sample.pose[row, :3, 3]
     tool, wrench = place.tool(program, motion), place.wrench(program, motion, sampled.wrench[row])
-    unloaded = place.pose(program, motion, nominal) if place.robot.geometry_is_nominal else None
 
     def chunk(index: int) -> tuple[object, ...]:
         rows = chunk_rows(index)
         at = row[rows]
-        return (
-            place.robot,
-            sampled.joints.q[at],
-            tool if tool.ndim == 2 else tool[rows],
-            wrench[rows],
-            sampled.command.theta[at],
-            None if unloaded is None else unloaded[rows],
-            place.rest_is_nominal,
-        )
+        part = tool if tool.ndim == 2 else tool[rows]
+        return place.robot, sampled.joints.q[at], part, wrench[rows], sampled.command.theta[at], place.rest_is_nominal
 
-    parts = run(_deflected, chunk_count(len(row)), chunk)
-    tip, rest = (place.points_back(program, motion, np.concatenate([part[i] for part in parts])) for i in (0, 1))
-    return np.linalg.norm(tip - nominal[:, :3, 3], axis=1), tip - rest
+    parts = run.later(_deflected, chunk_count(len(row)), chunk)
+
+    def results() -> tuple[Array, Array]:
+        done = parts()
+        tip = place.points_back(program, motion, np.concatenate([part[0] for part in done]))
+        rest = nominal
+        if not place.rest_is_nominal:
+            rest = place.points_back(program, motion, np.concatenate([part[1] for part in done]))
+        return np.linalg.norm(tip - nominal, axis=1), tip - rest
+
+    return results
 
 
 def _deflected(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array, unloaded: Array | None, rest_is_nominal: bool
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array, rest_is_nominal: bool
 ) -> tuple[Array, Array]:
-    """Return the tip (n, 3) in the root under the wrench, and without it [m]."""
-    loaded = elastostatics.deflect(robot, q, tool, wrench, guess=guess, unloaded=unloaded)
-    rest = loaded.rest
-    if not rest_is_nominal:
-        rest = elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), unloaded=unloaded).pose
-    return loaded.pose[:, :3, 3], rest[:, :3, 3]
+    """Return the tip (n, 3) in the root under the wrench, and without it if that is not known to be nominal [m]."""
+    if rest_is_nominal:
+        nowhere = np.broadcast_to(np.eye(4), (len(q), 4, 4))  # where the tip rests is not asked for
+        return elastostatics.deflect(robot, q, tool, wrench, guess, nowhere).pose[:, :3, 3], np.zeros((0, 3))
+    loaded, free = (elastostatics.deflect(robot, q, tool, load, guess) for load in (wrench, np.zeros_like(wrench)))
+    return loaded.pose[:, :3, 3], free.pose[:, :3, 3]
 
 
 def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:
