@@ -7,7 +7,7 @@ from the text, joint angles from these poses by the nominal geometry, the tip fr
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,6 +97,7 @@ def simulate(
     if mismatch is not None:
         return _unusable(targets, mismatch)
     printed = krl.numbers(written)[row]
+    written = replace(written, documents=(), layout=None)  # the text is done with: its places fill much memory
     written_path = toolpath.segments(written, place.start_flange)
     ends = toolpath.at(program, path, targets.motion, targets.t).pose[:, :3, 3]
     correction = targets.pose[:, :3, 3] - ends

@@ -65,12 +65,53 @@ def test_a_first_cutting_move_with_all_axes_is_a_straight_move() -> None:
     assert (motions.kind.tolist(), motions.rapid.tolist()) == ([LIN], [False])
 
 
-def test_axes_not_yet_programmed_stay_at_the_start_position_and_the_user_is_told() -> None:
-    program = read("G21\nG0 Z60\nG0 X7\nG0 Y8 Z5\nM30\n")
-    np.testing.assert_allclose(ends(program), [[50, -100, 60], [7, -100, 60], [7, 8, 5]], atol=1e-9)
-    (issue,) = [issue for issue in program.issues if issue.kind == "start-position"]
-    assert (issue.level, issue.source_line) == ("info", 2)
-    assert "start-position" not in kinds(read("G0 X1 Y2 Z3\nM30\n"))
+@pytest.mark.parametrize("bulk", [True, False])
+@pytest.mark.parametrize(
+    ("opening", "held_back", "line", "end"),
+    [
+        ("G0 X20 Y20\nG0 Z5\n", [2], 3, [20, 20, 5]),
+        ("G0 Z60\nG0 X7\nG0 Y8 Z5\n", [2, 3], 4, [7, 8, 5]),
+        ("G0 X1 Y1\nX1\nX2 Y3\nM8\nG43 H1 Z4\n", [2, 3, 4], 6, [2, 3, 4]),
+        ("G20 G0 X1\nG21 Y2\nZ3\n", [2, 3], 4, [25.4, 2, 3]),
+        ("G0 X1 (a) G54\nG91\nG90\nX2 Y2 Z2\n", [2], 5, [2, 2, 2]),
+        ("G55 G0 X1 Y2\nZ3\n", [2], 3, [101, 2, -2]),
+    ],
+)
+def test_rapid_moves_are_held_back_until_x_y_and_z_are_known(bulk: bool, opening: str, held_back, line, end) -> None:
+    program = read(f"G21\n{opening}G1 X9 F600\nX9\nM30\n", bulk=bulk)
+    np.testing.assert_allclose(ends(program)[0], end, atol=1e-9)
+    assert program.motions.kind.tolist() == [PTP, LIN]
+    assert program.motions.rapid.tolist() == [True, False]
+    assert lines(program) == [line, line + 1]
+    assert program.still.tolist() == [*held_back, line + 2]
+    told = {issue.kind: (issue.level, issue.source_line, issue.count) for issue in program.issues}
+    assert told["start-position"] == ("info", 2, len(held_back))
+    assert told["null-move"] == ("info", line + 2, 1)
+
+
+def test_the_position_of_the_start_has_no_part_in_any_motion() -> None:
+    text = "G55 G0 X1\nG0 Y2\nG0 Z3\nG1 X9 F600\nM30\n"
+    elsewhere = START_FLANGE.copy()
+    elsewhere[:3, 3] += [0.3, -0.4, -0.5]
+    document = gcode.decode("part.nc", text.encode())
+    other = gcode.read(document, CELL, elsewhere, "part")
+    np.testing.assert_array_equal(read(text).motions.target, other.motions.target)
+
+
+def test_a_program_whose_first_rapid_move_is_complete_holds_nothing_back() -> None:
+    program = read("G21 G0 X1 Y2 Z3\nM30\n")
+    assert program.issues == ()
+    assert program.still.tolist() == []
+
+
+def test_events_of_lines_held_back_come_before_the_first_motion() -> None:
+    assert events(read("G0 X0 Y0 S100 M3 (go)\nG0 Z5 M8\nG1 Z0 F9 M9 M5\nM30\n")) == [
+        (0, "comment", 1, 0.0, "go"),
+        (0, "spindle_on", 1, 100.0, ""),
+        (0, "coolant_on", 2, 0.0, ""),
+        (1, "spindle_off", 3, 0.0, ""),
+        (1, "coolant_off", 3, 0.0, ""),
+    ]
 
 
 def test_moves_that_go_nowhere_are_left_out_and_lines_stay_right() -> None:
@@ -306,7 +347,8 @@ CLEAN = "O1000\nG0 G21 G90\nG0 X0 Y0 S9000 M3\nG43 H1 Z5\nG1 Z-1 F300\nX-10 Y1.5
 def test_files_as_cam_systems_write_them_are_read_alike(end: str, encoding: str, case) -> None:
     document = gcode.decode("part.nc", case(REAL).replace("\n", end).encode(encoding))
     program = gcode.read(document, CELL, START_FLANGE, "part")
-    assert lines(program) == [4, 5, 6, 7, 8]
+    assert lines(program) == [5, 6, 7, 8]
+    assert program.still.tolist() == [4]
     np.testing.assert_array_equal(program.motions.target, read(CLEAN).motions.target)
     assert program.documents[0].to_bytes() == case(REAL).replace("\n", end).encode(encoding)
     assert program.events[0].text == case("FRÄSEN")
@@ -483,17 +525,30 @@ def test_codes_that_could_change_the_motion_are_refused_with_advice(code: str) -
     [
         ("G0 X0 Y0\nG1 X5 F9\nG0 Z1\n", "cutting move before the position is known", 2),
         ("G1 X5 Y5 F9\n", "cutting move before the position is known", 1),
+        ("G0 X10 Y10\nG1 Z-5 F9\n", "cutting move before the position is known", 2),
+        ("G0 X10 Y10\nG1 X1 Y1 Z-5 F9\n", "cutting move before the position is known", 2),
+        ("G1 X1 F9\nG0 Y1 Z1\n", "cutting move before the position is known", 1),
+        ("G2 X1 Y1 Z1 I5 F9\n", "arc before the position is known", 1),
+        ("G0 X0 Y0\nG3 X10 Z1 I5 F9\n", "arc before the position is known", 2),
+        ("G0 X0 Y0\nG55 G0 Z1\n", "change of the work offset before the position is known", 2),
         ("G0 X0 Y0\nG2 X10 I5 F9\nG0 Z0\n", "arc before the position is known", 2),
         ("G91\nG0 Z5\n", "incremental move before the position is known", 2),
         ("G0 X0 Y0\nG91 Z5\n", "incremental move before the position is known", 2),
         ("%\nG0 X0 Y0 Z0\n", "begins with %", 2),
         ("(only a comment)\nM30\n", "moves nothing", None),
+        ("G0 X0 Y0\nM30\n", "moves nothing", None),
     ],
 )
 def test_programs_that_begin_or_end_badly_are_errors(text: str, problem: str, line: int | None) -> None:
     error = fault(text)
     assert problem in error.problem
     assert error.line == line
+    assert outcome(text, bulk=True) == outcome(text, bulk=False)
+
+
+def test_a_cutting_move_too_early_gives_advice() -> None:
+    assert "Program X, Y and Z in rapid moves" in str(fault("G0 X10 Y10\nG1 Z-5 F9\n").advice)
+    assert "never all programmed" in str(fault("G0 X10 Y10\nM30\n").advice)
 
 
 def test_the_first_error_of_a_program_is_reported_whatever_its_kind() -> None:

@@ -178,6 +178,15 @@ def test_samples_have_the_moves_of_rs274(path: Path) -> None:
     assert_same_moves(read(text), canonical(text), 1.0)
 
 
+@pytest.mark.parametrize(
+    ("opening", "held_back"),
+    [("G0 X20 Y20\nG0 Z5\n", 1), ("G0 Z9\nX1\nX3\nY2\n", 3), ("G20 G0 X1\nG21 Y2\nZ3 F9\n", 2)],
+)
+def test_after_rapid_moves_held_back_the_moves_are_those_of_rs274(opening: str, held_back: int) -> None:
+    text = f"G21 G90 G17\n{opening}G1 Z-1 F60\nG2 I5\nG91 G0 Z7\nM2\n"
+    assert_same_moves(read(text), canonical(text)[held_back:], 1.0)
+
+
 WORDS = (
     "G0 G1 G2 G3 G0 G1 g02 G03 G17 G18 G19 G20 G21 G90 G91 G90.1 G91.1 G4 G40 G49 G80 G61 G64 G98 G54 G43 G61.1 G1. "
     "F100 F0 F-1 S100 S-1 T1 M3 M5 M6 M8 M9 M0 M1 M7 M2 M30 M03 N5 (c) P1 P2 P0 P1.5 H1 Q1 D1 L1 E1 x X. Y- # ) ?"
@@ -249,6 +258,9 @@ ACCEPTED_HERE_ONLY = {
 REFUSED_HERE_ONLY = {
     "a position before it is known": "G1 X1 F10\nM2",
     "increments before the position is known": "G91 G0 X1\nM2",
+    "a cut before the position is known": "G0 X1 Y1\nG1 Z-1 F10\nM2",
+    "a work offset before the position is known": "G0 X1 Y1\nG55 G0 Z1\nM2",
+    "a position that is never known": "G0 X1 Y1\nM2",
     "parameters": "G0 X#1 Y0 Z0\nM2",
     "expressions": "G0 X[1+2] Y0 Z0\nM2",
     "double signs": "G0 X--1 Y0 Z0\nM2",

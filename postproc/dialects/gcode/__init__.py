@@ -8,11 +8,15 @@ are not known, or that could move a machine in a way not read here, are errors (
 X, Y, Z are the tool tip in the program frame: `$BASE`, moved by the work offset in force. The tool axis points along
 −Z of that frame.
 
+Rapid moves before X, Y and Z have all been programmed are held back: nothing is known of the axes they leave open, and
+where the robot happens to stand is no answer (it may be below the part). ``G0 X20 Y20`` and then ``G0 Z5`` become one
+motion to X20 Y20 Z5, on the line of the second.
+
 Where this reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening
 one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number,
 more than four M codes in a block, G94 without a new F, and G15, G50.1, G69. Where it accepts less: a cutting or
-relative move before X, Y and Z have been programmed (rs274 begins at zero; a robot stands anywhere), parameters and
-expressions, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that
+relative move or a change of the work offset before X, Y and Z have been programmed (rs274 begins at zero; a robot
+stands anywhere; only a G1 with all three may come first), parameters and expressions, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that
 moves nothing, and every code that `codes` refuses. Each of these is a test.
 """
 
@@ -42,8 +46,8 @@ def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str)
 
     The first motion, if rapid, is `PTP` (the robot goes there from where it stands); later rapid ones are `LIN` with
     ``rapid``. Arcs are `CIRC` with centre and end as programmed; their radii at start and end may differ by LinuxCNC's
-    tolerance. Moves that go nowhere are left out (issue ``"null-move"``). Coordinates that a rapid move leaves open
-    before all three were programmed are those of the start position (issue ``"start-position"``).
+    tolerance. Moves that go nowhere are left out (issue ``"null-move"``). Rapid moves before X, Y and Z have all been
+    programmed are held back until they have (issue ``"start-position"``). The lines of both are in `Program.still`.
 
     :param document: the program, see `decode`.
     :param cell: `$BASE`, `$TOOL`, work offsets, speed of rapid moves, approximation distance.
@@ -51,8 +55,8 @@ def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str)
     :param name: name of the program.
     :returns: poses and lengths in metres, feeds in m/s, as `Motions` says.
     :raises ProgramError: with file, line, text and advice: a code is not supported or not known, a word cannot be
-        read, an arc is impossible, a cutting move has no feed or begins where the position is not known, the
-        program is cut off, or it moves nothing.
+        read, an arc is impossible, a cutting move has no feed or comes before X, Y and Z have been programmed in
+        rapid moves, the program is cut off, or it moves nothing.
     :raises ForceError: a force comment cannot be read.
     """
     return _read(document, cell, start_flange_in_root, name, bulk=True)
@@ -79,6 +83,8 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         raise ProgramError(path.problem, file=document.name, line=path.row + 1, text=text, advice=path.advice)
     if not len(path.motions):
         advice = "Check that this is the right file, and that it is complete."
+        if len(path.held_back):
+            advice = "There are rapid moves, but X, Y and Z are never all programmed."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
     notes, comments = _comments(source, modes.rows, document.name)
     return Program(
@@ -126,9 +132,10 @@ def _events(path: Path, modes: Modes, comments: list[tuple[int, str]]) -> tuple[
 def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
     if not modes.changes["units"]:
         yield Issue("info", "units", "Neither G20 nor G21 is given: millimetres are assumed.")
-    if len(path.from_start):
-        message = "A rapid move leaves axes open before they were programmed: they stay at the start position."
-        yield Issue("info", "start-position", message, int(path.from_start[0]) + 1)
-    if len(path.still):
+    if len(path.held_back):
+        message = "Rapid moves before X, Y and Z are all known are held back until the position is complete."
+        yield Issue("info", "start-position", message, int(path.held_back[0]) + 1, count=len(path.held_back))
+    nowhere = path.still[len(path.held_back) :]
+    if len(nowhere):
         message = "A move that goes nowhere is left out."
-        yield Issue("info", "null-move", message, int(path.still[0]) + 1, count=len(path.still))
+        yield Issue("info", "null-move", message, int(nowhere[0]) + 1, count=len(nowhere))

@@ -1,6 +1,9 @@
 """From columns of words to motions: modal values carried forward over all lines at once.
 
 Rows are lines of the program. Lengths are mm in the program frame until the last step.
+
+Where the tool stands before the program is no part of it: no coordinate is taken from there. Rapid moves are held back
+until X, Y and Z have all been programmed; then one motion goes to all three, on the line that gave the last of them.
 """
 
 from __future__ import annotations
@@ -44,13 +47,13 @@ class Path:
     """The motions of a program, and what was noticed.
 
     :param motions: see `Motions`.
-    :param still: (n,) rows of moves that go nowhere; they are not in `motions`.
-    :param from_start: (n,) rows of rapid moves that take coordinates from the start position.
+    :param still: (n,) rows of moves that are not in `motions`, ascending: they go nowhere, or are held back.
+    :param held_back: (n,) those of them that are rapid moves before X, Y and Z have all been programmed.
     """
 
     motions: Motions
     still: Ints
-    from_start: Ints
+    held_back: Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,8 +100,10 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
         return modes.fault
     rows = _rows(columns, modes)
     before, after = _positions(rows, setting)
-    move = np.flatnonzero(rows.moving)
-    circular = move[rows.motion[move] >= 2.0]
+    complete = _complete_from(rows)
+    moving = np.flatnonzero(rows.moving)
+    held_back, move = moving[moving < complete], moving[moving >= complete]
+    circular = moving[rows.motion[moving] >= 2.0]
     arcs = read_arcs(
         ArcWords(
             start=before[circular],
@@ -113,7 +118,6 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
             absolute=rows.absolute_centre[circular],
         )
     )
-    complete = _complete_from(rows)
     faults = [*_faults(rows, complete, modes.dwells)]
     faults += [Fault(int(circular[n]), problem, advice) for n, problem, advice in arcs.faults]
     if modes.fault is not None:
@@ -162,8 +166,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
     )
     for name in Motions.__slots__:
         getattr(motions, name).flags.writeable = False
-    partly = np.flatnonzero(rows.moving & (rows.motion == 0.0) & (np.arange(modes.rows) < complete))
-    return Path(motions, move[stays], partly)
+    return Path(motions, np.concatenate([held_back, move[stays]]), held_back)
 
 
 def _placed(pose: Array, mm: Array) -> Array:
@@ -259,8 +262,13 @@ def _faults(rows: _Rows, complete: int, dwells: Sequence[int]) -> list[Fault]:
         "cutting move without a feed",
         "Give F.",
     )
-    advice = "Begin with G0 and X, Y and Z in G90: the tool may stand anywhere before."
+    advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may stand anywhere before."
     check(axes & rows.incremental & (line <= complete), "incremental move before the position is known", advice)
-    check(axes & straight & (line < complete), "cutting move before the position is known", advice)
+    early = axes & (line <= complete)
+    first = int(np.argmax(axes))
+    cutting = early & straight & (first < complete)  # a first one with X, Y and Z needs nothing from before
+    check(cutting, "cutting move before the position is known", advice)
     check(rows.moving & circular & (line <= complete), "arc before the position is known", advice)
+    elsewhere = early & (rows.offset != rows.offset[first])
+    check(elsewhere, "change of the work offset before the position is known", advice)
     return faults
