@@ -8,7 +8,7 @@ import pytest
 
 from postproc import compensation, elastostatics, files, kinematics, robot
 from postproc.errors import ModelError
-from postproc.model_file import Gravity, ModelFile, Stiffening
+from postproc.robot.model_file import Gravity, ModelFile, Stiffening
 
 FOLDER = robot.find("kuka_kr270")
 CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)

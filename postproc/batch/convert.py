@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
 
 from postproc import cell as cells
-from postproc import files, parallel, pipeline, report
+from postproc import files, pipeline, report
 from postproc import robot as robots
 from postproc.batch.inputs import Job, dialect_of, is_input, read_documents
 from postproc.batch.interrupts import Interrupted, held_back
@@ -16,13 +19,11 @@ from postproc.cell import Cell
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
+from postproc.parallel import Run, here
 from postproc.pipeline import Result
 from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
-
-_LARGE = 1_000_000
-"""Bytes from which on a program is worth the start of a helper process."""
 
 
 def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
@@ -49,16 +50,16 @@ def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
     return robots.load(robots.find(name, Path(relative_to)))
 
 
-def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel, *, alone: bool = False) -> Outcome:
+def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run: Run = here) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
     Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
 
-    :param alone: no other program is worked on meanwhile: a large one may use a second core.
-    :raises Interrupted: an interrupt came while the files were written; they are whole.
+    :param run: where the chunks of a large program are worked on.
     """
     try:
-        return _converted(job, settings, cell, robot, alone)
+        with _no_collection():
+            return _converted(job, settings, cell, robot, run)
     except PostprocError as cause:
         return Outcome(str(job.program), FAILED, message=str(cause))
     except MemoryError:
@@ -94,14 +95,24 @@ def read_program(path: str | Path, robot: RobotModel, cell: Cell, dialect: str |
         ) from cause
 
 
-def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, alone: bool) -> Outcome:
-    large = alone and job.program.is_file() and job.program.stat().st_size > _LARGE
-    with parallel.helper_process("postproc.pipeline.verify", wanted=large) as run:
-        program = read_program(job.program, robot, cell, job.dialect)
-        rows = None if job.forces is None else read_force_csv(job.forces)
-        result = pipeline.process(
-            program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs, run=run
-        )
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Pause the search for unreachable cycles: 10⁵ lines make many small objects at once, and no cycles."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run: Run) -> Outcome:
+    program = read_program(job.program, robot, cell, job.dialect)
+    rows = None if job.forces is None else read_force_csv(job.forces)
+    result = pipeline.process(
+        program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs, run=run
+    )
     if result.failed:
         return Outcome(str(job.program), FAILED, issues=result.issues)
     stated = settings.mode == "convert" or settings.tolerance_mm is not None

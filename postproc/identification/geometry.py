@@ -22,8 +22,8 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
 from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
-from postproc.model_file import JOINTS, Displacement, Gravity, ModelFile
 from postproc.robot import RobotModel, assemble
+from postproc.robot.model_file import JOINTS, Displacement, Gravity, ModelFile
 
 _AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 _USUAL_SHIFT, _USUAL_TURN = 1e-3, 2e-3

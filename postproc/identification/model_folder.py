@@ -18,7 +18,7 @@ from postproc.identification.fit import Fit
 from postproc.identification.identify import Identification, before_and_after
 from postproc.identification.placement import describe, describe_points
 from postproc.identification.structure import summary
-from postproc.model_file import (
+from postproc.robot.model_file import (
     JOINTS,
     CompensatorEntry,
     Covariance,

@@ -3,7 +3,7 @@
 Structures only; `robot` turns them into a `RobotModel`. Units of the file: µrad/(N·m), µm/N, mm, deg, N·m.
 """
 
-# ruff: noqa: N815 - keys of the file carry their unit
+
 
 from __future__ import annotations
 

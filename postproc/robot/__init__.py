@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from postproc import files
 from postproc.compensator import Compensator
-from postproc.elastic_chain import LINK_AXES, VirtualSpring, elastic_chain
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
-from postproc.model_file import (
+from postproc.robot.flexible import LINK_AXES, VirtualSpring, elastic_chain
+from postproc.robot.model_file import (
     BASE,
     FLANGE,
     JOINTS,
@@ -179,7 +179,7 @@ class RobotModel:
 
 def shipped() -> dict[str, Path]:
     """Return the robot models that come with the package: name → folder."""
-    package = Path(__file__).parent
+    package = Path(__file__).parent.parent
     root = package / "robot_models"  # where a wheel puts it; in a checkout it stands beside the package
     root = root if root.is_dir() else package.parent / "robot_models"
     return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "model.toml").is_file()}

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import pinocchio as pin
 
-from postproc.model_file import BASE, FLANGE, JOINTS
+from postproc.robot.model_file import BASE, FLANGE, JOINTS
 
 LINK_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
 _JOINT_OF_AXIS = {
