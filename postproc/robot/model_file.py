@@ -3,8 +3,6 @@
 Structures only; `robot` turns them into a `RobotModel`. Units of the file: µrad/(N·m), µm/N, mm, deg, N·m.
 """
 
-
-
 from __future__ import annotations
 
 from typing import Annotated, Literal
