@@ -95,3 +95,31 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
     assert result.failed
     assert {issue.kind for issue in result.issues if issue.level == "error"} == {"read-back"}
     assert result.documents == ()
+
+
+def test_start_joints_beyond_their_limits_stop_every_program():
+    import msgspec
+
+    start = msgspec.structs.replace(CELL.start, joints=(0.0, 50.0, 110.0, 0.0, 50.0, 0.0))
+    cell = msgspec.structs.replace(CELL, start=start)
+    result = pipeline.process(program(FINE, orientation=DOWN), MODEL, cell, mode="predict")
+    found = {issue.kind: issue for issue in result.issues}
+    assert found["start-joints"].level == "error"
+    assert "A2" in found["start-joints"].message
+
+
+def test_a_turn_that_no_legal_axis_value_has_is_an_error():
+    made = program([*FINE, ("PTP", 0, 0, 50)], orientation=DOWN)
+    made.motions.status[3], made.motions.turn[3] = 2, 0  # A2 is negative within its limits: bit 1 must be set
+    kinds = {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues}
+    assert (kinds["status-turn"].level, kinds["status-turn"].source_line) == ("error", 4)
+
+
+def test_turning_the_tool_on_the_spot_under_force_is_not_timed_by_the_feed():
+    from scipy.spatial.transform import Rotation
+
+    made = program([*FINE, ("LIN", 100, 0, 0)], notes=[(2, (100.0, 50.0, 200.0, 0, 0, 0))], orientation=DOWN)
+    made.motions.target[3, :3, :3] = Rotation.from_euler("y", 3, degrees=True).as_matrix() @ DOWN
+    result = pipeline.process(made, MODEL, CELL)
+    assert not [issue for issue in result.issues if issue.kind.startswith("joint-speed")]
+    assert not result.failed

@@ -195,3 +195,41 @@ def test_a_force_wrong_by_one_percent_is_seen_by_the_oracle():
 def test_the_simulated_base_is_the_cells():
     assert abc(1500, -200, 700)[0, 3] == 1.5
     assert forces.read_force_csv(SAMPLES / "freeform.forces.csv").wrench.any()
+
+
+CORNER = """G21 G90 G17
+G0 X10 Y10 Z2
+(FORCE FX=0 FY=1 FZ=100 FRAME=BASE)
+G1 Z-1 F600
+G1 X60 F1500
+(FORCE FX=-1500 FY=1800 FZ=300 FRAME=FEED)
+G3 X65.5 Y15.5 I0 J5.5
+(FORCE OFF)
+G0 Z30
+M2
+"""
+
+
+@pytest.mark.parametrize("linearize", [False, True])
+def test_the_ramp_of_a_feed_force_on_a_small_arc_is_held_between_targets_too(linearize):
+    """Travel and force turn while the force grows: the hardest piece of a path."""
+    result = convert({"corner.nc": CORNER.encode()}, "cell_kr270.toml", "gcode", linearize_arcs=linearize)
+    assert not result.failed, result.issues
+    sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
+    axis_moves, worst, begin = len(moves) - len(rows), 0.0, 0.0
+    for index, share, _, q in sim.run(moves, (0.25, 0.5, 0.75, 1.0)):
+        row = rows[index - axis_moves]
+        if row["source_line"] != 7:
+            continue
+        before = rows[index - axis_moves - 1]
+        begin = before["t"] if before["source_line"] == 7 else 0.0
+        t = begin + share * (row["t"] - begin)
+        angle = t * np.pi / 2 - np.pi / 2  # about (60, 15.5), from below
+        nominal = np.array([60 + 5.5 * np.cos(angle), 15.5 + 5.5 * np.sin(angle), -1.0]) / 1000
+        travel = np.array([-np.sin(angle), np.cos(angle)])
+        own = np.array([*(-1500 * travel + 1800 * np.array([-travel[1], travel[0]])), 300.0])
+        grown = min(1.0, t * 5.5 * np.pi / 2)
+        force = np.array([0.0, 1.0, 100.0]) + grown * (own - [0.0, 1.0, 100.0])
+        tip = sim.tip(moves[index], q, np.array([*force, 0.0, 0.0, 0.0]))
+        worst = max(worst, float(np.linalg.norm(tip - nominal)))
+    assert 0.0 < worst <= 0.010e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 
@@ -53,7 +54,8 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         "warnings": list(result.warnings),
     }
     if result.before is not None:
-        out["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M}
+        known = math.isfinite(result.before.rms)  # not while a parameter cannot be told from the readings so far
+        out["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if known else None}
     if len(random):
         out["random"] = {
             "plans": len(random),
@@ -94,7 +96,10 @@ def plan_lines(result: PlanResult) -> list[str]:
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
     ]
     if result.before is not None:
-        lines.append(f"with what was measured so far alone: {result.before.rms * MM_PER_M:.3g} mm RMS")
+        alone = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
+        if not math.isfinite(result.before.rms):
+            alone = "unknown, it does not determine every parameter"
+        lines.append(f"with what was measured so far alone: {alone}")
     if len(result.random):
         random = np.sqrt(result.random) * MM_PER_M
         lines.append(
