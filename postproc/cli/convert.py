@@ -87,35 +87,8 @@ def convert(
     from postproc import parallel
 
     large = len(programs) == 1 and scheduler is None and _size(programs[0]) > _LARGE
-    with parallel.helper_process("postproc.pipeline.verify", wanted=large) as run:  # ready when the program is read
-        _convert(
-            ctx, programs, cell, forces, output, dialect, nominal, tolerance, linearize_arcs, jobs, scheduler,
-            as_json, run,
-        )  # fmt: skip
-
-
-def _size(program: str) -> int:
-    """Return the size of a file; 0 for folders and patterns."""
-    path = Path(program)
-    return path.stat().st_size if path.is_file() else 0
-
-
-def _convert(
-    ctx: click.Context,
-    programs: tuple[str, ...],
-    cell: Path,
-    forces: Path | None,
-    output: Path | None,
-    dialect: str | None,
-    nominal: bool,
-    tolerance: float | None,
-    linearize_arcs: bool,
-    jobs: int,
-    scheduler: str | None,
-    as_json: bool,
-    run: Run,
-) -> None:
-    from postproc.batch import Settings, find_jobs
+    run = ctx.with_resource(parallel.helper_process("postproc.pipeline.verify", wanted=large))
+    from postproc.batch import Settings, find_jobs  # slow: the helper gets ready meanwhile
 
     if scheduler is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
@@ -129,6 +102,12 @@ def _convert(
     outcomes = _worked(ctx, found, settings, workers=jobs, scheduler=scheduler, run=run)
     _report(outcomes, found, as_json=as_json)
     ctx.exit(_worst(outcomes))
+
+
+def _size(program: str) -> int:
+    """Return the size of a file; 0 for folders and patterns."""
+    path = Path(program)
+    return path.stat().st_size if path.is_file() else 0
 
 
 @click.command()
