@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.frames import RAD_PER_DEG, Array, displaced, inverse, twist_between
+from postproc.frames import RAD_PER_DEG, Array, interpolated, inverse, twist_between
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program
 
 _STEP = 0.020
@@ -164,8 +164,7 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     inner = np.flatnonzero((t < 1.0) & (kind != PTP))
     if len(inner):
         rows = motion[inner]
-        twist = twist_between(path.start[rows], m.target[rows])
-        pose[inner] = displaced(path.start[rows], twist * t[inner, None])
+        pose[inner] = interpolated(path.start[rows], m.target[rows], t[inner])
     arcs = inner[kind[inner] == CIRC]
     if len(arcs):
         pose[arcs, :3, 3] = _on_arc(program, path, motion[arcs], t[arcs])[0]
