@@ -36,6 +36,17 @@ def test_forward_kinematics_equals_the_oracle_read_from_the_urdf(model):
     np.testing.assert_allclose(pose, [arm.tcp(row, TOOL) for row in q], atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [0, 64, 65, 67])
+def test_many_configurations_at_once_are_each_what_they_are_alone(model, count):
+    q = np.random.default_rng(6).uniform(model.lower, model.upper, (count, 6))
+    together = (*kinematics.tcp_and_weight(model.loaded, q, TOOL), kinematics.gravity_torque(model.loaded, q))
+    for row in range(count):
+        alone = kinematics.tcp_and_weight(model.loaded, q[row : row + 1], TOOL)
+        for one, all_ in zip((*alone, alone[2]), together, strict=True):
+            np.testing.assert_allclose(one[0], all_[row], rtol=1e-12, atol=1e-9)
+    assert [len(part) for part in together] == [count] * 4
+
+
 def test_flange_at_zero_is_stretched_along_x_with_kuka_orientation(model):
     pose, _ = kinematics.tcp(model.nominal, np.zeros((1, 6)), np.eye(4))
     np.testing.assert_allclose(frames.xyzabc_from_pose(pose)[0, 3:], [0.0, 90.0, 0.0], atol=1e-9)
