@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
@@ -37,26 +36,23 @@ class Compensation:
 
     :param q: (N, 6) joint angles that the controller will hold [rad].
     :param pose: (N, 4, 4) commanded tool frame by the nominal geometry [m]; from `compensate` in the robot root.
-    :param jacobian: (N, 6, 6) of the nominal geometry there, root axes, in single precision.
     :param theta: (N, nv) deflections of the springs at the target [rad, m].
     """
 
     q: Array
     pose: Array
-    jacobian: NDArray[np.float32]
     theta: Array
 
     def at(self, rows: Ints) -> Compensation:
         """Return the given rows (this, if they are all)."""
         if len(rows) == len(self.q) and (np.diff(rows) == 1).all():
             return self
-        return Compensation(self.q[rows], self.pose[rows], self.jacobian[rows], self.theta[rows])
+        return Compensation(self.q[rows], self.pose[rows], self.theta[rows])
 
 
 def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
     """Return joint angles (N, 6) as commands without any correction."""
-    pose, jacobian = kinematics.tcp(robot.nominal, q, tool)
-    return Compensation(q, pose, jacobian.astype(np.float32), np.zeros((len(q), robot.actual.nv)))
+    return Compensation(q, kinematics.tcp(robot.nominal, q, tool)[0], np.zeros((len(q), robot.actual.nv)))
 
 
 def compensate(
@@ -82,7 +78,6 @@ def compensate(
     return Compensation(
         q=np.concatenate([part.q for part in parts]),
         pose=np.concatenate([part.pose for part in parts]),
-        jacobian=np.concatenate([part.jacobian for part in parts]),
         theta=np.concatenate([part.theta for part in parts]),
     )
 
@@ -104,8 +99,7 @@ def _compensate_chunk(
         q, theta = _solve(robot, target, q_nominal, tool, wrench)
     except NotConvergedError as cause:
         raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
-    pose, jacobian = kinematics.tcp(robot.nominal, q, tool)
-    return Compensation(q, pose, jacobian.astype(np.float32), theta)
+    return Compensation(q, kinematics.tcp(robot.nominal, q, tool)[0], theta)
 
 
 def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:

@@ -118,7 +118,7 @@ def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run:
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     content = report.summary(result, tolerance)
-    contents = _contents(job, result, content, tolerance)
+    contents = _contents(job, result, content, tolerance, run)
     with held_back() as interrupts:
         written = files.write_whole(job.output, contents)
     exceeded = settings.mode != "predict" and content["tolerance_held"] is False
@@ -130,12 +130,14 @@ def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run:
     return outcome
 
 
-def _contents(job: Job, result: Result, content: Summary, tolerance: float | None) -> dict[str, bytes | list[bytes]]:
+def _contents(
+    job: Job, result: Result, content: Summary, tolerance: float | None, run: Run
+) -> dict[str, bytes | list[bytes]]:
     """Return what to write: file name → content."""
     stem = job.program.stem
     contents: dict[str, bytes | list[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
     contents[f"{stem}.report.json"] = report.to_json(content)
-    contents[f"{stem}.targets.csv"] = list(report.targets_csv(result))
+    contents[f"{stem}.targets.csv"] = report.targets_csv(result, run)
     contents[f"{stem}.report.html"] = report.page(result, tolerance)
     for name in contents:
         if is_input(job, job.output / name):

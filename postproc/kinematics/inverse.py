@@ -28,6 +28,8 @@ _ZERO = 1e-6
 """A joint angle within this of zero [rad] is zero: its sign is rounding."""
 _SMALL_STEP = 1e-5
 _OFF_WRIST = 1e-3
+_CHUNK = 8192
+"""Poses that are solved at once: all eight branches of more do not fit the cache."""
 
 
 class UnreachableError(PostprocError):
@@ -234,37 +236,50 @@ def follow(
     :param turn: (N,) T of PTP targets, −1 where none.
     :raises UnreachableError: a pose has no solution on its branch.
     """
-    candidates = closed_form(robot).branches(pose_flange_in_root)
     count = len(pose_flange_in_root)
-    q = np.empty((count, 6))
-    branch = np.empty(count, dtype=np.int64)
     jumps = np.flatnonzero(free)
-    bounds = np.unique(np.concatenate([[0], jumps, jumps + 1, [count]]))
-    last, slot = np.asarray(start, dtype=float), branch_of(robot, start)
-    for begin, end in pairwise(bounds):
-        if free[begin]:
-            if np.isfinite(axis_target[begin, 0]):
-                last = axis_target[begin]
-                slot = branch_of(robot, last)
-            else:
-                slot = _slot(robot, candidates[begin], slot, int(status[begin]))
-                last = _turned(robot, candidates[begin, slot], last, int(turn[begin]))
-            q[begin], branch[begin] = last, slot
-        else:
-            path = np.unwrap(np.vstack([last, candidates[begin:end, slot]]), axis=0)
-            q[begin:end] = path[1:]
-            branch[begin:end] = slot
-            last = path[-1]
-        if not np.isfinite(last).all():
-            bad = np.flatnonzero(~np.isfinite(q[begin:end]).all(axis=1)) + begin
-            missing = np.isnan(candidates[begin:end, slot]).any(axis=1)
-            raise UnreachableError(tuple(int(row) for row in (np.flatnonzero(missing) + begin)) or tuple(map(int, bad)))
+    by_axes = np.isfinite(axis_target[:, 0]) & free
+    branch = _branches_along(robot, pose_flange_in_root, start, jumps, axis_target, status)
+    q = _on_branches(robot, pose_flange_in_root, branch)
+    q[by_axes] = axis_target[by_axes]
+    unreached = np.flatnonzero(np.isnan(q).any(axis=1))
+    if len(unreached):
+        raise UnreachableError(unreached.tolist())
+    last = np.asarray(start, dtype=float)
+    for begin, end in pairwise(np.unique(np.concatenate([[0], jumps, jumps + 1, [count]]))):
+        if not free[begin]:
+            q[begin:end] = np.unwrap(np.vstack([last, q[begin:end]]), axis=0)[1:]
+        elif not by_axes[begin]:
+            q[begin] = _turned(robot, q[begin], last, int(turn[begin]))
+        last = q[end - 1]
     return JointPath(q, branch)
+
+
+def _branches_along(
+    robot: RobotModel, pose: Array, start: Array, jumps: Ints, axis_target: Array, status: Ints
+) -> Ints:
+    """Return the branch of each row (N,): it may change at the rows of `jumps` only."""
+    slots = [branch_of(robot, start)]
+    for row, candidates in zip(jumps.tolist(), closed_form(robot).branches(pose[jumps]), strict=True):
+        if np.isfinite(axis_target[row, 0]):
+            slots.append(branch_of(robot, axis_target[row]))
+        else:
+            slots.append(_slot(robot, candidates, slots[-1], int(status[row])))
+    return np.repeat(slots, np.diff(jumps, prepend=0, append=len(pose)))
+
+
+def _on_branches(robot: RobotModel, pose: Array, branch: Ints) -> Array:
+    """Return joint angles (N, 6) of flange poses on given branches; NaN out of reach."""
+    form, out = closed_form(robot), np.empty((len(pose), 6))
+    for begin in range(0, len(pose), _CHUNK):
+        rows = slice(begin, begin + _CHUNK)
+        out[rows] = np.take_along_axis(form.branches(pose[rows]), branch[rows, None, None], axis=1)[:, 0]
+    return out
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints, near: Array) -> Array:
     """Return joint angles (N, 6) of poses on given branches, in the turns nearest to `near`; NaN out of reach."""
-    angles = closed_form(robot).branches(pose_flange_in_root)[np.arange(len(branch)), branch]
+    angles = _on_branches(robot, pose_flange_in_root, branch)
     return np.asarray(angles + _TURN * np.round((near - angles) / _TURN))
 
 

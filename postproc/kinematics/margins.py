@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from postproc.frames import Array
+from postproc.kinematics.chain import tcp
 from postproc.robot import RobotModel
 
-_DECOMPOSED = 10_000
+_LOOKED_AT = 10_000
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:
@@ -16,16 +16,24 @@ def joint_margin(robot: RobotModel, q: Array) -> Array:
     return np.minimum(q - robot.lower, robot.upper - q)
 
 
-def smallest_singular_value(jacobian: NDArray[np.floating]) -> float:
-    """Return the smallest singular value of all square Jacobians (N, 6, 6): metres and radians per radian.
+def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
+    """Return the smallest singular value of the tool's Jacobian along a path: metres and radians per radian.
 
-    Along a dense path it changes slowly: of more than some ten thousand rows only every n-th is decomposed at first,
-    then all around the smallest.
+    Along a dense path it changes slowly: of more than some ten thousand rows only every n-th is looked at first, then
+    all around the smallest.
+
+    :param q: (N, 6) joint angles [rad]; NaN is returned for none.
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     """
-    if len(jacobian) == 0:
+    if len(q) == 0:
         return float("nan")
-    stride = len(jacobian) // _DECOMPOSED + 1
-    coarse = np.linalg.svd(jacobian[::stride], compute_uv=False)[:, -1]
+    stride = len(q) // _LOOKED_AT + 1
+    coarse = _singular_values(robot, q, tool, slice(None, None, stride))
     around = int(np.argmin(coarse)) * stride
-    fine = jacobian[max(0, around - stride) : around + stride + 1]
-    return float(min(coarse.min(), np.linalg.svd(fine, compute_uv=False)[:, -1].min()))
+    fine = _singular_values(robot, q, tool, slice(max(0, around - stride), around + stride + 1))
+    return float(min(coarse.min(), fine.min()))
+
+
+def _singular_values(robot: RobotModel, q: Array, tool: Array, rows: slice) -> Array:
+    _, jacobian = tcp(robot.nominal, q[rows], tool if tool.ndim == 2 else tool[rows])
+    return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1])

@@ -147,7 +147,7 @@ def process(
         bound=elastostatics.position_bound(place.robot, chosen.q, *frames),
         q=chosen.q,
         joint_margin=kinematics.joint_margin(robot, sampled.command.q).min(axis=0),
-        singular_value=kinematics.smallest_singular_value(chosen.jacobian),
+        singular_value=kinematics.smallest_singular_value(robot, chosen.q, frames[0]),
         between=between,
         largest_correction=float(np.linalg.norm(correction, axis=1).max(initial=0.0)),
         issues=group_issues(issues),
@@ -224,9 +224,7 @@ def _compensated(
         return solved
     out = uncorrected(place.robot, joints.q.copy(), place.tool(program, sample.motion))
     out = replace(out, pose=sample.pose.copy())
-    for whole, part in (
-        (out.q, solved.q), (out.pose, solved.pose), (out.jacobian, solved.jacobian), (out.theta, solved.theta)
-    ):  # fmt: skip
+    for whole, part in ((out.q, solved.q), (out.pose, solved.pose), (out.theta, solved.theta)):
         whole[movable] = part
     return out
 

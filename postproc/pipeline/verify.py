@@ -87,7 +87,7 @@ def simulate(
     :param corrected: the program claims to hold the tolerance.
     """
     try:
-        written = krl.read(text.documents, place.cell, place.forward, program.name)
+        written = krl.read(text.documents, place.cell, place.forward, program.name, run)
     except ProgramError as cause:
         message = f"the written program cannot be read back ({cause.problem}): a fault of postproc, please report it"
         return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))
@@ -156,13 +156,11 @@ def _tips(
         printed = toolpath.at(written, path, motion[rows], share[rows]).pose
         commanded = place.pose(written, motion[rows], printed)
         q = near.q
-        start: tuple[Array, Array] | None = (place.pose(written, motion[rows], near.pose), near.jacobian.astype(float))
         if (share[rows] < 1.0).any():  # between targets the joint angles are not known yet
             flange = toolpath.flange_from_tcp(written, motion[rows], printed)
             q = kinematics.on_branch(place.robot, flange, branch[index[rows]], q)
-            start = None
         part = tool if tool.ndim == 2 else tool[rows]
-        return place.robot, rows.start, commanded, part, force[rows], q, start, near.theta
+        return place.robot, rows.start, commanded, part, force[rows], q, near.theta
 
     return place.points_back(written, motion, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
 
@@ -174,11 +172,10 @@ def _tip(
     tool: Array,
     wrench: Array,
     q: Array,
-    start: tuple[Array, Array] | None,
     theta: Array,
 ) -> Array:
     """Return the loaded tip (n, 3) in the root [m] under commanded poses (n, 4, 4) in the root."""
-    q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded, start)
+    q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded)
     missed = np.abs(twist_between(pose, commanded)).max(axis=1) > _REACHED
     if missed.any():
         raise NotConvergedError("a commanded pose is out of reach", (begin + np.flatnonzero(missed)).tolist())

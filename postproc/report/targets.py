@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from postproc import decimals
 from postproc.decimals import Bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
+from postproc.parallel import Run, here
 from postproc.pipeline import Result
+from postproc.program import Bools, Ints
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
 COLUMNS = (
@@ -29,31 +29,51 @@ _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 _CHUNK = 8192
 
 
-def targets_csv(result: Result) -> Iterator[bytes]:
-    """Yield the file in pieces of some thousand rows.
+def targets_csv(result: Result, run: Run = here) -> list[bytes]:
+    """Return the file in pieces of some thousand rows.
 
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
+
+    :param run: where the pieces are worked on.
     """
-    yield (",".join(COLUMNS) + "\n").encode()
-    for begin in range(0, len(result), _CHUNK):
-        yield _rows(result, slice(begin, begin + _CHUNK))
+    m = result.program.motions
+
+    def piece(index: int) -> tuple[object, ...]:
+        part = slice(index * _CHUNK, (index + 1) * _CHUNK)
+        motion = result.motion[part]
+        return (
+            (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
+            (result.nominal[part], result.printed[part], _COMMAND[result.program.dialect], result.wrench[part]),
+            (result.deflection[part], result.before[part], result.after[part]),
+            None if result.bound is None else result.bound[part],
+            result.q[part],
+        )
+
+    head = (",".join(COLUMNS) + "\n").encode()
+    return [head, *run(_rows, -(-len(result) // _CHUNK), piece)]
 
 
-def _rows(result: Result, part: slice) -> bytes:
-    motion = result.motion[part]
-    moved = result.program.motions
-    bound = np.full(len(motion), np.nan) if result.bound is None else result.bound[part]
+def _rows(
+    origin: tuple[Ints, Ints, Array, Bools],
+    command: tuple[Array, Array, tuple[int, ...], Array],
+    deviation: tuple[Array, Array, Array],
+    bound: Array | None,
+    q: Array,
+) -> bytes:
+    (output_line, source_line, t, rapid), (nominal, printed, places, wrench) = origin, command
+    deflection, *distances = deviation
+    distances.append(np.full(len(t), np.nan) if bound is None else bound)
     columns: list[Bytes] = [
-        decimals.fixed(result.output_line[part].astype(float), 0),
-        decimals.fixed(moved.line[motion].astype(float), 0),
-        decimals.fixed(result.t[part], _PLACE),
-        decimals.fixed(moved.rapid[motion].astype(float), 0),
-        *_block(xyzabc_from_pose(result.nominal[part]), _NOMINAL),
-        *_block(result.printed[part], _COMMAND[result.program.dialect]),
-        *_block(result.wrench[part], _WRENCH),
-        *_block(result.deflection[part] * MM_PER_M, (_LENGTH,) * 3),
-        *(decimals.fixed(values * MM_PER_M, _LENGTH) for values in (result.before[part], result.after[part], bound)),
-        *_block(result.q[part] * DEG_PER_RAD, (_ANGLE,) * 6),
+        decimals.fixed(output_line.astype(float), 0),
+        decimals.fixed(source_line.astype(float), 0),
+        decimals.fixed(t, _PLACE),
+        decimals.fixed(rapid.astype(float), 0),
+        *_block(xyzabc_from_pose(nominal), _NOMINAL),
+        *_block(printed, places),
+        *_block(wrench, _WRENCH),
+        *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
+        *(decimals.fixed(values * MM_PER_M, _LENGTH) for values in distances),
+        *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),
     ]
     parts: list[Bytes | bytes] = [piece for column in columns for piece in (column, b",")]
     parts[-1] = b"\n"

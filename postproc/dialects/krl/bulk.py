@@ -13,11 +13,15 @@ import warnings
 import numpy as np
 
 from postproc.decimals import Bytes
-from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, none
+from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, joined, none
 from postproc.dialects.krl.source import Source
+from postproc.dialects.text import line_spans
 from postproc.frames import Array
+from postproc.parallel import Run, here
 from postproc.program import LIN, PTP, Bools, Ints
 
+_LINES = 8192
+"""Lines read at once: what is made of more does not fit the cache."""
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
 _NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
@@ -51,24 +55,37 @@ _BLANK = np.zeros(256, dtype=np.bool_)
 _BLANK[[9, 10, 13, 32]] = True
 
 
-def scan(source: Source) -> Rows:
+def scan(source: Source, run: Run = here) -> Rows:
     """Return the plain motions of a document, wherever they stand.
 
-    :raises ProgramError: a number is not finite.
+    :param run: where the pieces of a long text are worked on.
     """
-    plain = _scan(source, _RUNS)  # is right unless something that looks like a number is none, such as 1.2.3
-    return plain if plain is not None else _scan(source, _RUNS_STRICT) or none()
+    text, first = source.text, source.starts[::_LINES]
+    last = np.append(first[1:], len(text))
+    found = run(_plain, len(first), lambda piece: (text[first[piece] : last[piece]],))
+    return joined(
+        [rows.shifted(piece * _LINES, int(first[piece])) for piece, rows in enumerate(found) if len(rows)] or [none()]
+    )
 
 
-def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
+def _plain(text: str) -> Rows:
+    """Return the plain motions of a piece of text; lines and offsets count from its start."""
+    starts, _ = line_spans(text)
+    plain = _scan(text, starts, _RUNS)  # is right unless something that looks like a number is none, such as 1.2.3
+    if plain is None:
+        plain = _scan(text, starts, _RUNS_STRICT) or none()
+    endless: Bools = np.isinf(plain.numbers).any(axis=1)  # 1E999: refused where it is read with the statements
+    return plain.take(~endless) if endless.any() else plain
+
+
+def _scan(text: str, line_starts: Ints, expression: re.Pattern[str]) -> Rows | None:
     """Return the lines that an expression takes; None if one of their numbers cannot be read."""
-    text = source.text
     runs = [match.span() for match in expression.finditer(text)]
     if not runs:
         return none()
     edges = np.array(runs)
-    first = np.searchsorted(source.starts, edges[:, 0])
-    count = np.searchsorted(source.starts, edges[:, 1]) - first
+    first = np.searchsorted(line_starts, edges[:, 0])
+    count = np.searchsorted(line_starts, edges[:, 1]) - first
     index = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     body = b"".join([text[start:stop].encode("ascii", "replace") for start, stop in runs])
     if b";" in body:
@@ -76,7 +93,7 @@ def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
     raw = np.frombuffer(body, dtype=np.uint8)
     before = np.cumsum(edges[:, 1] - edges[:, 0]) - (edges[:, 1] - edges[:, 0])
     shift = np.repeat(edges[:, 0] - before, count)
-    begins = source.starts[index] - shift
+    begins = line_starts[index] - shift
 
     digits = _digits(body)
     values = _values(digits)
@@ -93,9 +110,6 @@ def _scan(source: Source, expression: re.Pattern[str]) -> Rows | None:
     numbers[row, column] = values.reshape(shape)
     spans[row, column, 0] = starts.reshape(shape) + offset
     spans[row, column, 1] = stops.reshape(shape) + offset
-    if not np.isfinite(values).all():
-        start, stop = spans[np.isinf(numbers)][0].tolist()
-        raise source.error(f"{text[start:stop]} is not a finite number", start)
 
     keyword = _skip_blanks(raw, begins, 1)
     letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,17 @@ class Rows:
             columns.append(out)
         return Rows(*columns)
 
+    def shifted(self, lines: int, characters: int) -> Rows:
+        """Return the same motions further down in a text."""
+        return replace(
+            self,
+            line=self.line + lines,
+            spans=np.where(self.spans < 0, self.spans, self.spans + np.int32(characters)),
+            keyword=self.keyword + characters,
+            target=self.target + characters,
+            tail=self.tail + characters,
+        )
+
 
 class Collector:
     """Takes statements one by one; keeps the plain ones as rows only.
@@ -99,7 +110,7 @@ class Collector:
         Numbers of axis and relative targets are left out, except E1…E6.
         """
         self._convert()
-        return Rows(*(np.concatenate([getattr(rows, column.name) for rows in self._done]) for column in fields(Rows)))
+        return joined(self._done)
 
 
 def _of_moves(moves: Sequence[Move]) -> Rows:
@@ -134,6 +145,11 @@ def _of_moves(moves: Sequence[Move]) -> Rows:
 
 def _ints(values: Sequence[object]) -> Ints:
     return np.array(values, dtype=np.int64)
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Return all motions of some parts (at least one), in order."""
+    return Rows(*(np.concatenate([getattr(rows, column.name) for rows in parts]) for column in fields(Rows)))
 
 
 def none() -> Rows:
