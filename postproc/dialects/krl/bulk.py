@@ -74,8 +74,8 @@ def _plain(text: str) -> Rows:
     plain = _scan(text, starts, _RUNS)  # is right unless something that looks like a number is none, such as 1.2.3
     if plain is None:
         plain = _scan(text, starts, _RUNS_STRICT) or none()
-    endless: Bools = np.isinf(plain.numbers).any(axis=1)  # 1E999: refused where it is read with the statements
-    return plain.take(~endless) if endless.any() else plain
+    endless = np.flatnonzero(np.isinf(plain.numbers).any(axis=1))  # 1E999: refused where it is read with the statements
+    return plain.take(np.delete(np.arange(len(plain)), endless)) if len(endless) else plain
 
 
 def _scan(text: str, line_starts: Ints, expression: re.Pattern[str]) -> Rows | None:
