@@ -17,8 +17,8 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
-from postproc.frames import Array, twist_between
-from postproc.parallel import Run, here
+from postproc.frames import Array, largest, twist_between
+from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.program import Ints
 from postproc.robot import RobotModel
 
@@ -26,7 +26,6 @@ POSITION_TOLERANCE = 1e-8
 """What may be left between actual and target position [m]; 1e-7 is asked for."""
 ROTATION_TOLERANCE = 1e-9
 """What may be left between actual and target orientation [rad]; 1e-8 is asked for."""
-_CHUNK = 8192
 _MAX_ITERATIONS = 30
 
 
@@ -82,16 +81,6 @@ def compensate(
     )
 
 
-def chunk_count(count: int) -> int:
-    """Return how many chunks that fit the cache `count` rows make; one, empty, for none."""
-    return max(1, -(-count // _CHUNK))
-
-
-def chunk_rows(index: int) -> slice:
-    """Return the rows of a chunk."""
-    return slice(index * _CHUNK, (index + 1) * _CHUNK)
-
-
 def _compensate_chunk(
     robot: RobotModel, begin: int, target: Array, q_nominal: Array, tool: Array, wrench: Array
 ) -> Compensation:
@@ -117,7 +106,7 @@ def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wren
         # what the coordinates between the joints still have to move displaces the tool by as much
         move = jacobian[:, :, passive] @ (theta - x)[:, passive, None]
         left = missed + np.abs(move[..., 0])
-        bad = (left[:, :3].max(axis=1) > POSITION_TOLERANCE) | (left[:, 3:].max(axis=1) > ROTATION_TOLERANCE)
+        bad = (largest(left[:, :3]) > POSITION_TOLERANCE) | (largest(left[:, 3:]) > ROTATION_TOLERANCE)
         if not bad.any():
             return (x - theta)[:, actuated], theta
         x[:, passive] = theta[:, passive]

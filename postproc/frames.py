@@ -8,6 +8,9 @@ All functions take any number of leading axes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import reduce
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,8 +23,9 @@ DEG_PER_RAD = 180.0 / np.pi
 _POLE = 1e-9
 """Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
 _SMALL_SINE = 5e-3
-"""Below this the series of asin to the fifth power is exact to 1e-16."""
+"""Below this the series of asin and of Rodrigues' factors to the fifth power are exact to 1e-16."""
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
+_BLOCK = 4096
 
 
 def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
@@ -33,7 +37,16 @@ def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
     >>> pose_from_xyzabc([0, 0, 1000, 0, 90, 0]).round(6).tolist()[0]
     [0.0, 0.0, 1.0, 0.0]
     """
-    values: Array = np.asarray(xyzabc, dtype=float) * _TO_SI
+    values: Array = np.asarray(xyzabc, dtype=float)
+    rows = values.reshape(-1, 6)
+    pose = np.empty((len(rows), 4, 4))
+    for block in _blocks(len(rows)):
+        pose[block] = _pose(rows[block] * _TO_SI)
+    return pose.reshape(*values.shape[:-1], 4, 4)
+
+
+def _pose(values: Array) -> Array:
+    """Return poses of (n, 6) position [m] and A, B, C [rad]."""
     sin, cos = np.sin(values[..., 3:]), np.cos(values[..., 3:])
     (sa, sb, sc), (ca, cb, cc) = np.moveaxis(sin, -1, 0), np.moveaxis(cos, -1, 0)
     pose = np.zeros((*values.shape[:-1], 4, 4))
@@ -45,12 +58,26 @@ def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
     return pose
 
 
+def _blocks(count: int) -> Iterator[slice]:
+    """Yield slices of so many rows that they stay in the cache, where several passes over them cost little."""
+    return (slice(begin, begin + _BLOCK) for begin in range(0, count, _BLOCK))
+
+
 def xyzabc_from_pose(pose: Array) -> Array:
     """Return KUKA frames (..., 6) [mm, deg] of poses (..., 4, 4) [m]; A, B, C in (−180, 180].
 
     At B = ±90°, where A and C are not unique, A is 0 and the three still compose to the given rotation: C is taken
     from what remains after A and B, not from entries that vanish there.
     """
+    rows = pose.reshape(-1, 4, 4)
+    xyzabc = np.empty((len(rows), 6))
+    for block in _blocks(len(rows)):
+        xyzabc[block] = _xyzabc(rows[block])
+    return xyzabc.reshape(*pose.shape[:-2], 6)
+
+
+def _xyzabc(pose: Array) -> Array:
+    """Return X, Y, Z [mm], A, B, C [deg] of (n, 4, 4) poses."""
     r = pose[..., :3, :3]
     at_pole = np.hypot(r[..., 1, 0], r[..., 0, 0]) < _POLE
     a = np.where(at_pole, 0.0, np.arctan2(r[..., 1, 0], r[..., 0, 0]))
@@ -107,6 +134,16 @@ def rotation_vector(rotation: Array) -> Array:
     return vector
 
 
+def norm(vector: Array) -> Array:
+    """Return the lengths (...) of vectors (..., k)."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vector, vector)))
+
+
+def largest(values: Array) -> Array:
+    """Return the largest magnitude in each row (n,) of (n, k) values, k ≥ 1; much faster than `max` over short rows."""
+    return reduce(np.maximum, np.abs(values).T)
+
+
 def hat(vector: Array) -> Array:
     """Return the skew matrices (..., 3, 3) of vectors (..., 3): the product with b is the cross product with b."""
     out = np.zeros((*vector.shape, 3))
@@ -118,10 +155,14 @@ def hat(vector: Array) -> Array:
 
 def rotation_from_vector(vector: Array) -> Array:
     """Return rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    square = np.einsum("...i,...i->...", vector, vector)[..., None, None]
     skew = hat(vector)
-    a = np.sinc(angle / np.pi)
-    b = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    if square.max(initial=0.0) < _SMALL_SINE**2:
+        a = 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0))
+        b = 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0))
+    else:
+        angle = np.sqrt(square)
+        a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     rotation: Array = np.eye(3) + a * skew + b * (skew @ skew)
     return rotation
 

@@ -17,6 +17,20 @@ _AHEAD = 2
 """Chunks that wait at the helper, so that it never does."""
 
 
+_ROWS = 8192
+"""Rows of a chunk: with their matrices they fit the cache."""
+
+
+def chunk_count(count: int) -> int:
+    """Return how many chunks `count` rows make; one, empty, for none."""
+    return max(1, -(-count // _ROWS))
+
+
+def chunk_rows(index: int) -> slice:
+    """Return the rows of a chunk."""
+    return slice(index * _ROWS, (index + 1) * _ROWS)
+
+
 class Run(Protocol):
     """Calls a function for chunk 0…count − 1 of its arguments and returns the results in order."""
 
@@ -54,21 +68,26 @@ class Shared:
 
     def __init__(self, helper: Executor) -> None:
         self._helper = helper
+        self._promised: list[Future[Any]] = []
 
     def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
-        """Work from the front here while the helper works from the back."""
+        """Work from the front here, and at the helper from the back once it is through with what was left to it."""
         front: list[T] = []
         waiting: list[Future[T]] = []
         last = count
         try:
             while len(front) < last:
-                while sum(not future.done() for future in waiting) < _AHEAD and len(front) + 1 < last:
+                while self._ahead(waiting) < _AHEAD and len(front) + 1 < last:
                     waiting.append(self._helper.submit(function, *chunk(last - 1)))
                     last -= 1
                 front.append(function(*chunk(len(front))))
             return front + [future.result() for future in reversed(waiting)]
         except BrokenExecutor:
             return front + [function(*chunk(index)) for index in range(len(front), count)]
+
+    def _ahead(self, waiting: list[Future[T]]) -> int:
+        """Return how many chunks the helper still has before it."""
+        return sum(not future.done() for future in (*self._promised, *waiting))
 
     def later(
         self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
@@ -78,6 +97,7 @@ class Shared:
             futures = [self._helper.submit(function, *chunk(index)) for index in range(count)]
         except BrokenExecutor:
             return here.later(function, count, chunk)
+        self._promised = [*futures]
 
         def results() -> list[T]:
             try:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.frames import RAD_PER_DEG, Array, interpolated, inverse, twist_between
+from postproc.frames import RAD_PER_DEG, Array, interpolated, inverse, norm, twist_between
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program
 
 _STEP = 0.020
@@ -93,13 +93,13 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     m = program.motions
     start = starts(program, m.target, start_flange_in_root)
     between = twist_between(start, m.target)
-    length = np.linalg.norm(between[:, :3], axis=1)
+    length = norm(between[:, :3])
     arcs = np.flatnonzero(m.kind == CIRC)
-    radius = np.linalg.norm(start[arcs, :3, 3] - m.centre[arcs], axis=1)
+    radius = norm(start[arcs, :3, 3] - m.centre[arcs])
     rise = np.einsum("ni,ni->n", between[arcs, :3], m.normal[arcs])
     length[arcs] = np.hypot(radius * m.sweep[arcs], rise)
     length[m.kind == PTP] = 0.0
-    return Segments(start, length, np.linalg.norm(between[:, 3:], axis=1))
+    return Segments(start, length, norm(between[:, 3:]))
 
 
 def places(
@@ -129,7 +129,7 @@ def places(
     arcs = np.flatnonzero(m.kind == CIRC)
     step = np.full(len(arcs), _ARC)
     if linearize_arcs:
-        radius = np.linalg.norm(path.start[arcs, :3, 3] - m.centre[arcs], axis=1)
+        radius = norm(path.start[arcs, :3, 3] - m.centre[arcs])
         step = np.minimum(step, 2.0 * np.sqrt(tolerance / np.maximum(radius, tolerance)))
     count[arcs] = np.maximum(count[arcs], 2.0 * np.ceil(m.sweep[arcs] / step / 2.0 - 1e-9))
     count[m.kind == PTP] = 1.0
@@ -198,7 +198,7 @@ def _on_arc(program: Program, path: Segments, motion: Ints, t: Array) -> tuple[A
     sin, cos = np.sin(sweep * t[:, None]), np.cos(sweep * t[:, None])
     # programmed radii at start and end may differ by the tolerance of the control: the radius then changes linearly
     end = m.target[motion, :3, 3] - m.centre[motion] - height - climb
-    growth = (np.linalg.norm(end, axis=1) / np.linalg.norm(radial, axis=1) - 1.0)[:, None]
+    growth = (norm(end) / norm(radial) - 1.0)[:, None]
     scale = 1.0 + growth * t[:, None]
     spot = m.centre[motion] + height + scale * (cos * radial + sin * across) + climb * t[:, None]
     turning = sweep * scale * (cos * across - sin * radial)

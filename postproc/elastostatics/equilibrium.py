@@ -23,7 +23,8 @@ from postproc.elastostatics.springs import (
     spring_deflection,
 )
 from postproc.errors import NotConvergedError
-from postproc.frames import Array, displaced, twist_between
+from postproc.frames import Array, displaced, largest, twist_between
+from postproc.parallel import chunk_count, chunk_rows
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
@@ -36,7 +37,6 @@ _FIRST_RATIO = 0.02
 _MAX_ITERATIONS = 40
 _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model means nothing: an error, not a number."""
-_CHUNK = 8192
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +73,7 @@ def deflect(
     """
     count = len(q)
     theta, pose, rest = np.empty((count, robot.actual.nv)), np.empty((count, 4, 4)), np.empty((count, 4, 4))
-    for begin in range(0, count, _CHUNK):
-        part = slice(begin, begin + _CHUNK)
+    for part in map(chunk_rows, range(chunk_count(count))):
         tools = tool if tool.ndim == 2 else tool[part]
         x0 = coordinates(robot, q[part])
         rest[part] = kinematics.tcp(robot.loaded, x0, tools)[0] if unloaded is None else unloaded[part]
@@ -82,7 +81,7 @@ def deflect(
         try:
             theta[part], pose[part] = _fixed_point(robot, x0, start, tools, wrench[part])
         except NotConvergedError as cause:
-            raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
+            raise NotConvergedError(str(cause), [part.start + row for row in cause.rows]) from None
     return Deflection(theta, pose, rest)
 
 
@@ -104,7 +103,7 @@ def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench
         theta[rows] += step
         moved = np.einsum("nij,nj->ni", jacobian, step)
         pose[rows] = displaced(here, moved)
-        size = np.abs(moved[:, :3]).max(axis=1, initial=0.0) + np.abs(moved[:, 3:]).max(axis=1, initial=0.0)
+        size = largest(moved[:, :3]) + largest(moved[:, 3:])
         more = _unfinished(rows, size, previous[rows], _POSITION_TOLERANCE)
         previous[rows] = size
         rows = rows[more]
@@ -142,7 +141,7 @@ def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array, weig
         step -= theta[rows]
         step[:, robot.actuated[A2]] /= compensator_share(robot, x[rows], slope)
         theta[rows] += step
-        size = np.abs(step).max(axis=1, initial=0.0)
+        size = largest(step)
         more = _unfinished(rows, size, previous[rows], _SPRING_TOLERANCE)
         previous[rows] = size
         rows = rows[more]
@@ -161,6 +160,6 @@ def _unfinished(rows: Ints, size: Array, previous: Array, tolerance: float) -> B
 
 
 def _check_size(theta: Array) -> None:
-    large = np.abs(theta).max(axis=1, initial=0.0) > _LARGEST_DEFLECTION
+    large = largest(theta) > _LARGEST_DEFLECTION
     if large.any():
         raise NotConvergedError("the load is beyond what the springs hold", np.flatnonzero(large).tolist())

@@ -6,7 +6,7 @@ import numpy as np
 
 from postproc.errors import ForceError
 from postproc.forces.per_motion import FEED, TOOL, MotionForces
-from postproc.frames import MM_PER_M, Array
+from postproc.frames import MM_PER_M, Array, largest, norm
 from postproc.program import Ints, Program
 from postproc.toolpath import Segments, Toolpath, at, tangent
 
@@ -40,7 +40,7 @@ def kinks(program: Program, path: Segments, forces: MotionForces, axis: str, ram
     rows = np.arange(len(program.motions))
     before = _at_start(program, path, forces, axis)
     begin = _in_base(program, path, forces, rows, np.full(len(rows), 1e-9), axis)
-    changes = np.abs(begin - before).max(axis=1) > 1e-9
+    changes = largest(begin - before) > 1e-9
     long = path.length > ramp
     return np.where(changes & long, ramp / np.where(long, path.length, 1.0), 1.0)
 
@@ -80,7 +80,7 @@ def _feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str) ->
     z = -sign * sample.pose[:, :3, column]
     travel = tangent(program, path, sample.motion, sample.t)
     across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
-    sine = np.linalg.norm(across, axis=1)
+    sine = norm(across)
     bad = np.flatnonzero(sine < _PARALLEL)
     if len(bad):
         row = bad[0]

@@ -17,8 +17,9 @@ from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
 from postproc.errors import ModelError, PostprocError
-from postproc.frames import Array, displaced, inverse, rotation_from_vector, twist_between
+from postproc.frames import Array, displaced, inverse, largest, rotation_from_vector, twist_between
 from postproc.kinematics.chain import tcp
+from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
@@ -28,8 +29,6 @@ _ZERO = 1e-6
 """A joint angle within this of zero [rad] is zero: its sign is rounding."""
 _SMALL_STEP = 1e-5
 _OFF_WRIST = 1e-3
-_CHUNK = 8192
-"""Poses that are solved at once: all eight branches of more do not fit the cache."""
 
 
 class UnreachableError(PostprocError):
@@ -85,7 +84,7 @@ class ClosedForm:
         wrist = RigidTransform.from_matrix(pose_flange_in_root @ inverse(self.flange_in_wrist))
         # limits that nothing meets: the solver then skips the singular values, which are not used here
         nothing = [(10.0, 11.0)] * 6
-        return np.asarray(self.arm.reach(wrist, joint_limits=nothing, threads=0).joints)
+        return np.asarray(self.arm.reach(wrist, joint_limits=nothing, threads=1).joints)
 
 
 @lru_cache(maxsize=16)
@@ -188,7 +187,7 @@ def branch_of(robot: RobotModel, q: Array) -> int:
         q[4] = _OFF_WRIST
     pose, _ = tcp(robot.nominal, q[None], np.eye(4))
     candidates = closed_form(robot).branches(pose)[0]
-    distance = np.abs(_wrapped(candidates - q)).max(axis=1)
+    distance = largest(_wrapped(candidates - q))
     return int(np.nanargmin(distance))
 
 
@@ -221,6 +220,7 @@ def follow(
     axis_target: Array,
     status: Ints,
     turn: Ints,
+    run: Run = here,
 ) -> JointPath:
     """Solve a path by the controller's geometry, continuous from the start.
 
@@ -234,13 +234,14 @@ def follow(
     :param axis_target: (N, 6) joint angles of PTP moves to an axis target [rad], NaN elsewhere.
     :param status: (N,) S of PTP targets, −1 where none.
     :param turn: (N,) T of PTP targets, −1 where none.
+    :param run: where the chunks are worked on.
     :raises UnreachableError: a pose has no solution on its branch.
     """
     count = len(pose_flange_in_root)
     jumps = np.flatnonzero(free)
     by_axes = np.isfinite(axis_target[:, 0]) & free
     branch = _branches_along(robot, pose_flange_in_root, start, jumps, axis_target, status)
-    q = _on_branches(robot, pose_flange_in_root, branch)
+    q = _on_branches(robot, pose_flange_in_root, branch, run)
     q[by_axes] = axis_target[by_axes]
     unreached = np.flatnonzero(np.isnan(q).any(axis=1))
     if len(unreached):
@@ -268,13 +269,19 @@ def _branches_along(
     return np.repeat(slots, np.diff(jumps, prepend=0, append=len(pose)))
 
 
-def _on_branches(robot: RobotModel, pose: Array, branch: Ints) -> Array:
+def _on_branches(robot: RobotModel, pose: Array, branch: Ints, run: Run = here) -> Array:
     """Return joint angles (N, 6) of flange poses on given branches; NaN out of reach."""
-    form, out = closed_form(robot), np.empty((len(pose), 6))
-    for begin in range(0, len(pose), _CHUNK):
-        rows = slice(begin, begin + _CHUNK)
-        out[rows] = np.take_along_axis(form.branches(pose[rows]), branch[rows, None, None], axis=1)[:, 0]
-    return out
+
+    def chunk(index: int) -> tuple[object, ...]:
+        rows = chunk_rows(index)
+        return robot, pose[rows], branch[rows]
+
+    return np.concatenate(run(_chosen, chunk_count(len(pose)), chunk))
+
+
+def _chosen(robot: RobotModel, pose: Array, branch: Ints) -> Array:
+    # of all eight branches but one is kept
+    return np.asarray(np.take_along_axis(closed_form(robot).branches(pose), branch[:, None, None], axis=1)[:, 0])
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints, near: Array) -> Array:
@@ -334,7 +341,7 @@ def refine(
     rows = np.arange(len(q))
     for _ in range(steps):
         error = twist_between(pose[rows], target[rows])
-        off = (np.abs(error[:, :3]).max(axis=1) > 1e-10) | (np.abs(error[:, 3:]).max(axis=1) > 1e-11)
+        off = (largest(error[:, :3]) > 1e-10) | (largest(error[:, 3:]) > 1e-11)
         rows, error = rows[off], error[off]
         square = jacobian[rows][:, :, columns]
         solvable = np.abs(np.linalg.det(square)) > 1e-12
@@ -343,7 +350,7 @@ def refine(
             break
         step = np.linalg.solve(square, error[..., None])[..., 0]
         q[rows[:, None], columns] += np.clip(step, -0.2, 0.2)
-        small = np.abs(step).max(axis=1) < _SMALL_STEP
+        small = largest(step) < _SMALL_STEP
         done = rows[small]
         pose[done] = displaced(pose[done], np.einsum("nij,nj->ni", square[small], step[small]))
         rows = rows[~small]

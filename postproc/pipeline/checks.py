@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc import kinematics
 from postproc.errors import Issue, Level
-from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, rotation_vector
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector
 from postproc.kinematics import JointPath
 from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
@@ -87,7 +87,7 @@ def singularities(
     )
     turned = np.abs(np.diff(q, axis=0, prepend=q[:1]))
     same_branch = np.diff(path.branch, prepend=path.branch[:1]) == 0
-    jump = linear & same_branch & (turned.max(axis=1) > _JUMP) & ~(wrist | elbow | shoulder)
+    jump = linear & same_branch & (largest(turned) > _JUMP) & ~(wrist | elbow | shoulder)
     flip = np.isin(np.argmax(turned, axis=1), (3, 5))
     yield from _first(
         program,
@@ -149,12 +149,12 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array
     here = np.diff(sample.motion) == 0
     same = here | (m.base[sample.motion[1:]] == m.base[sample.motion[:-1]])
     step = np.diff(sample.pose[:, :3, 3], axis=0)
-    nominal = np.linalg.norm(step, axis=1)
-    travel = np.maximum(nominal, np.linalg.norm(np.diff(position, axis=0), axis=1))
+    nominal = norm(step)
+    travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
     turned = np.abs(np.diff(q, axis=0))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
     relative = sample.pose[1:, :3, :3] @ np.swapaxes(sample.pose[:-1, :3, :3], 1, 2)
-    by_turning = np.linalg.norm(rotation_vector(relative), axis=1) * np.nan_to_num(feed) > _ORIENTATION_SPEED * nominal
+    by_turning = norm(rotation_vector(relative)) * np.nan_to_num(feed) > _ORIENTATION_SPEED * nominal
     usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
@@ -204,9 +204,9 @@ def blending(
     rounding = []
     for position in (nominal, command):
         run = np.diff(position, axis=0)
-        length = np.linalg.norm(run, axis=1)
+        length = norm(run)
         direction = run / np.where(length > 0.0, length, 1.0)[:, None]
-        turn = np.linalg.norm(np.diff(direction, axis=0), axis=1)
+        turn = norm(np.diff(direction, axis=0))
         reach = np.minimum(blend[1:-1], 0.5 * np.minimum(length[:-1], length[1:]))
         rounding.append(0.25 * reach * turn)
     bad = np.zeros(len(motion), dtype=bool)

@@ -9,13 +9,13 @@ import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
-from postproc.compensation import Compensation, chunk_count, chunk_rows, compensate, uncorrected
+from postproc.compensation import Compensation, compensate, uncorrected
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
-from postproc.frames import M_PER_MM, Array, twist_between, xyzabc_from_pose
+from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.parallel import Run, here
+from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.pipeline import checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
@@ -149,7 +149,7 @@ def process(
         joint_margin=kinematics.joint_margin(robot, sampled.command.q).min(axis=0),
         singular_value=kinematics.smallest_singular_value(robot, chosen.q, frames[0]),
         between=between,
-        largest_correction=float(np.linalg.norm(correction, axis=1).max(initial=0.0)),
+        largest_correction=float(norm(correction).max(initial=0.0)),
         issues=group_issues(issues),
     )
 
@@ -182,7 +182,7 @@ def _sample(
     flange = toolpath.flange_from_tcp(program, motion, sample.pose)
     try:
         joints = kinematics.follow(
-            place.robot, flange, place.cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion]
+            place.robot, flange, place.cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion], run
         )
     except UnreachableError as cause:
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
@@ -234,7 +234,7 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     robot, sample, q = place.robot, sampled.sample, sampled.command.q
     flange = toolpath.flange_from_tcp(program, sample.motion, sampled.command.pose)
     position = sampled.command.pose[:, :3, 3]
-    correction = np.linalg.norm(position - sample.pose[:, :3, 3], axis=1)
+    correction = norm(position - sample.pose[:, :3, 3])
     return [
         *checks.start_joints(program, robot, place.cell.start_joints),
         *checks.status_and_turn(program, robot, sample, sampled.joints.q),
@@ -255,7 +255,7 @@ def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> Bools:
     if program.dialect == "gcode":
         return np.zeros(len(program.motions), dtype=bool)
     sample = sampled.sample
-    moved = np.abs(twist_between(sample.pose, sampled.command.pose)).max(axis=1) > _UNCHANGED
+    moved = largest(twist_between(sample.pose, sampled.command.pose)) > _UNCHANGED
     first = np.flatnonzero(np.concatenate([[True], np.diff(sample.motion) != 0]))
     start_moved = np.concatenate([[False], moved[sample.ends][:-1]])
     return np.asarray(~(np.maximum.reduceat(moved, first) | start_moved))
@@ -324,7 +324,7 @@ def _uncorrected(
         rest = nominal
         if not place.rest_is_nominal:
             rest = place.points_back(program, motion, np.concatenate([part[1] for part in done]))
-        return np.linalg.norm(tip - nominal, axis=1), tip - rest
+        return norm(tip - nominal), tip - rest
 
     return results
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.frames import Array
+from postproc.frames import Array, norm
 from postproc.program import CIRC, LIN, Bools, Ints
 from postproc.toolpath import Toolpath
 
@@ -142,8 +142,8 @@ def _is_flat(nodes: _Nodes, left: Ints, middle: Ints, right: Ints) -> Bools:
     """Return which pieces deviate from their chord by less than a micrometre: they are lines, not circles."""
     a, b, c = (nodes.position[index] for index in (left, middle, right))
     chord = c - a
-    length = np.linalg.norm(chord, axis=1)
-    height = np.linalg.norm(np.cross(chord, b - a), axis=1) / np.where(length > 0.0, length, 1.0)
+    length = norm(chord)
+    height = norm(np.cross(chord, b - a)) / np.where(length > 0.0, length, 1.0)
     return np.asarray((middle >= 0) & (length > 0.0) & (height < _FLAT))
 
 
@@ -163,7 +163,7 @@ def _miss(nodes: _Nodes, left: Ints, right: Ints, middle: Ints, piece: Ints, nod
         turned = (angle[which] * share[on_arc])[:, None]
         spot = centre[which] + np.cos(turned) * radial[which] + np.sin(turned) * across[which]
         off[on_arc] = nodes.position[node[on_arc]] - spot
-    return np.asarray(np.linalg.norm(off, axis=1))
+    return norm(off)
 
 
 def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:

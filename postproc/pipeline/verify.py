@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
-from postproc.compensation import Compensation, chunk_count, chunk_rows
+from postproc.compensation import Compensation
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
-from postproc.frames import MM_PER_M, Array, twist_between
-from postproc.parallel import Run
+from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
+from postproc.parallel import Run, chunk_count, chunk_rows
 from postproc.pipeline import checks
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
@@ -101,7 +101,7 @@ def simulate(
     written_path = toolpath.segments(written, place.start_flange)
     ends = toolpath.at(program, path, targets.motion, targets.t).pose[:, :3, 3]
     correction = targets.pose[:, :3, 3] - ends
-    changed = np.linalg.norm(np.diff(correction, axis=0, prepend=correction[:1]), axis=1)
+    changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
     index, share = _probes(program, targets, m, row, written_path, changed)
     begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
     t = begin[index] + share * (targets.t - begin)[index]
@@ -115,8 +115,8 @@ def simulate(
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
         return _unusable(targets, issue)
     off = tip - nominal.pose[:, :3, 3]
-    after = np.linalg.norm(off[share == 1.0], axis=1)
-    distance = np.linalg.norm(off, axis=1)
+    after = norm(off[share == 1.0])
+    distance = norm(off)
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[nominal.motion]
     issues: list[Issue] = []
     if corrected:
@@ -176,7 +176,7 @@ def _tip(
 ) -> Array:
     """Return the loaded tip (n, 3) in the root [m] under commanded poses (n, 4, 4) in the root."""
     q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded)
-    missed = np.abs(twist_between(pose, commanded)).max(axis=1) > _REACHED
+    missed = largest(twist_between(pose, commanded)) > _REACHED
     if missed.any():
         raise NotConvergedError("a commanded pose is out of reach", (begin + np.flatnonzero(missed)).tolist())
     unloaded = pose if robot.geometry_is_nominal else None
@@ -191,7 +191,7 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     m, nominal = written.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
-    printed = np.abs(twist_between(m.target[row], targets.pose)).max(axis=1) > _PRINTED
+    printed = largest(twist_between(m.target[row], targets.pose)) > _PRINTED
     wrong = printed | (m.kind[row] != targets.kind)
     for frames, other, used, wanted in (
         (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.pipeline import Result
 from postproc.program import Ints
 from postproc.report import charts
@@ -131,7 +131,7 @@ def _table(head: tuple[str, ...], rows: list[list[str]]) -> str:
 
 def _along(result: Result, position: Array, row: Ints) -> str:
     travelled = np.zeros(len(row))
-    np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1), out=travelled[1:])
+    np.cumsum(norm(np.diff(position, axis=0)), out=travelled[1:])
     travelled = travelled[np.flatnonzero(np.diff(row, append=len(result)))]
     unit, factor = ("mm", MM_PER_M) if travelled[-1] < 2.0 else ("m", 1.0)
     curves = [_deviation(result, result.before, "before: as programmed", "before")]
@@ -139,9 +139,9 @@ def _along(result: Result, position: Array, row: Ints) -> str:
         title = "after: as written (own scale)" if result.mode == "convert" else "as written"
         curves.append(_deviation(result, result.after, title, "after"))
     if result.mode == "convert":
-        moved = np.linalg.norm(result.printed[:, :3] - result.nominal[:, :3, 3] * MM_PER_M, axis=1)
+        moved = norm(result.printed[:, :3] - result.nominal[:, :3, 3] * MM_PER_M)
         curves.append(Curve("correction, mm", moved, "moved", 70))
-    curves.append(Curve("force, N", np.linalg.norm(result.wrench[:, :3], axis=1), "force", 70))
+    curves.append(Curve("force, N", norm(result.wrench[:, :3]), "force", 70))
     picture = charts.strips(
         travelled * factor,
         f"path travelled, {unit}",

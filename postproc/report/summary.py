@@ -6,10 +6,8 @@ import json
 import math
 from typing import TypedDict
 
-import numpy as np
-
 from postproc.errors import Issue
-from postproc.frames import DEG_PER_RAD, MM_PER_M
+from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.pipeline import Mode, Result, Statistics, statistics
 
 
@@ -77,7 +75,7 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
     before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
     reached = max(after.largest, result.between) if math.isfinite(result.between) else math.inf
     margin = result.joint_margin * DEG_PER_RAD
-    force = np.linalg.norm(result.wrench[:, :3], axis=1)
+    force = norm(result.wrench[:, :3])
     return Summary(
         program=result.program.documents[0].name,
         robot=result.robot,

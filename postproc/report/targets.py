@@ -7,7 +7,7 @@ import numpy as np
 from postproc import decimals
 from postproc.decimals import Bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
-from postproc.parallel import Run, here
+from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.pipeline import Result
 from postproc.program import Bools, Ints
 
@@ -26,7 +26,6 @@ _COMMAND = {"gcode": (4, 4, 4, 5, 5, 5), "krl": (6, 6, 6, 6, 6, 6)}
 """Decimals of commanded poses by dialect: those of the KRL written from G-code; the most that KRL input has."""
 _WRENCH = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
-_CHUNK = 8192
 
 
 def targets_csv(result: Result, run: Run = here) -> list[bytes]:
@@ -39,7 +38,7 @@ def targets_csv(result: Result, run: Run = here) -> list[bytes]:
     m = result.program.motions
 
     def piece(index: int) -> tuple[object, ...]:
-        part = slice(index * _CHUNK, (index + 1) * _CHUNK)
+        part = chunk_rows(index)
         motion = result.motion[part]
         return (
             (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
@@ -50,7 +49,7 @@ def targets_csv(result: Result, run: Run = here) -> list[bytes]:
         )
 
     head = (",".join(COLUMNS) + "\n").encode()
-    return [head, *run(_rows, -(-len(result) // _CHUNK), piece)]
+    return [head, *run(_rows, chunk_count(len(result)), piece)]
 
 
 def _rows(
