@@ -26,18 +26,41 @@ def fixed(values: Array, decimals: int) -> Bytes:
     >>> [bytes(row[row > 0]).decode() for row in fixed(np.array([1.5, -0.0004, float("nan")]), 3)]
     ['1.500', '0.000', '']
     """
+    if len(values) == 0:
+        return np.empty((0, 1), dtype=np.uint8)
     empty = np.isnan(values)
-    scaled = np.rint(np.where(empty, 0.0, values) * 10.0**decimals)
-    if not np.abs(scaled).max(initial=0.0) < 2.0**53:
+    none = bool(empty.any())
+    scaled = np.rint((np.where(empty, 0.0, values) if none else values) * 10.0**decimals)
+    magnitude = np.abs(scaled)
+    if not magnitude.max(initial=0.0) < 2.0**53:
         raise ValueError("a number is too large to be written")
-    magnitude = np.abs(scaled).astype(np.int64)
-    whole, fraction = np.divmod(magnitude, 10**decimals)
-    sign = np.where(scaled < 0, ord("-"), _ABSENT).astype(np.uint8)[:, None]
-    columns = [sign, _digits(whole, stripped=True)]
-    if decimals:
-        columns += [np.full_like(sign, ord(".")), _digits(fraction, stripped=False, width=decimals)]
-    out = np.concatenate(columns, axis=1)
-    out[empty] = _ABSENT
+    digits = magnitude.astype(np.uint64)
+    unit = np.uint64(10**decimals)
+    whole = digits // unit
+    groups = -(-len(str(int(whole.max(initial=0)))) // 4)
+    point = 1 + 4 * groups
+    out = np.empty((len(values), point + (1 + decimals if decimals else 0)), dtype=np.uint8)
+    if decimals:  # in fours from the right; what the first four have too many is then covered by the point and the rest
+        rest = _narrow(digits - whole * unit, 10**decimals)
+        for end in range(out.shape[1], point + 1, -4):
+            higher = rest // rest.dtype.type(10_000)
+            _fours(out, end)[...] = _FOUR[rest - higher * rest.dtype.type(10_000)]
+            rest = higher
+        out[:, point] = ord(".")
+    rest = _narrow(whole, 10 ** (4 * groups))
+    for end in range(point, 1, -4):
+        higher = rest // rest.dtype.type(10_000)
+        low = rest - higher * rest.dtype.type(10_000)
+        four = _FOUR_STRIPPED[low]
+        if groups > 1:
+            four = np.where(higher > 0, _FOUR[low], four)
+            if end < point:
+                four[rest == 0] = _ABSENT
+        _fours(out, end)[...] = four
+        rest = higher
+    np.multiply(scaled < 0.0, ord("-"), out=out[:, 0], casting="unsafe")
+    if none:
+        out[empty] = _ABSENT
     return out
 
 
@@ -45,25 +68,14 @@ _FOUR = np.frombuffer(b"".join(b"%04d" % n for n in range(10_000)), dtype=np.uin
 _FOUR_STRIPPED = np.frombuffer(b"".join((b"%d" % n).rjust(4, b"\0") for n in range(10_000)), dtype=np.uint32)
 
 
-def _digits(numbers: NDArray[np.int64], *, stripped: bool, width: int = 1) -> Bytes:
-    """Return the decimal digits of integers ≥ 0, four at a time by table; `stripped`: no leading zeros."""
-    groups: list[Bytes] = []
-    rest = numbers.astype(np.uint32) if numbers.max(initial=0) < 2**32 else numbers
-    while True:
-        higher = rest // rest.dtype.type(10_000)
-        low = rest - higher * rest.dtype.type(10_000)
-        four = _FOUR[low]
-        if stripped:
-            top = _FOUR_STRIPPED[low]
-            four = np.where(higher > 0, four, top)
-            if groups:
-                four[rest == 0] = _ABSENT
-        groups.insert(0, four.view(np.uint8).reshape(-1, 4))
-        rest = higher
-        if 4 * len(groups) >= width and not rest.any():
-            break
-    joined: Bytes = np.concatenate(groups, axis=1)
-    return joined if stripped else joined[:, joined.shape[1] - width :]
+def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:
+    """Return integers below a limit in 32 bits if they fit, which are divided faster."""
+    return numbers.astype(np.uint32) if limit <= 2**32 else numbers
+
+
+def _fours(out: Bytes, end: int) -> NDArray[np.uint32]:
+    """Return the four bytes before column `end` of each row (n,) as one number each."""
+    return np.ndarray(len(out), np.uint32, out, end - 4, out.shape[1:])
 
 
 def lines(parts: Sequence[Bytes | bytes]) -> bytes:

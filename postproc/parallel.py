@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -125,9 +126,10 @@ def helper_process(module: str, *, wanted: bool) -> Iterator[Run]:
     try:
         yield Shared(helper)
     finally:
-        helper.shutdown(wait=False, cancel_futures=True)
+        helper.shutdown(cancel_futures=True)
 
 
 def _import(module: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
+    atexit.register(os._exit, 0)  # the results are delivered: nobody need wait until all modules are torn down
     import_module(module)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from postproc.decimals import fixed, lines
@@ -12,6 +12,16 @@ from postproc.decimals import fixed, lines
 
 def texts(values, decimals):
     return [bytes(row[row > 0]).decode() for row in fixed(np.array(values, dtype=float), decimals)]
+
+
+@given(st.lists(st.floats(-9e15, 9e15) | st.floats(-2e4, 2e4), min_size=1, max_size=30), st.integers(0, 9))
+def test_digits_are_those_of_the_scaled_and_rounded_value(values, decimals):
+    scaled = [round(value * 10.0**decimals) for value in values]  # half to even, as an integer of any size
+    assume(max(map(abs, scaled)) < 2**53)
+    for number, text in zip(scaled, texts(values, decimals), strict=True):
+        digits = str(abs(number)).rjust(decimals + 1, "0")
+        point = len(digits) - decimals
+        assert text == ("-" if number < 0 else "") + digits[:point] + ("." + digits[point:] if decimals else "")
 
 
 @given(st.lists(st.floats(-1e7, 1e7), min_size=1, max_size=30), st.integers(0, 6))

@@ -17,7 +17,7 @@ from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
 from postproc.errors import ModelError, PostprocError
-from postproc.frames import Array, displaced, inverse, largest, rotation_from_vector, twist_between
+from postproc.frames import Array, displaced, inverse, largest, twist_between
 from postproc.kinematics.chain import tcp
 from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.program import Bools, Ints
@@ -76,8 +76,8 @@ class ClosedForm:
         :param a1: (N,) joint angle A1 [rad].
         """
         wrist = pose_flange_in_root[:, :3, :3] @ self.wrist_in_flange + pose_flange_in_root[:, :3, 3]
-        ahead = rotation_from_vector(a1[:, None] * self.a1_axis) @ self.ahead
-        return np.asarray(np.einsum("ni,ni->n", wrist, ahead))
+        aside = np.cross(self.a1_axis, self.ahead)
+        return np.asarray(np.cos(a1) * (wrist @ self.ahead) + np.sin(a1) * (wrist @ aside))
 
     def branches(self, pose_flange_in_root: Array) -> Array:
         """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""

@@ -101,10 +101,10 @@ def process(
             sampled = _sample(program, place, rows, mode, linearize_arcs, also, run)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
-        issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         targets, row = _targets(program, place, sampled, mode, linearize_arcs)
-        chosen = sampled.command.at(row)
         uncorrected_later = _uncorrected(program, place, sampled, row, run)
+        chosen = sampled.command.at(row)
+        issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated = None, None
         if mode != "predict" and not _blocked(issues):
             text = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)

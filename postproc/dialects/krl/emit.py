@@ -26,6 +26,7 @@ from postproc.dialects.krl.statements import written
 from postproc.dialects.krl.wanted import DECIMALS, printed
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import M_PER_MM, MM_PER_M, Array, xyzabc_from_pose
+from postproc.parallel import chunk_count, chunk_rows
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, Targets, Written
 
 _END = "\r\n"
@@ -33,7 +34,6 @@ _SPEED_DECIMALS = 6
 _FRAME_DECIMALS = 6
 _CORRECTED = 1e-9
 """Commands whose matrices differ by less than this from the programmed ones are nominal."""
-_BLOCK = 8192
 _HEADER = ("&ACCESS RVP", "&REL 1", "&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe")
 _HEADER_KRC2 = (*_HEADER, "&PARAM EDITMASK = *")
 _DECLARATIONS_KRC2 = ("EXT BAS (BAS_COMMAND :IN,REAL :IN )",)  # a KRC2 does not know BAS without it
@@ -122,7 +122,7 @@ class _Emitter:
         ends = np.flatnonzero(self.last)
         return any(
             np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
-            for part in np.array_split(ends, len(ends) // _BLOCK + 1)
+            for part in (ends[chunk_rows(index)] for index in range(chunk_count(len(ends))))
             if len(part)
         )
 
@@ -222,21 +222,23 @@ class _Emitter:
     def _print(self, kind: int, approximated: Bools) -> tuple[bytes, Ints]:
         """Return the lines of all targets of a kind, and where each of them ends."""
         k = np.flatnonzero(self.targets.kind == kind)
-        if not len(k):
-            return b"", k
+        chunks = [k[chunk_rows(index)] for index in range(chunk_count(len(k)))]
+        text = b"".join([self._lines(kind, rows, approximated[rows]) for rows in chunks if len(rows)])
+        return text, np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n")) + 1
+
+    def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
+        """Return the lines of some targets of a kind."""
         numbers = xyzabc_from_pose(self.targets.pose[k])
         end = _aggregate(numbers)
-        tail: list[Bytes | bytes] = [_where(b" C_DIS", approximated[k]), b"\r\n"]
+        tail: list[Bytes | bytes] = [_where(b" C_DIS", approximated), b"\r\n"]
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]
             end = [*end[:-1], *_bits(b",S ", status), *_bits(b",T ", turn), b"}"]
-            text = lines([b"PTP ", *end, *tail])
-        elif kind == CIRC:
+            return lines([b"PTP ", *end, *tail])
+        if kind == CIRC:
             via = _aggregate(self.targets.via[k] * MM_PER_M)
-            text = lines([b"CIRC ", *via, b",", *end, *tail])
-        else:
-            text = lines([b"LIN ", *end, *tail])
-        return text, np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n")) + 1
+            return lines([b"CIRC ", *via, b",", *end, *tail])
+        return lines([b"LIN ", *end, *tail])
 
     def _joined(self, head: list[str], printed: list[tuple[bytes, Ints]]) -> tuple[str, Ints]:
         """Return the text of the program, and the line of each target (K,)."""
