@@ -18,7 +18,6 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, largest, twist_between
-from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.program import Ints
 from postproc.robot import RobotModel
 
@@ -54,9 +53,7 @@ def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
     return Compensation(q, kinematics.tcp(robot.nominal, q, tool)[0], np.zeros((len(q), robot.actual.nv)))
 
 
-def compensate(
-    robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array, run: Run = here
-) -> Compensation:
+def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
     """Find the commands under which the loaded tool stands at its targets.
 
     :param robot: the robot (with its payload).
@@ -64,30 +61,9 @@ def compensate(
     :param q_nominal: (N, 6) joint angles of the uncorrected targets by the nominal geometry [rad]: they fix the branch.
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param run: where the chunks are worked on.
     :raises NotConvergedError: some target cannot be held; `rows` says which.
     """
-
-    def chunk(index: int) -> tuple[object, ...]:
-        rows = chunk_rows(index)
-        part = tool if tool.ndim == 2 else tool[rows]
-        return robot, rows.start, target[rows], q_nominal[rows], part, wrench[rows]
-
-    parts = run(_compensate_chunk, chunk_count(len(target)), chunk)
-    return Compensation(
-        q=np.concatenate([part.q for part in parts]),
-        pose=np.concatenate([part.pose for part in parts]),
-        theta=np.concatenate([part.theta for part in parts]),
-    )
-
-
-def _compensate_chunk(
-    robot: RobotModel, begin: int, target: Array, q_nominal: Array, tool: Array, wrench: Array
-) -> Compensation:
-    try:
-        q, theta = _solve(robot, target, q_nominal, tool, wrench)
-    except NotConvergedError as cause:
-        raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
+    q, theta = _solve(robot, target, q_nominal, tool, wrench)
     return Compensation(q, kinematics.tcp(robot.nominal, q, tool)[0], theta)
 
 

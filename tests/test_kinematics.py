@@ -115,14 +115,14 @@ def test_follow_keeps_turns_and_branch_along_a_line_and_takes_s_and_t_of_a_ptp(m
     pose, _ = kinematics.tcp(model.nominal, q, np.eye(4))
     n = len(q)
     none, nothing = np.full(n, -1), np.full((n, 6), np.nan)
-    path = kinematics.follow(model, pose, start, np.zeros(n, dtype=bool), nothing, none, none)
+    path = kinematics.follow(model, pose.__getitem__, start, np.zeros(n, dtype=bool), nothing, none, none)
     np.testing.assert_allclose(path.q, q, atol=1e-9)
     flipped = np.radians([10.0, -70.0, 100.0, -10.0, -40.0, 20.0])
     free = np.zeros(n, dtype=bool)
     free[0] = True
     status, turn = none.copy(), none.copy()
     status[0], turn[0] = kinematics.status_of(model, flipped[None])[0], kinematics.turn_of(flipped[None])[0]
-    path = kinematics.follow(model, pose, start, free, nothing, status, turn)
+    path = kinematics.follow(model, pose.__getitem__, start, free, nothing, status, turn)
     np.testing.assert_allclose(path.q[0], flipped, atol=1e-9)
     np.testing.assert_allclose(kinematics.tcp(model.nominal, path.q, np.eye(4))[0], pose, atol=1e-9)
 
@@ -132,8 +132,8 @@ def test_out_of_reach_names_the_rows(model):
     pose[:, :3, 3] = [[1.2, 0.2, 1.0], [9.0, 0, 1.0], [1.2, 0.2, 1.0]]
     with pytest.raises(kinematics.UnreachableError) as found:
         kinematics.follow(
-            model, pose, np.radians([0, -70, 110, 0, 50, 0]), np.zeros(3, dtype=bool), np.full((3, 6), np.nan),
-            np.full(3, -1), np.full(3, -1),
+            model, pose.__getitem__, np.radians([0, -70, 110, 0, 50, 0]), np.zeros(3, dtype=bool),
+            np.full((3, 6), np.nan), np.full(3, -1), np.full(3, -1),
         )  # fmt: skip
     assert 1 in found.value.rows
 

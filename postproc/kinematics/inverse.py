@@ -6,7 +6,7 @@ against Pinocchio. A calibrated geometry, which has no closed form, is reached f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -70,12 +70,12 @@ class ClosedForm:
     ahead: Array
     a1_axis: Array
 
-    def wrist_reach(self, pose_flange_in_root: Array, a1: Array) -> Array:
+    def wrist_reach(self, wrist: Array, a1: Array) -> Array:
         """Return how far in front of the A1 axis the wrist centre stands (N,) [m]; negative: overhead.
 
+        :param wrist: (N, 3) the wrist centre in the root [m].
         :param a1: (N,) joint angle A1 [rad].
         """
-        wrist = pose_flange_in_root[:, :3, :3] @ self.wrist_in_flange + pose_flange_in_root[:, :3, 3]
         aside = np.cross(self.a1_axis, self.ahead)
         return np.asarray(np.cos(a1) * (wrist @ self.ahead) + np.sin(a1) * (wrist @ aside))
 
@@ -202,7 +202,7 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
     """
     form = closed_form(robot)
     pose, _ = tcp(robot.nominal, q, np.eye(4))
-    behind = form.wrist_reach(pose, q[:, 0]) < 0.0
+    behind = form.wrist_reach(pose[:, :3] @ np.append(form.wrist_in_flange, 1.0), q[:, 0]) < 0.0
     beyond = _wrapped(q[:, 2] - form.elbow_stretched) >= 0.0
     return np.asarray(behind * 1 + beyond * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)
 
@@ -214,7 +214,7 @@ def turn_of(q: Array) -> Ints:
 
 def follow(
     robot: RobotModel,
-    pose_flange_in_root: Array,
+    flange: Callable[[Ints], Array],
     start: Array,
     free: Bools,
     axis_target: Array,
@@ -228,7 +228,7 @@ def follow(
     gives, else it keeps the branch and takes the nearest turn.
 
     :param robot: the robot.
-    :param pose_flange_in_root: (N, 4, 4) [m].
+    :param flange: returns the flange poses (n, 4, 4) in the root [m] of samples (n,).
     :param start: (6,) joint angles before the first sample [rad].
     :param free: (N,) True where the sample is the target of a PTP move.
     :param axis_target: (N, 6) joint angles of PTP moves to an axis target [rad], NaN elsewhere.
@@ -237,17 +237,16 @@ def follow(
     :param run: where the chunks are worked on.
     :raises UnreachableError: a pose has no solution on its branch.
     """
-    count = len(pose_flange_in_root)
     jumps = np.flatnonzero(free)
     by_axes = np.isfinite(axis_target[:, 0]) & free
-    branch = _branches_along(robot, pose_flange_in_root, start, jumps, axis_target, status)
-    q = _on_branches(robot, pose_flange_in_root, branch, run)
+    branch = _branches_along(robot, flange(jumps), start, jumps, axis_target, status)
+    q = _on_branches(robot, flange, branch, run)
     q[by_axes] = axis_target[by_axes]
     unreached = np.flatnonzero(np.isnan(q).any(axis=1))
     if len(unreached):
         raise UnreachableError(unreached.tolist())
     last = np.asarray(start, dtype=float)
-    for begin, end in pairwise(np.unique(np.concatenate([[0], jumps, jumps + 1, [count]]))):
+    for begin, end in pairwise(np.unique(np.concatenate([[0], jumps, jumps + 1, [len(q)]]))):
         if not free[begin]:
             q[begin:end] = np.unwrap(np.vstack([last, q[begin:end]]), axis=0)[1:]
         elif not by_axes[begin]:
@@ -257,36 +256,36 @@ def follow(
 
 
 def _branches_along(
-    robot: RobotModel, pose: Array, start: Array, jumps: Ints, axis_target: Array, status: Ints
+    robot: RobotModel, at_jumps: Array, start: Array, jumps: Ints, axis_target: Array, status: Ints
 ) -> Ints:
-    """Return the branch of each row (N,): it may change at the rows of `jumps` only."""
+    """Return the branch of each row (N,): it may change at the rows of `jumps` only, with flange poses `at_jumps`."""
     slots = [branch_of(robot, start)]
-    for row, candidates in zip(jumps.tolist(), closed_form(robot).branches(pose[jumps]), strict=True):
+    for row, candidates in zip(jumps.tolist(), closed_form(robot).branches(at_jumps), strict=True):
         if np.isfinite(axis_target[row, 0]):
             slots.append(branch_of(robot, axis_target[row]))
         else:
             slots.append(_slot(robot, candidates, slots[-1], int(status[row])))
-    return np.repeat(slots, np.diff(jumps, prepend=0, append=len(pose)))
+    return np.repeat(slots, np.diff(jumps, prepend=0, append=len(status)))
 
 
-def _on_branches(robot: RobotModel, pose: Array, branch: Ints, run: Run = here) -> Array:
-    """Return joint angles (N, 6) of flange poses on given branches; NaN out of reach."""
+def _on_branches(robot: RobotModel, flange: Callable[[Ints], Array], branch: Ints, run: Run) -> Array:
+    every = np.arange(len(branch))
 
     def chunk(index: int) -> tuple[object, ...]:
-        rows = chunk_rows(index)
-        return robot, pose[rows], branch[rows]
+        rows = every[chunk_rows(index)]
+        return robot, flange(rows), branch[rows]
 
-    return np.concatenate(run(_chosen, chunk_count(len(pose)), chunk))
+    return np.concatenate(run(_on_branch, chunk_count(len(branch)), chunk))
 
 
-def _chosen(robot: RobotModel, pose: Array, branch: Ints) -> Array:
-    # of all eight branches but one is kept
+def _on_branch(robot: RobotModel, pose: Array, branch: Ints) -> Array:
+    """Return joint angles (n, 6) of flange poses (n, 4, 4) on given branches; NaN out of reach."""
     return np.asarray(np.take_along_axis(closed_form(robot).branches(pose), branch[:, None, None], axis=1)[:, 0])
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints, near: Array) -> Array:
     """Return joint angles (N, 6) of poses on given branches, in the turns nearest to `near`; NaN out of reach."""
-    angles = _on_branches(robot, pose_flange_in_root, branch)
+    angles = _on_branch(robot, pose_flange_in_root, branch)
     return np.asarray(angles + _TURN * np.round((near - angles) / _TURN))
 
 

@@ -179,7 +179,10 @@ def _sample(
     wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
     m = program.motions
     free = sample.ends & (m.kind[motion] == PTP)
-    flange = toolpath.flange_from_tcp(program, motion, sample.pose)
+
+    def flange(rows: Ints) -> Array:
+        return toolpath.flange_from_tcp(program, motion[rows], sample.pose[rows])
+
     try:
         joints = kinematics.follow(
             place.robot, flange, place.cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion], run
@@ -195,8 +198,7 @@ def _sample(
         command = _compensated(program, place, sample, wrench, joints, movable, run)
     except NotConvergedError as cause:
         message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
-        rows_at = np.flatnonzero(movable)[list(cause.rows)]
-        raise _BlockedError(_at_rows("not-converged", message, program, motion[rows_at])) from None
+        raise _BlockedError(_at_rows("not-converged", message, program, motion[list(cause.rows)])) from None
     return _Sampled(path, load, sample, wrench, joints, command)
 
 
@@ -210,36 +212,43 @@ def _compensated(
     program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools, run: Run
 ) -> Compensation:
     """Correct all samples but axis targets, which are left as they stand."""
-    motion = sample.motion[movable]
-    solved = compensate(
-        place.robot,
-        place.pose(program, motion, sample.pose[movable]),
-        joints.q[movable],
-        place.tool(program, motion),
-        place.wrench(program, motion, wrench[movable]),
-        run,
-    )
-    solved = replace(solved, pose=place.back(program, motion, solved.pose))
-    if movable.all():
-        return solved
-    out = uncorrected(place.robot, joints.q.copy(), place.tool(program, sample.motion))
-    out = replace(out, pose=sample.pose.copy())
-    for whole, part in ((out.q, solved.q), (out.pose, solved.pose), (out.theta, solved.theta)):
-        whole[movable] = part
+    moved = np.flatnonzero(movable)
+
+    def chunk(index: int) -> tuple[object, ...]:
+        rows = moved[chunk_rows(index)]
+        motion = sample.motion[rows]
+        target = place.pose(program, motion, sample.pose[rows])
+        force = place.wrench(program, motion, wrench[rows])
+        return place.robot, rows, target, joints.q[rows], place.tool(program, motion), force
+
+    count = len(sample.motion)
+    out = Compensation(joints.q.copy(), np.empty((count, 4, 4)), np.zeros((count, place.robot.actual.nv)))
+    out.pose[~movable] = sample.pose[~movable]
+    for index, part in enumerate(run(_corrected, chunk_count(len(moved)), chunk)):
+        rows = moved[chunk_rows(index)]
+        out.q[rows], out.theta[rows] = part.q, part.theta
+        out.pose[rows] = place.back(program, sample.motion[rows], part.pose)
     return out
+
+
+def _corrected(robot: RobotModel, rows: Ints, target: Array, q: Array, tool: Array, wrench: Array) -> Compensation:
+    """Return the commands of some samples; an error names them by their `rows`."""
+    try:
+        return compensate(robot, target, q, tool, wrench)
+    except NotConvergedError as cause:
+        raise NotConvergedError(str(cause), rows[list(cause.rows)].tolist()) from None
 
 
 def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     """Return the issues of the path as commanded."""
     robot, sample, q = place.robot, sampled.sample, sampled.command.q
-    flange = toolpath.flange_from_tcp(program, sample.motion, sampled.command.pose)
     position = sampled.command.pose[:, :3, 3]
     correction = norm(position - sample.pose[:, :3, 3])
     return [
         *checks.start_joints(program, robot, place.cell.start_joints),
         *checks.status_and_turn(program, robot, sample, sampled.joints.q),
         *checks.joint_limits(program, robot, sample, q),
-        *checks.singularities(program, robot, sample, sampled.joints, q, flange),
+        *checks.singularities(program, robot, sample, sampled.joints, q, sampled.command.pose),
         *checks.joint_speeds(program, robot, sample, q, position),
         *checks.correction_size(program, sample.motion, correction, place.cell.output.max_correction_mm * M_PER_MM),
     ]

@@ -95,7 +95,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, rows: ForceRow
     free = sample.ends & (m.kind[motion] == PTP)
     try:
         joints = kinematics.follow(
-            robot, flange, cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion]
+            robot, flange.__getitem__, cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion]
         )
     except UnreachableError as cause:
         line = int(m.line[motion[list(cause.rows)]].min())
