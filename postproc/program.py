@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue
-from postproc.frames import Array
+from postproc.frames import Array, inverse
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -83,6 +84,46 @@ class Motions:
 
     def __len__(self) -> int:
         return len(self.line)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Where M motions start: where the one before ends, seen in the `$BASE` and with the `$TOOL` of the motion itself.
+
+    :param end: returns the tool frames (n, 4, 4) at the ends of motions (n,), `$BASE` of those motions [m].
+    :param changed: (S,) motions that start in other words than the one before ends: the first, and those with other
+        frames.
+    :param pose: (S, 4, 4) tool frame at their start, in their `$BASE` [m].
+    """
+
+    end: Callable[[Ints], Array]
+    changed: Ints
+    pose: Array
+
+    @classmethod
+    def of(
+        cls, frames: tuple[Ints, Ints, Array, Array], end: Callable[[Ints], Array], start_flange_in_root: Array
+    ) -> Starts:
+        """Return the starts of motions.
+
+        :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
+            frame (nt, 4, 4).
+        :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+        """
+        base, tool, bases, tools = frames
+        later = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
+        changed = np.concatenate([[0], later])
+        flange = bases[base[later - 1]] @ end(later - 1) @ inverse(tools[tool[later - 1]])
+        flange = np.concatenate([start_flange_in_root[None], flange])
+        return cls(end, changed, inverse(bases[base[changed]]) @ flange @ tools[tool[changed]])
+
+    def at(self, motion: Ints) -> Array:
+        """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""
+        out = self.end(motion - 1)
+        place = np.searchsorted(self.changed, motion)
+        own = np.append(self.changed, -1)[place] == motion
+        out[own] = self.pose[place[own]]
+        return out
 
 
 ForceFrame = Literal["BASE", "TOOL", "FEED"]

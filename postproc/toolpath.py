@@ -6,12 +6,14 @@ motion stand together in order, and its end (t = 1) is always among them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from postproc.frames import RAD_PER_DEG, Array, interpolated, inverse, norm, twist_between
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program
+from postproc.parallel import chunk_count, chunk_rows
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
 
 _STEP = 0.020
 """Spacing of samples [m] for a tolerance of 0.01 mm; it grows with the root of the tolerance (a chord's sagitta)."""
@@ -24,12 +26,12 @@ _ARC = 5.0 * RAD_PER_DEG
 class Segments:
     """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
 
-    :param start: (M, 4, 4) tool frame where the motion starts.
+    :param start: tool frames where the motions start.
     :param length: (M,) path length of the TCP; 0 for PTP.
     :param turn: (M,) angle between the orientations at start and end [rad].
     """
 
-    start: Array
+    start: Starts
     length: Array
     turn: Array
 
@@ -76,23 +78,10 @@ def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point
     return np.asarray((program.bases[m.base[motion], :3] @ in_base)[..., 0])
 
 
-def starts(program: Program, end: Array, start_flange_in_root: Array) -> Array:
-    """Return the tool frame (M, 4, 4) where each motion starts, in its own `$BASE`, from where each one ends.
-
-    :param end: (M, 4, 4) tool frame at the end of each motion, `$BASE` of that motion [m].
-    :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
-    """
+def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:
+    """Return where motions start: `end` returns their ends (n, 4, 4); the robot stands at a flange (4, 4) first."""
     m = program.motions
-    start = np.empty_like(end)
-    start[1:] = end[:-1]
-    first = np.array([0])
-    changed = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
-    for rows, flange in (
-        (first, start_flange_in_root[None]),
-        (changed, flange_from_tcp(program, changed - 1, start[changed])),
-    ):
-        start[rows] = inverse(program.bases[m.base[rows]]) @ flange @ program.tools[m.tool[rows]]
-    return start
+    return Starts.of((m.base, m.tool, program.bases, program.tools), end, start_flange_in_root)
 
 
 def segments(program: Program, start_flange_in_root: Array) -> Segments:
@@ -101,15 +90,18 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
     """
     m = program.motions
-    start = starts(program, m.target, start_flange_in_root)
-    between = twist_between(start, m.target)
-    length = norm(between[:, :3])
+    start = starts(program, m.target.__getitem__, start_flange_in_root)
+    length, turn = np.empty(len(m)), np.empty(len(m))
+    every = np.arange(len(m))
+    for rows in (every[chunk_rows(index)] for index in range(chunk_count(len(m)))):
+        between = twist_between(start.at(rows), m.target[rows])
+        length[rows], turn[rows] = norm(between[:, :3]), norm(between[:, 3:])
     arcs = np.flatnonzero(m.kind == CIRC)
-    radius = norm(start[arcs, :3, 3] - m.centre[arcs])
-    rise = np.einsum("ni,ni->n", between[arcs, :3], m.normal[arcs])
-    length[arcs] = np.hypot(radius * m.sweep[arcs], rise)
+    begin = start.at(arcs)[:, :3, 3]
+    rise = np.einsum("ni,ni->n", m.target[arcs, :3, 3] - begin, m.normal[arcs])
+    length[arcs] = np.hypot(norm(begin - m.centre[arcs]) * m.sweep[arcs], rise)
     length[m.kind == PTP] = 0.0
-    return Segments(start, length, norm(between[:, 3:]))
+    return Segments(start, length, turn)
 
 
 def places(
@@ -139,7 +131,7 @@ def places(
     arcs = np.flatnonzero(m.kind == CIRC)
     step = np.full(len(arcs), _ARC)
     if linearize_arcs:
-        radius = norm(path.start[arcs, :3, 3] - m.centre[arcs])
+        radius = norm(path.start.at(arcs)[:, :3, 3] - m.centre[arcs])
         step = np.minimum(step, 2.0 * np.sqrt(tolerance / np.maximum(radius, tolerance)))
     count[arcs] = np.maximum(count[arcs], 2.0 * np.ceil(m.sweep[arcs] / step / 2.0 - 1e-9))
     count[m.kind == PTP] = 1.0
@@ -174,7 +166,7 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     inner = np.flatnonzero((t < 1.0) & (kind != PTP))
     if len(inner):
         rows = motion[inner]
-        pose[inner] = interpolated(path.start[rows], m.target[rows], t[inner])
+        pose[inner] = interpolated(path.start.at(rows), m.target[rows], t[inner])
     arcs = inner[kind[inner] == CIRC]
     if len(arcs):
         pose[arcs, :3, 3] = _on_arc(program, path, motion[arcs], t[arcs])[0]
@@ -188,7 +180,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     kind = m.kind[motion]
     long = np.flatnonzero((kind == LIN) & (path.length[motion] > 0.0))
     rows = motion[long]
-    out[long] = (m.target[rows, :3, 3] - path.start[rows, :3, 3]) / path.length[rows, None]
+    out[long] = (m.target[rows, :3, 3] - path.start.at(rows)[:, :3, 3]) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = _on_arc(program, path, motion[arcs], t[arcs])[1]
@@ -199,12 +191,13 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
 def _on_arc(program: Program, path: Segments, motion: Ints, t: Array) -> tuple[Array, Array]:
     """Return positions and their derivatives by t (n, 3) on CIRC motions."""
     m = program.motions
-    from_centre = path.start[motion, :3, 3] - m.centre[motion]
+    start = path.start.at(motion)[:, :3, 3]
+    from_centre = start - m.centre[motion]
     normal, sweep = m.normal[motion], m.sweep[motion, None]
     height = np.einsum("ni,ni->n", from_centre, normal)[:, None] * normal
     radial = from_centre - height
     across = np.cross(normal, radial)
-    climb = np.einsum("ni,ni->n", m.target[motion, :3, 3] - path.start[motion, :3, 3], normal)[:, None] * normal
+    climb = np.einsum("ni,ni->n", m.target[motion, :3, 3] - start, normal)[:, None] * normal
     sin, cos = np.sin(sweep * t[:, None]), np.cos(sweep * t[:, None])
     # programmed radii at start and end may differ by the tolerance of the control: the radius then changes linearly
     end = m.target[motion, :3, 3] - m.centre[motion] - height - climb

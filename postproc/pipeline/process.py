@@ -129,7 +129,7 @@ def process(
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
         after, between, printed = simulated.after, simulated.between, simulated.printed
     frames = place.tool(program, targets.motion), place.wrench(program, targets.motion, sampled.wrench[row])
-    correction = (targets.pose - sampled.sample.pose[row])[:, :3, 3]
+    correction = targets.pose[:, :3, 3] - sampled.sample.pose[row, :3, 3]
     return Result(
         program=program,
         robot=robot.name,
@@ -138,9 +138,9 @@ def process(
         motion=targets.motion,
         t=targets.t,
         output_line=output_line,
-        nominal=sampled.sample.pose[row],
+        nominal=_some(sampled.sample.pose, row),
         printed=printed,
-        wrench=sampled.wrench[row],
+        wrench=_some(sampled.wrench, row),
         deflection=deflection,
         before=before,
         after=after,
@@ -276,10 +276,11 @@ def _targets(
     """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
     whole = _unchanged(program, sampled, mode)
-    end = sampled.command.pose[sample.ends]
-    start = toolpath.starts(program, end, place.start_flange)[:, :3, 3]
+    ends, position = np.flatnonzero(sample.ends), sampled.command.pose[:, :3, 3]
+    starts = toolpath.starts(program, lambda motion: sampled.command.pose[ends[motion]], place.start_flange)
+    start = np.roll(position[ends], 1, axis=0)
+    start[starts.changed] = starts.pose[:, :3, 3]
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    position = sampled.command.pose[:, :3, 3]
     chosen = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
     movable = np.isnan(m.joints[sample.motion[chosen.row], 0])
     row, target_kind, via_row = chosen.row[movable], chosen.kind[movable], chosen.via[movable]
@@ -289,7 +290,13 @@ def _targets(
     via[arcs] = position[via_row[arcs]]
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
     keep = whole[motion] & (program.dialect == "krl")
-    return Targets(motion, sample.t[row], target_kind, sampled.command.pose[row], via, keep, status, turn), row
+    pose = _some(sampled.command.pose, row)
+    return Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn), row
+
+
+def _some(values: Array, row: Ints) -> Array:
+    """Return rows in order, each at most once; the array itself if these are all: large ones are not copied then."""
+    return values if len(row) == len(values) else values[row]
 
 
 def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:

@@ -155,7 +155,7 @@ def _check_orientation(source: Source, rows: Rows, states: list[State], state: I
         problem = f"$CIRC_TYPE={states[state[along[0]]].circle}: the tool turns with the path"
         raise source.line_error(problem, int(rows.line[along[0]]), advice)
     other = np.flatnonzero(_column(states, state, lambda s: s.orientation != "#VAR") & (rows.kind != PTP))
-    turned = other[~same_orientation(chain.start[other, :3, :3], chain.pose[other, :3, :3])]
+    turned = other[~same_orientation(chain.start.at(other)[:, :3, :3], chain.pose[other, :3, :3])]
     if len(turned):
         problem = f"the orientation changes under $ORI_TYPE={states[state[turned[0]]].orientation}"
         raise source.line_error(problem, int(rows.line[turned[0]]), advice)
@@ -164,16 +164,17 @@ def _check_orientation(source: Source, rows: Rows, states: list[State], state: I
 def _arcs(source: Source, chain: Sequence, moves: Mapping[int, Move], count: int) -> tuple[Array, Array, Array]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
     centre, normal, sweep = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
-    rows = [row for row, move in moves.items() if move.kind == CIRC]
-    if not rows:
+    rows = np.array([row for row, move in moves.items() if move.kind == CIRC], dtype=np.int64)
+    if not len(rows):
         return centre, normal, sweep
-    points = [arc_points(moves[row]) for row in rows]
-    line = np.array([moves[row].line for row in rows])
+    circular = [moves[row] for row in rows.tolist()]
+    points = [arc_points(move) for move in circular]
+    line, start = np.array([move.line for move in circular]), chain.start.at(rows)
     via, end = (np.array([pair[k] for pair in points]) for k in (0, 1))
-    centre[rows], axis, angle = circles(source, line, chain.start[rows, :3, 3], via, end)
-    own = np.array([moves[row].angle or np.nan for row in rows]) * RAD_PER_DEG
+    centre[rows], axis, angle = circles(source, line, start[:, :3, 3], via, end)
+    own = np.array([move.angle or np.nan for move in circular]) * RAD_PER_DEG
     given = ~np.isnan(own)
-    turning = given & ~same_orientation(chain.start[rows, :3, :3], chain.pose[rows, :3, :3])
+    turning = given & ~same_orientation(start[:, :3, :3], chain.pose[rows, :3, :3])
     if turning.any():
         raise source.line_error(
             "the orientation changes on a circle with CA: where it is reached is not certain",

@@ -11,7 +11,7 @@ from postproc.dialects.krl.geometry import circles, turned
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.source import Source
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, Starts
 
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 
@@ -23,14 +23,14 @@ class Sequence:
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE` where each motion ends.
     :param pose: (M, 4, 4) the same as poses [m].
     :param joints: (M, 6) of axis targets [rad], NaN elsewhere.
-    :param start: (M, 4, 4) tool frame at the start of each motion, in its `$BASE`.
+    :param start: where each motion starts.
     :param resumed: (M,) True where the previous position is an axis target or the start.
     """
 
     numbers: Array
     pose: Array
     joints: Array
-    start: Array
+    start: Starts
     resumed: Bools
 
 
@@ -205,12 +205,6 @@ def follow(
             row = at + 1
     follower.absolute(row, len(line))
 
-    base, tool, bases, tools = frames
     pose = pose_from_xyzabc(follower.numbers)
-    start = np.concatenate([np.zeros((1, 4, 4)), pose[:-1]])
-    start[0] = inverse(bases[base[0]]) @ forward(start_joints) @ tools[tool[0]]
-    moved = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
-    if len(moved):
-        flange = bases[base[moved - 1]] @ pose[moved - 1] @ inverse(tools[tool[moved - 1]])
-        start[moved] = inverse(bases[base[moved]]) @ flange @ tools[tool[moved]]
+    start = Starts.of(frames, pose.__getitem__, forward(start_joints))
     return Sequence(follower.numbers, pose, follower.joints, start, follower.resumed)
