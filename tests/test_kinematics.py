@@ -114,15 +114,13 @@ def test_follow_keeps_turns_and_branch_along_a_line_and_takes_s_and_t_of_a_ptp(m
     q = start + np.linspace(0, 1, 30)[:, None] * np.radians([5, 5, 5, 20, 5, 30.0])
     pose, _ = kinematics.tcp(model.nominal, q, np.eye(4))
     n = len(q)
-    none, nothing = np.full(n, -1), np.full((n, 6), np.nan)
-    path = kinematics.follow(model, pose.__getitem__, start, np.zeros(n, dtype=bool), nothing, none, none)
+    free = np.zeros(n, dtype=bool)
+    path = kinematics.follow(model, pose.__getitem__, start, free, np.empty((0, 6)), np.empty(0), np.empty(0))
     np.testing.assert_allclose(path.q, q, atol=1e-9)
     flipped = np.radians([10.0, -70.0, 100.0, -10.0, -40.0, 20.0])
-    free = np.zeros(n, dtype=bool)
     free[0] = True
-    status, turn = none.copy(), none.copy()
-    status[0], turn[0] = kinematics.status_of(model, flipped[None])[0], kinematics.turn_of(flipped[None])[0]
-    path = kinematics.follow(model, pose.__getitem__, start, free, nothing, status, turn)
+    status, turn = kinematics.status_of(model, flipped[None]), kinematics.turn_of(flipped[None])
+    path = kinematics.follow(model, pose.__getitem__, start, free, np.full((1, 6), np.nan), status, turn)
     np.testing.assert_allclose(path.q[0], flipped, atol=1e-9)
     np.testing.assert_allclose(kinematics.tcp(model.nominal, path.q, np.eye(4))[0], pose, atol=1e-9)
 
@@ -133,7 +131,7 @@ def test_out_of_reach_names_the_rows(model):
     with pytest.raises(kinematics.UnreachableError) as found:
         kinematics.follow(
             model, pose.__getitem__, np.radians([0, -70, 110, 0, 50, 0]), np.zeros(3, dtype=bool),
-            np.full((3, 6), np.nan), np.full(3, -1), np.full(3, -1),
+            np.empty((0, 6)), np.empty(0), np.empty(0),
         )  # fmt: skip
     assert 1 in found.value.rows
 

@@ -28,7 +28,7 @@ def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolp
     :raises ForceError: a FEED force on a motion along the spindle.
     """
     own = _in_base(program, path, forces, sample.motion, sample.t, axis)
-    previous = _at_start(program, path, forces, axis)[sample.motion]
+    previous = _at_start(program, path, forces, sample.motion, axis)
     reach = np.minimum(ramp, path.length[sample.motion])
     share = np.where(reach > 0.0, np.minimum(1.0, sample.distance / np.where(reach > 0.0, reach, 1.0)), sample.t)
     share = np.where(sample.t == 1.0, 1.0, share)[:, None]
@@ -38,20 +38,21 @@ def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolp
 def kinks(program: Program, path: Segments, forces: MotionForces, axis: str, ramp: float) -> Array:
     """Return where on each motion (M,) its force ramp ends: t in (0, 1); 1 where it has none or is all ramp."""
     rows = np.arange(len(program.motions))
-    before = _at_start(program, path, forces, axis)
+    before = _at_start(program, path, forces, rows, axis)
     begin = _in_base(program, path, forces, rows, np.full(len(rows), 1e-9), axis)
     changes = largest(begin - before) > 1e-9
     long = path.length > ramp
     return np.where(changes & long, ramp / np.where(long, path.length, 1.0), 1.0)
 
 
-def _at_start(program: Program, path: Segments, forces: MotionForces, axis: str) -> Array:
-    """Return the wrench (M, 6) at the start of each motion: the own one of the motion before, in this one's axes."""
-    m = program.motions
-    out = np.zeros((len(m), 6))
-    out[1:] = _in_base(program, path, forces, np.arange(len(m)), np.ones(len(m)), axis)[:-1]
-    changed = np.flatnonzero(np.diff(m.base) != 0) + 1
-    turn = np.swapaxes(program.bases[m.base[changed], :3, :3], 1, 2) @ program.bases[m.base[changed - 1], :3, :3]
+def _at_start(program: Program, path: Segments, forces: MotionForces, motion: Ints, axis: str) -> Array:
+    """Return the wrench (n, 6) at the start of motions (n,): that of the motion before, in the axes of the motion."""
+    before = np.maximum(motion - 1, 0)
+    out = _in_base(program, path, forces, before, np.ones(len(motion)), axis)
+    out[motion == 0] = 0.0
+    here, there = program.motions.base[motion], program.motions.base[before]
+    changed = np.flatnonzero(here != there)
+    turn = np.swapaxes(program.bases[here[changed], :3, :3], 1, 2) @ program.bases[there[changed], :3, :3]
     for half in (slice(0, 3), slice(3, 6)):
         out[changed, half] = np.einsum("nij,nj->ni", turn, out[changed, half])
     return out

@@ -231,17 +231,18 @@ def follow(
     :param flange: returns the flange poses (n, 4, 4) in the root [m] of samples (n,).
     :param start: (6,) joint angles before the first sample [rad].
     :param free: (N,) True where the sample is the target of a PTP move.
-    :param axis_target: (N, 6) joint angles of PTP moves to an axis target [rad], NaN elsewhere.
-    :param status: (N,) S of PTP targets, −1 where none.
-    :param turn: (N,) T of PTP targets, −1 where none.
+    :param axis_target: (J, 6) joint angles of the PTP moves to an axis target [rad], NaN for the others.
+    :param status: (J,) S of the PTP targets, −1 where none.
+    :param turn: (J,) T of the PTP targets, −1 where none.
     :param run: where the chunks are worked on.
     :raises UnreachableError: a pose has no solution on its branch.
     """
     jumps = np.flatnonzero(free)
-    by_axes = np.isfinite(axis_target[:, 0]) & free
-    branch = _branches_along(robot, flange(jumps), start, jumps, axis_target, status)
+    by_axes = np.isfinite(axis_target[:, 0])
+    slots = _branches_along(robot, flange(jumps), start, axis_target, status)
+    branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
     q = _on_branches(robot, flange, branch, run)
-    q[by_axes] = axis_target[by_axes]
+    q[jumps[by_axes]] = axis_target[by_axes]
     unreached = np.flatnonzero(np.isnan(q).any(axis=1))
     if len(unreached):
         raise UnreachableError(unreached.tolist())
@@ -249,23 +250,21 @@ def follow(
     for begin, end in pairwise(np.unique(np.concatenate([[0], jumps, jumps + 1, [len(q)]]))):
         if not free[begin]:
             q[begin:end] = np.unwrap(np.vstack([last, q[begin:end]]), axis=0)[1:]
-        elif not by_axes[begin]:
-            q[begin] = _turned(robot, q[begin], last, int(turn[begin]))
+        elif not by_axes[jump := np.searchsorted(jumps, begin)]:
+            q[begin] = _turned(robot, q[begin], last, int(turn[jump]))
         last = q[end - 1]
     return JointPath(q, branch)
 
 
-def _branches_along(
-    robot: RobotModel, at_jumps: Array, start: Array, jumps: Ints, axis_target: Array, status: Ints
-) -> Ints:
-    """Return the branch of each row (N,): it may change at the rows of `jumps` only, with flange poses `at_jumps`."""
+def _branches_along(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> list[int]:
+    """Return the branch before the first PTP move, and from each of them on."""
     slots = [branch_of(robot, start)]
-    for row, candidates in zip(jumps.tolist(), closed_form(robot).branches(at_jumps), strict=True):
-        if np.isfinite(axis_target[row, 0]):
-            slots.append(branch_of(robot, axis_target[row]))
+    for joints, candidates, wanted in zip(axis_target, closed_form(robot).branches(flange), status, strict=True):
+        if np.isfinite(joints[0]):
+            slots.append(branch_of(robot, joints))
         else:
-            slots.append(_slot(robot, candidates, slots[-1], int(status[row])))
-    return np.repeat(slots, np.diff(jumps, prepend=0, append=len(status)))
+            slots.append(_slot(robot, candidates, slots[-1], int(wanted)))
+    return slots
 
 
 def _on_branches(robot: RobotModel, flange: Callable[[Ints], Array], branch: Ints, run: Run) -> Array:

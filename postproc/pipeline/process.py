@@ -111,7 +111,8 @@ def process(
             issues += text.issues
             if not _blocked(issues):
                 simulated = verify.simulate(
-                    program, sampled.path, sampled.load, targets, text, place, chosen, sampled.joints.branch[row], run,
+                    program, sampled.path, sampled.load, targets, sampled.sample.pose[row, :3, 3], text, place, chosen,
+                    sampled.joints.branch[row], run,
                     corrected=mode == "convert",
                 )  # fmt: skip
         if mode != "convert" or simulated is None or len(simulated.missed[0]) == 0:
@@ -179,13 +180,14 @@ def _sample(
     wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
     m = program.motions
     free = sample.ends & (m.kind[motion] == PTP)
+    ptp = motion[free]
 
     def flange(rows: Ints) -> Array:
         return toolpath.flange_from_tcp(program, motion[rows], sample.pose[rows])
 
     try:
         joints = kinematics.follow(
-            place.robot, flange, place.cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion], run
+            place.robot, flange, place.cell.start_joints, free, m.joints[ptp], m.status[ptp], m.turn[ptp], run
         )
     except UnreachableError as cause:
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."

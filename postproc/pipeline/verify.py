@@ -66,6 +66,7 @@ def simulate(
     path: Segments,
     load: MotionForces,
     targets: Targets,
+    ends: Array,
     text: Written,
     place: InRoot,
     command: Compensation,
@@ -78,6 +79,7 @@ def simulate(
 
     :param program: the nominal program, `path` and `load` its geometry and forces.
     :param targets: what was to be written (K rows).
+    :param ends: (K, 3) their nominal positions, `$BASE` [m].
     :param text: the program as written.
     :param place: robot, cell and start.
     :param command: the K commands as computed: where the search for those of the text begins, and its branch;
@@ -99,70 +101,51 @@ def simulate(
     printed = krl.numbers(written)[row]
     written = replace(written, documents=(), layout=None)  # the text is done with: its places fill much memory
     written_path = toolpath.segments(written, place.start_flange)
-    ends = toolpath.at(program, path, targets.motion, targets.t).pose[:, :3, 3]
     correction = targets.pose[:, :3, 3] - ends
     changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
     index, share = _probes(program, targets, m, row, written_path, changed)
     begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
     t = begin[index] + share * (targets.t - begin)[index]
     t = np.where(share == 1.0, targets.t[index], t)
-    nominal = toolpath.at(program, path, targets.motion[index], t)
-    wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
+    motion, on = targets.motion[index], row[index]
+    spot = np.empty((len(index), 3))
+
+    def chunk(number: int) -> tuple[object, ...]:
+        rows = chunk_rows(number)
+        nominal = toolpath.at(program, path, motion[rows], t[rows])
+        spot[rows] = nominal.pose[:, :3, 3]
+        wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
+        near = command.at(index[rows])
+        printed = toolpath.at(written, written_path, on[rows], share[rows]).pose
+        q = near.q
+        if (share[rows] < 1.0).any():  # between targets the joint angles are not known yet
+            flange = toolpath.flange_from_tcp(written, on[rows], printed)
+            q = kinematics.on_branch(place.robot, flange, branch[index[rows]], q)
+        commanded, tool = place.pose(written, on[rows], printed), place.tool(written, on[rows])
+        return place.robot, rows.start, commanded, tool, place.wrench(written, on[rows], wrench), q, near.theta
+
     try:
-        tip = _tips(place, written, written_path, row, wrench, command, branch, index, share, run)
+        tip = place.points_back(written, on, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
     except NotConvergedError as cause:
-        line = int(program.motions.line[nominal.motion[cause.rows[0]]])
+        line = int(program.motions.line[motion[cause.rows[0]]])
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
         return _unusable(targets, issue)
-    off = tip - nominal.pose[:, :3, 3]
+    off = tip - spot
     after = norm(off[share == 1.0])
     distance = norm(off)
-    settled = (share == 1.0) | ~_starts_uncorrected(program, place)[nominal.motion]
+    settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
     issues: list[Issue] = []
     if corrected:
-        issues += _not_held(program, place, targets, after, nominal, distance, settled)
+        issues += _not_held(program, place, targets, after, motion, distance, settled)
         issues += checks.blending(program, targets.motion, ends, targets.pose[:, :3, 3], m.blend[row], place.tolerance)
     bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance)
-    missed = nominal.motion[bad], nominal.t[bad]
-    return Simulated(after, float(distance[settled].max(initial=0.0)), printed, missed, tuple(issues))
+    return Simulated(after, float(distance[settled].max(initial=0.0)), printed, (motion[bad], t[bad]), tuple(issues))
 
 
 def _unusable(targets: Targets, issue: Issue) -> Simulated:
     count = len(targets)
     nowhere = np.zeros(0, dtype=np.int64), np.zeros(0)
     return Simulated(np.full(count, np.nan), np.inf, np.full((count, 6), np.nan), nowhere, (issue,))
-
-
-def _tips(
-    place: InRoot,
-    written: Program,
-    path: Segments,
-    row: Ints,
-    wrench: Array,
-    command: Compensation,
-    branch: Ints,
-    index: Ints,
-    share: Array,
-    run: Run,
-) -> Array:
-    """Return where the loaded tip stands (n, 3), `$BASE` [m], at shares (n,) of the runs to targets `index` (n,)."""
-    motion = row[index]
-    force = place.wrench(written, motion, wrench)
-    tool = place.tool(written, motion)
-
-    def chunk(number: int) -> tuple[object, ...]:
-        rows = chunk_rows(number)
-        near = command.at(index[rows])
-        printed = toolpath.at(written, path, motion[rows], share[rows]).pose
-        commanded = place.pose(written, motion[rows], printed)
-        q = near.q
-        if (share[rows] < 1.0).any():  # between targets the joint angles are not known yet
-            flange = toolpath.flange_from_tcp(written, motion[rows], printed)
-            q = kinematics.on_branch(place.robot, flange, branch[index[rows]], q)
-        part = tool if tool.ndim == 2 else tool[rows]
-        return place.robot, rows.start, commanded, part, force[rows], q, near.theta
-
-    return place.points_back(written, motion, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
 
 
 def _tip(
@@ -248,13 +231,13 @@ def _not_held(
     place: InRoot,
     targets: Targets,
     after: Array,
-    nominal: toolpath.Toolpath,
+    motion: Ints,
     distance: Array,
     settled: Bools,
 ) -> Iterator[Issue]:
     for bad, limit, rows, what in (
         (~(after <= _HELD), _HELD, targets.motion, "at a target"),
-        (settled & ~(distance <= place.tolerance), place.tolerance, nominal.motion, "between targets"),
+        (settled & ~(distance <= place.tolerance), place.tolerance, motion, "between targets"),
     ):
         if bad.any():
             values = after if rows is targets.motion else distance

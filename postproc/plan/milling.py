@@ -93,9 +93,10 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, rows: ForceRow
     m = program.motions
     flange = toolpath.flange_from_tcp(program, motion, sample.pose)
     free = sample.ends & (m.kind[motion] == PTP)
+    ptp = motion[free]
     try:
         joints = kinematics.follow(
-            robot, flange.__getitem__, cell.start_joints, free, m.joints[motion], m.status[motion], m.turn[motion]
+            robot, flange.__getitem__, cell.start_joints, free, m.joints[ptp], m.status[ptp], m.turn[ptp]
         )
     except UnreachableError as cause:
         line = int(m.line[motion[list(cause.rows)]].min())
