@@ -8,7 +8,7 @@ import math
 import os
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -169,14 +169,14 @@ def _numeric(
     return column
 
 
-def write_whole(folder: Path, contents: Mapping[str, bytes | Sequence[bytes]]) -> list[Path]:
+def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> list[Path]:
     """Write files so that all appear whole, or none.
 
     Every file is written under a temporary name in `folder` (made if needed) and synced; only when all are
     there are they renamed. On any failure, also an interrupt, the temporary files are removed.
 
     :param folder: where to write.
-    :param contents: file name → bytes, or chunks of bytes.
+    :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written.
     :returns: the paths written.
     :raises InputError: the folder or a file cannot be written.
     """

@@ -33,29 +33,29 @@ def chunk_rows(index: int) -> slice:
 
 
 class Run(Protocol):
-    """Calls a function for chunk 0…count − 1 of its arguments and returns the results in order."""
+    """Calls a function for chunk 0…count − 1 of its arguments and yields the results in order."""
 
-    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> Iterator[T]:
         """Call `function(*chunk(i))` for each i; a chunk is made only when it is its turn."""
         ...
 
     def later(
         self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
-    ) -> Callable[[], list[T]]:
-        """Return what returns the results; they are worked on elsewhere meanwhile, or when they are asked for."""
+    ) -> Callable[[], Iterator[T]]:
+        """Return what yields the results; they are worked on elsewhere meanwhile, or when they are asked for."""
         ...
 
 
 class Here:
     """Work in this process."""
 
-    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> Iterator[T]:
         """Work on one chunk after the other."""
-        return [function(*chunk(index)) for index in range(count)]
+        return (function(*chunk(index)) for index in range(count))
 
     def later(
         self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
-    ) -> Callable[[], list[T]]:
+    ) -> Callable[[], Iterator[T]]:
         """Return what works on the chunks when it is called."""
         return lambda: self(function, count, chunk)
 
@@ -71,20 +71,22 @@ class Shared:
         self._helper = helper
         self._promised: list[Future[Any]] = []
 
-    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> list[T]:
+    def __call__(self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]) -> Iterator[T]:
         """Work from the front here, and at the helper from the back once it is through with what was left to it."""
-        front: list[T] = []
         waiting: list[Future[T]] = []
-        last = count
+        done = 0
         try:
-            while len(front) < last:
-                while self._ahead(waiting) < _AHEAD and len(front) + 1 < last:
-                    waiting.append(self._helper.submit(function, *chunk(last - 1)))
-                    last -= 1
-                front.append(function(*chunk(len(front))))
-            return front + [future.result() for future in reversed(waiting)]
+            while done + len(waiting) < count:
+                while self._ahead(waiting) < _AHEAD and done + len(waiting) + 1 < count:
+                    waiting.append(self._helper.submit(function, *chunk(count - len(waiting) - 1)))
+                yield function(*chunk(done))
+                done += 1
+            while waiting:
+                yield waiting[-1].result()
+                done += 1
+                waiting.pop()
         except BrokenExecutor:
-            return front + [function(*chunk(index)) for index in range(len(front), count)]
+            yield from here(function, count - done, lambda index: chunk(done + index))
 
     def _ahead(self, waiting: list[Future[T]]) -> int:
         """Return how many chunks the helper still has before it."""
@@ -92,7 +94,7 @@ class Shared:
 
     def later(
         self, function: Callable[..., T], count: int, chunk: Callable[[int], tuple[Any, ...]]
-    ) -> Callable[[], list[T]]:
+    ) -> Callable[[], Iterator[T]]:
         """Leave all chunks to the helper."""
         try:
             futures = [self._helper.submit(function, *chunk(index)) for index in range(count)]
@@ -100,11 +102,13 @@ class Shared:
             return here.later(function, count, chunk)
         self._promised = [*futures]
 
-        def results() -> list[T]:
-            try:
-                return [future.result() for future in futures]
-            except BrokenExecutor:
-                return here(function, count, chunk)
+        def results() -> Iterator[T]:
+            for index in range(count):
+                try:
+                    result = futures[index].result()
+                except BrokenExecutor:
+                    result = function(*chunk(index))
+                yield result
 
         return results
 

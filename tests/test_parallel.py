@@ -31,15 +31,15 @@ def test_results_come_in_the_order_of_the_chunks():
     with ThreadPoolExecutor(1) as helper:
         for run in (here, Shared(helper)):
             for count in (0, 1, 2, 3, 30):
-                assert run(square, count, lambda index: (index,)) == [n * n for n in range(count)]
-                assert run.later(square, count, lambda index: (index,))() == [n * n for n in range(count)]
+                assert list(run(square, count, lambda index: (index,))) == [n * n for n in range(count)]
+                assert list(run.later(square, count, lambda index: (index,))()) == [n * n for n in range(count)]
 
 
 def test_a_helper_process_shares_the_work_and_passes_on_errors_with_their_rows():
     with helper_process("postproc.errors", wanted=True) as run:
-        assert run(square, 40, lambda index: (index,)) == [n * n for n in range(40)]
+        assert list(run(square, 40, lambda index: (index,))) == [n * n for n in range(40)]
         with pytest.raises(NotConvergedError, match="chunk 7") as found:
-            run(fails_at_7, 8, lambda index: (index,))
+            list(run(fails_at_7, 8, lambda index: (index,)))
     assert found.value.rows == (70, 71)
 
 
@@ -47,5 +47,5 @@ def test_if_the_helper_dies_its_chunks_are_worked_on_here():
     with helper_process("postproc.errors", wanted=True) as run:
         home = os.getpid()
         for _ in range(2):
-            assert run(dies_elsewhere, 12, lambda index: (index, home)) == list(range(12))
-            assert run.later(dies_elsewhere, 12, lambda index: (index, home))() == list(range(12))
+            assert list(run(dies_elsewhere, 12, lambda index: (index, home))) == list(range(12))
+            assert list(run.later(dies_elsewhere, 12, lambda index: (index, home))()) == list(range(12))

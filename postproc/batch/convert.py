@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -132,10 +132,10 @@ def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run:
 
 def _contents(
     job: Job, result: Result, content: Summary, tolerance: float | None, run: Run
-) -> dict[str, bytes | list[bytes]]:
+) -> dict[str, bytes | Iterable[bytes]]:
     """Return what to write: file name → content."""
     stem = job.program.stem
-    contents: dict[str, bytes | list[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
+    contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
     contents[f"{stem}.report.json"] = report.to_json(content)
     contents[f"{stem}.targets.csv"] = report.targets_csv(result, run)
     contents[f"{stem}.report.html"] = report.page(result, tolerance)

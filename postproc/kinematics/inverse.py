@@ -274,7 +274,7 @@ def _on_branches(robot: RobotModel, flange: Callable[[Ints], Array], branch: Int
         rows = every[chunk_rows(index)]
         return robot, flange(rows), branch[rows]
 
-    return np.concatenate(run(_on_branch, chunk_count(len(branch)), chunk))
+    return np.concatenate(list(run(_on_branch, chunk_count(len(branch)), chunk)))
 
 
 def _on_branch(robot: RobotModel, pose: Array, branch: Ints) -> Array:

@@ -326,18 +326,17 @@ def _uncorrected(
     """
     motion = sampled.sample.motion[row]
     nominal = sampled.sample.pose[row, :3, 3]
-    tool, wrench = place.tool(program, motion), place.wrench(program, motion, sampled.wrench[row])
+    q, theta, wrench = (_some(values, row) for values in (sampled.joints.q, sampled.command.theta, sampled.wrench))
 
     def chunk(index: int) -> tuple[object, ...]:
         rows = chunk_rows(index)
-        at = row[rows]
-        part = tool if tool.ndim == 2 else tool[rows]
-        return place.robot, sampled.joints.q[at], part, wrench[rows], sampled.command.theta[at], place.rest_is_nominal
+        force = place.wrench(program, motion[rows], wrench[rows])
+        return place.robot, q[rows], place.tool(program, motion[rows]), force, theta[rows], place.rest_is_nominal
 
     parts = run.later(_deflected, chunk_count(len(row)), chunk)
 
     def results() -> tuple[Array, Array]:
-        done = parts()
+        done = list(parts())
         tip = place.points_back(program, motion, np.concatenate([part[0] for part in done]))
         rest = nominal
         if not place.rest_is_nominal:

@@ -125,7 +125,7 @@ def simulate(
         return place.robot, rows.start, commanded, tool, place.wrench(written, on[rows], wrench), q, near.theta
 
     try:
-        tip = place.points_back(written, on, np.concatenate(run(_tip, chunk_count(len(index)), chunk)))
+        tip = place.points_back(written, on, np.concatenate(list(run(_tip, chunk_count(len(index)), chunk))))
     except NotConvergedError as cause:
         line = int(program.motions.line[motion[cause.rows[0]]])
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from postproc import decimals
@@ -28,8 +30,8 @@ _WRENCH = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 
 
-def targets_csv(result: Result, run: Run = here) -> list[bytes]:
-    """Return the file in pieces of some thousand rows.
+def targets_csv(result: Result, run: Run = here) -> Iterator[bytes]:
+    """Yield the file in pieces of some thousand rows.
 
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
 
@@ -48,8 +50,8 @@ def targets_csv(result: Result, run: Run = here) -> list[bytes]:
             result.q[part],
         )
 
-    head = (",".join(COLUMNS) + "\n").encode()
-    return [head, *run(_rows, chunk_count(len(result)), piece)]
+    yield (",".join(COLUMNS) + "\n").encode()
+    yield from run(_rows, chunk_count(len(result)), piece)
 
 
 def _rows(

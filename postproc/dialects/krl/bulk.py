@@ -62,20 +62,23 @@ def scan(source: Source, run: Run = here) -> Rows:
     """
     text, first = source.text, source.starts[::_LINES]
     last = np.append(first[1:], len(text))
-    found = run(_plain, len(first), lambda piece: (text[first[piece] : last[piece]],))
-    return joined(
-        [rows.shifted(piece * _LINES, int(first[piece])) for piece, rows in enumerate(found) if len(rows)] or [none()]
-    )
+
+    def piece(index: int) -> tuple[object, ...]:
+        return text[first[index] : last[index]], index * _LINES, int(first[index])
+
+    return joined(run(_plain, len(first), piece), len(source.starts))
 
 
-def _plain(text: str) -> Rows:
-    """Return the plain motions of a piece of text; lines and offsets count from its start."""
+def _plain(text: str, lines: int, characters: int) -> Rows:
+    """Return the plain motions of a piece of text; so many lines and characters stand before it."""
     starts, _ = line_spans(text)
     plain = _scan(text, starts, _RUNS)  # is right unless something that looks like a number is none, such as 1.2.3
     if plain is None:
         plain = _scan(text, starts, _RUNS_STRICT) or none()
     endless = np.flatnonzero(np.isinf(plain.numbers).any(axis=1))  # 1E999: refused where it is read with the statements
-    return plain.take(np.delete(np.arange(len(plain)), endless)) if len(endless) else plain
+    if len(endless):
+        plain = plain.take(np.delete(np.arange(len(plain)), endless))
+    return plain.shifted(lines, characters)
 
 
 def _scan(text: str, line_starts: Ints, expression: re.Pattern[str]) -> Rows | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,13 +52,16 @@ class Rows:
 
     def take(self, index: Ints | Bools) -> Rows:
         """Return some rows."""
-        return Rows(*(getattr(self, column.name)[index] for column in fields(self)))
+        return Rows(*(values[index] for values in self.columns()))
+
+    def columns(self) -> list[Any]:
+        """Return all columns."""
+        return [getattr(self, column.name) for column in fields(self)]
 
     def merged(self, other: Rows, place: Ints, other_place: Ints) -> Rows:
         """Return these rows at places (R,) and those of another at places (O,), which together are all places."""
         columns = []
-        for column in fields(self):
-            own, foreign = getattr(self, column.name), getattr(other, column.name)
+        for own, foreign in zip(self.columns(), other.columns(), strict=True):
             out = np.empty((len(own) + len(foreign), *own.shape[1:]), own.dtype)
             out[place], out[other_place] = own, foreign
             columns.append(out)
@@ -110,7 +114,7 @@ class Collector:
         Numbers of axis and relative targets are left out, except E1…E6.
         """
         self._convert()
-        return joined(self._done)
+        return joined(self._done, len(self.states))
 
 
 def _of_moves(moves: Sequence[Move]) -> Rows:
@@ -147,9 +151,15 @@ def _ints(values: Sequence[object]) -> Ints:
     return np.array(values, dtype=np.int64)
 
 
-def joined(parts: Sequence[Rows]) -> Rows:
-    """Return all motions of some parts (at least one), in order."""
-    return Rows(*(np.concatenate([getattr(rows, column.name) for rows in parts]) for column in fields(Rows)))
+def joined(parts: Iterable[Rows], room: int) -> Rows:
+    """Return all motions of some parts in order; there are at most `room`."""
+    columns = [np.empty((room, *values.shape[1:]), values.dtype) for values in none().columns()]
+    count = 0
+    for rows in parts:
+        for column, values in zip(columns, rows.columns(), strict=True):
+            column[count : count + len(rows)] = values
+        count += len(rows)
+    return Rows(*(column[:count] for column in columns))
 
 
 def none() -> Rows:
