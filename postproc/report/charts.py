@@ -196,7 +196,7 @@ def _thinned(pixel: Array, colour: Ints) -> Ints:
         rows = rows[np.concatenate([[True], new]) | np.concatenate([new, [True]])]
         if len(rows) <= _MAP_POINTS:
             return np.asarray(rows)
-        fine *= 1.5
+        fine *= np.clip(len(rows) / _MAP_POINTS, 1.5, 3.0)
 
 
 def _pieces(pixel: Array, colour: Ints, index: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from postproc.dialects.krl.geometry import circles, same_orientation
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.positions import EXTERNAL
-from postproc.dialects.krl.rows import Rows
+from postproc.dialects.krl.rows import Rows, merged
 from postproc.dialects.krl.sequence import Sequence, arc_points, follow
 from postproc.dialects.krl.settings import DEFAULT_SPEED, Settings, State
 from postproc.dialects.krl.source import Source
@@ -23,28 +24,54 @@ _SAME_EXTERNAL = 1e-4
 """External axes that vary by less than this [mm, deg] stand still."""
 
 
+class InOrder(NamedTuple):
+    """All motions in order: what their lines say, and what is in force.
+
+    :param rows: (R,) motions.
+    :param states: all states that are in force anywhere.
+    :param state: (R,) which of them.
+    :param moves: row → statement, of those that are not plain.
+    """
+
+    rows: Rows
+    states: list[State]
+    state: Ints
+    moves: dict[int, Move]
+
+
+def in_order(walker: Walker, plain: list[Rows]) -> InOrder:
+    """Put plain lines and statements in order.
+
+    :param walker: has followed all lines that are not plain.
+    :param plain: motions of the bulk path, in parts.
+    """
+    statements = walker.moves
+    line = np.concatenate([rows.line for rows in plain])
+    states, state_plain, state_moves = _states(walker.settings, line, statements.states)
+    others = statements.rows()
+    place = np.searchsorted(line, others.line) + np.arange(len(others))
+    place_plain = np.delete(np.arange(len(line) + len(others)), place)
+    places = np.concatenate([place_plain, place])
+    state = np.empty(len(places), dtype=np.int64)
+    state[places] = np.concatenate([state_plain, state_moves])
+    moves = {int(place[index]): move for index, move in statements.special}
+    return InOrder(merged([*plain, others], places), states, state, moves)
+
+
 def assemble(
-    source: Source, walker: Walker, plain: Rows, start_joints: Array, forward: Callable[[Array], Array]
+    source: Source, walker: Walker, ordered: InOrder, start_joints: Array, forward: Callable[[Array], Array]
 ) -> tuple[Motions, Layout, list[Issue]]:
     """Return the motions of a program in order, where their text stands, and what had to be assumed.
 
     :param walker: has followed all lines that are not plain.
-    :param plain: motions of the bulk path.
+    :param ordered: all motions.
     :param start_joints: (6,) where the robot stands first [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
-    settings, statements = walker.settings, walker.moves
-    states, state_plain, state_moves = _states(settings, plain.line, statements.states)
-    others = statements.rows()
-    place = np.searchsorted(plain.line, others.line) + np.arange(len(others))
-    place_plain = np.delete(np.arange(len(plain) + len(others)), place)
-    rows = plain.merged(others, place_plain, place)
-    state = np.empty(len(rows), dtype=np.int64)
-    state[place_plain], state[place] = state_plain, state_moves
-    moves = {int(place[index]): move for index, move in statements.special}
-
+    settings = walker.settings
+    rows, states, state, moves = ordered
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_frames(settings, base, tool, moves)

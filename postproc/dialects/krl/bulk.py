@@ -13,7 +13,7 @@ import warnings
 import numpy as np
 
 from postproc.decimals import Bytes
-from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, joined, none
+from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, none
 from postproc.dialects.krl.source import Source
 from postproc.dialects.text import line_spans
 from postproc.frames import Array
@@ -55,8 +55,8 @@ _BLANK = np.zeros(256, dtype=np.bool_)
 _BLANK[[9, 10, 13, 32]] = True
 
 
-def scan(source: Source, run: Run = here) -> Rows:
-    """Return the plain motions of a document, wherever they stand.
+def scan(source: Source, run: Run = here) -> list[Rows]:
+    """Return the plain motions of a document, wherever they stand, in some parts one behind the other.
 
     :param run: where the pieces of a long text are worked on.
     """
@@ -66,7 +66,7 @@ def scan(source: Source, run: Run = here) -> Rows:
     def piece(index: int) -> tuple[object, ...]:
         return text[first[index] : last[index]], index * _LINES, int(first[index])
 
-    return joined(run(_plain, len(first), piece), len(source.starts))
+    return list(run(_plain, len(first), piece))
 
 
 def _plain(text: str, lines: int, characters: int) -> Rows:

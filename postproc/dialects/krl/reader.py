@@ -15,9 +15,9 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.dialects.krl import bulk
-from postproc.dialects.krl.assembly import assemble
+from postproc.dialects.krl.assembly import assemble, in_order
 from postproc.dialects.krl.moves import MoveReader
-from postproc.dialects.krl.rows import Rows, none
+from postproc.dialects.krl.rows import merged, none
 from postproc.dialects.krl.settings import Settings
 from postproc.dialects.krl.source import Source, comment_start
 from postproc.dialects.krl.variables import Variables
@@ -26,7 +26,7 @@ from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.parallel import Run, here
-from postproc.program import Document, ForceNote, Program, parse_force_note
+from postproc.program import Bools, Document, ForceNote, Ints, Program, parse_force_note
 
 _FORCE = re.compile(r";[ \t]*FORCE\b", re.IGNORECASE)
 
@@ -62,14 +62,19 @@ def read(
     settings = Settings(source, variables, cell)
     moves = MoveReader(settings, tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD))
     walker = Walker(source, settings, moves, name)
-    plain = bulk.scan(source, run) if _bulk else none()
+    plain = bulk.scan(source, run) if _bulk else [none()]
     others = np.ones(len(source.starts), dtype=np.bool_)
-    others[plain.line - 1] = False
+    lines = np.concatenate([rows.line for rows in plain])
+    others[lines - 1] = False
     walker.walk((np.flatnonzero(others) + 1).tolist())
-    plain = _executed(source, walker, plain)
-    if not len(plain) and not len(walker.moves):
+    executed = _executed(source, walker, lines)
+    if not executed.all():
+        plain = [merged(plain, np.arange(len(lines))).take(executed)]
+    if not executed.any() and not len(walker.moves):
         raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
-    motions, layout, assumptions = assemble(source, walker, plain, cell.start_joints, forward)
+    ordered = in_order(walker, plain)
+    del plain  # what follows needs the memory
+    motions, layout, assumptions = assemble(source, walker, ordered, cell.start_joints, forward)
     issues = [*walker.issues, *assumptions]
     if moves.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
@@ -99,25 +104,25 @@ def _config(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _executed(source: Source, walker: Walker, plain: Rows) -> Rows:
-    """Return the plain motions of the main program; refuse those in control structures."""
+def _executed(source: Source, walker: Walker, line: Ints) -> Bools:
+    """Return which plain motions, by their lines, are those of the main program; refuse those in control structures."""
     first, last = walker.main
-    inside = (plain.line > first) & (plain.line < last)
+    inside = np.asarray((line > first) & (line < last))
     in_subs = np.zeros(len(inside), dtype=np.bool_)
     found = []
     for opened, closed, word in walker.blocked:
-        rows = slice(*np.searchsorted(plain.line, [opened, closed]))
+        rows = slice(*np.searchsorted(line, [opened, closed]))
         if rows.start == rows.stop:
             continue
         if not word.startswith("DEF "):
-            raise walker.misplaced(int(plain.line[rows.start]), word, opened)
+            raise walker.misplaced(int(line[rows.start]), word, opened)
         in_subs[rows] = True
-        found.append(int(plain.line[rows.start]))
+        found.append(int(line[rows.start]))
     outside = np.flatnonzero(~inside & ~in_subs)
     if len(outside):
-        raise source.line_error("the motion stands outside of DEF … END", int(plain.line[outside[0]]))
+        raise source.line_error("the motion stands outside of DEF … END", int(line[outside[0]]))
     walker.check_calls(found)
-    return plain if inside.all() else plain.take(inside)
+    return inside
 
 
 def _notes(source: Source) -> tuple[ForceNote, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -58,15 +58,6 @@ class Rows:
         """Return all columns."""
         return [getattr(self, column.name) for column in fields(self)]
 
-    def merged(self, other: Rows, place: Ints, other_place: Ints) -> Rows:
-        """Return these rows at places (R,) and those of another at places (O,), which together are all places."""
-        columns = []
-        for own, foreign in zip(self.columns(), other.columns(), strict=True):
-            out = np.empty((len(own) + len(foreign), *own.shape[1:]), own.dtype)
-            out[place], out[other_place] = own, foreign
-            columns.append(out)
-        return Rows(*columns)
-
     def shifted(self, lines: int, characters: int) -> Rows:
         """Return the same motions further down in a text."""
         return replace(
@@ -114,7 +105,7 @@ class Collector:
         Numbers of axis and relative targets are left out, except E1…E6.
         """
         self._convert()
-        return joined(self._done, len(self.states))
+        return merged(self._done, np.arange(len(self.states)))
 
 
 def _of_moves(moves: Sequence[Move]) -> Rows:
@@ -151,15 +142,19 @@ def _ints(values: Sequence[object]) -> Ints:
     return np.array(values, dtype=np.int64)
 
 
-def joined(parts: Iterable[Rows], room: int) -> Rows:
-    """Return all motions of some parts in order; there are at most `room`."""
-    columns = [np.empty((room, *values.shape[1:]), values.dtype) for values in none().columns()]
-    count = 0
+def merged(parts: Sequence[Rows], place: Ints) -> Rows:
+    """Return the motions of some parts (at least one) at the places (R,) that they have among all of them.
+
+    :param place: for the motions of the first part, then for those of the next, …
+    """
+    columns = [np.empty((len(place), *values.shape[1:]), values.dtype) for values in parts[0].columns()]
+    begin = 0
     for rows in parts:
+        where = place[begin : begin + len(rows)]
         for column, values in zip(columns, rows.columns(), strict=True):
-            column[count : count + len(rows)] = values
-        count += len(rows)
-    return Rows(*(column[:count] for column in columns))
+            column[where] = values
+        begin += len(rows)
+    return Rows(*columns)
 
 
 def none() -> Rows:
