@@ -12,6 +12,8 @@ from importlib import import_module
 from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar
 
+from postproc.memory import keep_freed
+
 T = TypeVar("T")
 
 _AHEAD = 2
@@ -136,4 +138,5 @@ def helper_process(module: str, *, wanted: bool) -> Iterator[Run]:
 def _import(module: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the process that waits
     atexit.register(os._exit, 0)  # the results are delivered: nobody need wait until all modules are torn down
+    keep_freed()
     import_module(module)

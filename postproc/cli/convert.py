@@ -84,9 +84,11 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc import parallel
+    from postproc import memory, parallel
 
     large = len(programs) == 1 and scheduler is None and _size(programs[0]) > _LARGE
+    if large:
+        memory.keep_freed()
     run = ctx.with_resource(parallel.helper_process("postproc.pipeline.verify", wanted=large))
     from postproc.batch import Settings, find_jobs  # slow: the helper gets ready meanwhile
 
