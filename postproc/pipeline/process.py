@@ -27,6 +27,8 @@ _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
 _ROUNDS = 5
 """How often targets are inserted where the simulation of the written program leaves the tolerance."""
+_FEW = 16
+"""Of so many neighbouring targets one is solved first, for a guess."""
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
 
@@ -101,9 +103,8 @@ def process(
             sampled = _sample(program, place, rows, mode, linearize_arcs, also, run)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
-        targets, row = _targets(program, place, sampled, mode, linearize_arcs)
-        uncorrected_later = _uncorrected(program, place, sampled, row, run)
-        chosen = sampled.command.at(row)
+        targets, row, chosen = _targets(program, place, sampled, mode, linearize_arcs)
+        uncorrected_later = _uncorrected(program, place, sampled, row, chosen.theta, run)
         issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated = None, None
         if mode != "predict" and not _blocked(issues):
@@ -274,8 +275,8 @@ def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> Bools:
 
 def _targets(
     program: Program, place: InRoot, sampled: _Sampled, mode: Mode, linearize_arcs: bool
-) -> tuple[Targets, Ints]:
-    """Choose what to write; return the targets and the row of each among the samples."""
+) -> tuple[Targets, Ints, Compensation]:
+    """Choose what to write; return the targets, and of each the row among the samples and the command."""
     m, sample = program.motions, sampled.sample
     whole = _unchanged(program, sampled, mode)
     ends, position = np.flatnonzero(sample.ends), sampled.command.pose[:, :3, 3]
@@ -283,17 +284,17 @@ def _targets(
     start = np.roll(position[ends], 1, axis=0)
     start[starts.changed] = starts.pose[:, :3, 3]
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    chosen = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
-    movable = np.isnan(m.joints[sample.motion[chosen.row], 0])
-    row, target_kind, via_row = chosen.row[movable], chosen.kind[movable], chosen.via[movable]
+    selected = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
+    movable = np.isnan(m.joints[sample.motion[selected.row], 0])
+    row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
     motion = sample.motion[row]
     via = np.full((len(row), 3), np.nan)
     arcs = via_row >= 0
     via[arcs] = position[via_row[arcs]]
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
     keep = whole[motion] & (program.dialect == "krl")
-    pose = _some(sampled.command.pose, row)
-    return Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn), row
+    chosen = sampled.command.at(row)
+    return Targets(motion, sample.t[row], target_kind, chosen.pose, via, keep, status, turn), row, chosen
 
 
 def _some(values: Array, row: Ints) -> Array:
@@ -318,15 +319,17 @@ def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q
 
 
 def _uncorrected(
-    program: Program, place: InRoot, sampled: _Sampled, row: Ints, run: Run
+    program: Program, place: InRoot, sampled: _Sampled, row: Ints, theta: Array, run: Run
 ) -> Callable[[], tuple[Array, Array]]:
     """Return what returns what the targets (K rows of the samples) would do uncorrected.
 
     That is the distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
+
+    :param theta: (K, nv) deflections of the springs at the targets [rad, m].
     """
     motion = sampled.sample.motion[row]
     nominal = sampled.sample.pose[row, :3, 3]
-    q, theta, wrench = (_some(values, row) for values in (sampled.joints.q, sampled.command.theta, sampled.wrench))
+    q, wrench = _some(sampled.joints.q, row), _some(sampled.wrench, row)
 
     def chunk(index: int) -> tuple[object, ...]:
         rows = chunk_rows(index)
@@ -350,11 +353,20 @@ def _deflected(
     robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array, rest_is_nominal: bool
 ) -> tuple[Array, Array]:
     """Return the tip (n, 3) in the root under the wrench, and without it if that is not known to be nominal [m]."""
+    if len(q) == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    few = np.arange(0, len(q), _FEW)
+    some_tool = tool if tool.ndim == 2 else tool[few]
+    # the springs give way a little differently here than at the target; along the path the difference changes slowly:
+    # solved for a few, it makes a guess for all that one evaluation confirms
+    more = elastostatics.deflect(robot, q[few], some_tool, wrench[few], guess[few]).theta - guess[few]
+    every = np.arange(len(q))
+    guess = guess + np.stack([np.interp(every, few, column) for column in more.T], axis=1)
+    nowhere = np.broadcast_to(np.eye(4), (len(q), 4, 4))  # where the tip rests is not asked for
+    tip = elastostatics.deflect(robot, q, tool, wrench, guess, nowhere).pose[:, :3, 3]
     if rest_is_nominal:
-        nowhere = np.broadcast_to(np.eye(4), (len(q), 4, 4))  # where the tip rests is not asked for
-        return elastostatics.deflect(robot, q, tool, wrench, guess, nowhere).pose[:, :3, 3], np.zeros((0, 3))
-    loaded, free = (elastostatics.deflect(robot, q, tool, load, guess) for load in (wrench, np.zeros_like(wrench)))
-    return loaded.pose[:, :3, 3], free.pose[:, :3, 3]
+        return tip, np.zeros((0, 3))
+    return tip, elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), guess, nowhere).pose[:, :3, 3]
 
 
 def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:
