@@ -12,8 +12,8 @@ _LOOKED_AT = 10_000
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:
-    """Return the distance to the nearer limit of each joint, (N, 6) [rad]; negative beyond it."""
-    return np.minimum(q - robot.lower, robot.upper - q)
+    """Return how near each joint comes to a limit, (6,) [rad]; negative beyond it. q: (N, 6), N ≥ 1."""
+    return np.asarray(np.minimum(q.min(axis=0) - robot.lower, robot.upper - q.max(axis=0)))
 
 
 def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:

@@ -41,20 +41,19 @@ def _first(
 
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Every commanded configuration (N, 6) must lie within the joint limits."""
-    margin = kinematics.joint_margin(robot, q)
-    for axis, name in enumerate(JOINTS):
-        beyond = margin[:, axis] < -_LIMIT_ROUNDING
-        if beyond.any():
-            first = int(np.argmax(beyond))
-            low, high = robot.lower[axis] * DEG_PER_RAD, robot.upper[axis] * DEG_PER_RAD
-            yield from _first(
-                program,
-                sample.motion,
-                beyond,
-                f"joint-limit-{name}",
-                f"{name} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits {low:g}…{high:g}°. "
-                "Move the part, turn the tool about its axis ([gcode] redundancy_deg) or start elsewhere.",
-            )
+    for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
+        low, high = robot.lower[axis], robot.upper[axis]
+        beyond = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
+        first = int(np.argmax(beyond))
+        yield from _first(
+            program,
+            sample.motion,
+            beyond,
+            f"joint-limit-{JOINTS[axis]}",
+            f"{JOINTS[axis]} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits "
+            f"{low * DEG_PER_RAD:g}…{high * DEG_PER_RAD:g}°. "
+            "Move the part, turn the tool about its axis ([gcode] redundancy_deg) or start elsewhere.",
+        )
 
 
 def singularities(
@@ -127,7 +126,7 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
 
 def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
     """[start] of the cell (6,) [rad] is driven to, and fixes the branch: it must be within limits and unambiguous."""
-    margin = kinematics.joint_margin(robot, start[None])[0]
+    margin = kinematics.joint_margin(robot, start[None])
     if (margin < -_LIMIT_ROUNDING).any():
         name = JOINTS[int(np.argmin(margin))]
         message = f"[start] joints of the cell: {name} is outside its limits by {-margin.min() * DEG_PER_RAD:.3f}°."
@@ -176,7 +175,7 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array
 
 def correction_size(program: Program, motion: Ints, correction: Array, largest: float) -> Iterator[Issue]:
     """No commanded position may be further from nominal than allowed; distances (N,) [m]."""
-    bad = correction > largest
+    bad = ~(correction <= largest)
     if bad.any():
         yield from _first(
             program,

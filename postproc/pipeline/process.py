@@ -148,7 +148,7 @@ def process(
         after=after,
         bound=elastostatics.position_bound(place.robot, chosen.q, *frames),
         q=chosen.q,
-        joint_margin=kinematics.joint_margin(robot, sampled.command.q).min(axis=0),
+        joint_margin=kinematics.joint_margin(robot, sampled.command.q),
         singular_value=kinematics.smallest_singular_value(robot, chosen.q, frames[0]),
         between=between,
         largest_correction=float(norm(correction).max(initial=0.0)),

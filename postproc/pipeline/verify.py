@@ -174,8 +174,9 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     m, nominal = written.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
-    printed = largest(twist_between(m.target[row], targets.pose)) > _PRINTED
-    wrong = printed | (m.kind[row] != targets.kind)
+    wrong = m.kind[row] != targets.kind
+    for part in map(chunk_rows, range(chunk_count(len(row)))):
+        wrong[part] |= largest(twist_between(m.target[row[part]], targets.pose[part])) > _PRINTED
     for frames, other, used, wanted in (
         (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
