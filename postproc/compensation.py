@@ -18,6 +18,7 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, largest, twist_between
+from postproc.parallel import without_gaps
 from postproc.program import Ints
 from postproc.robot import RobotModel
 
@@ -42,10 +43,9 @@ class Compensation:
     theta: Array
 
     def at(self, rows: Ints) -> Compensation:
-        """Return the given rows (this, if they are all)."""
-        if len(rows) == len(self.q) and (np.diff(rows) == 1).all():
-            return self
-        return Compensation(self.q[rows], self.pose[rows], self.theta[rows])
+        """Return the given rows (n,)."""
+        some = without_gaps(rows)
+        return Compensation(self.q[some], self.pose[some], self.theta[some])
 
 
 def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:

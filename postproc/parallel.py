@@ -12,6 +12,9 @@ from importlib import import_module
 from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from postproc.memory import keep_freed
 
 T = TypeVar("T")
@@ -32,6 +35,13 @@ def chunk_count(count: int) -> int:
 def chunk_rows(index: int) -> slice:
     """Return the rows of a chunk."""
     return slice(index * _ROWS, (index + 1) * _ROWS)
+
+
+def without_gaps(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:
+    """Return rows (n,) as a slice if each is the one behind that before: what they select is then not copied."""
+    if len(rows) and (np.diff(rows) == 1).all():
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
 
 
 class Run(Protocol):

@@ -15,7 +15,7 @@ from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramErro
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.parallel import Run, chunk_count, chunk_rows, here
+from postproc.parallel import Run, chunk_count, chunk_rows, here, without_gaps
 from postproc.pipeline import checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
@@ -103,8 +103,8 @@ def process(
             sampled = _sample(program, place, rows, mode, linearize_arcs, also, run)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
-        targets, row, chosen = _targets(program, place, sampled, mode, linearize_arcs)
-        uncorrected_later = _uncorrected(program, place, sampled, row, chosen.theta, run)
+        targets, row = _targets(program, place, sampled, mode, linearize_arcs)
+        uncorrected_later = _uncorrected(program, place, sampled, row, run)
         issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated = None, None
         if mode != "predict" and not _blocked(issues):
@@ -112,9 +112,8 @@ def process(
             issues += text.issues
             if not _blocked(issues):
                 simulated = verify.simulate(
-                    program, sampled.path, sampled.load, targets, sampled.sample.pose[row, :3, 3], text, place, chosen,
-                    sampled.joints.branch[row], run,
-                    corrected=mode == "convert",
+                    program, sampled.path, sampled.load, targets, sampled.sample.pose[row, :3, 3], text, place, row,
+                    sampled.command, sampled.joints.branch, run, corrected=mode == "convert",
                 )  # fmt: skip
         if mode != "convert" or simulated is None or len(simulated.missed[0]) == 0:
             break
@@ -130,7 +129,8 @@ def process(
         issues += simulated.issues
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
         after, between, printed = simulated.after, simulated.between, simulated.printed
-    frames = place.tool(program, targets.motion), place.wrench(program, targets.motion, sampled.wrench[row])
+    some, tool = without_gaps(row), place.tool(program, targets.motion)
+    q, wrench = sampled.command.q[some], sampled.wrench[some]
     correction = targets.pose[:, :3, 3] - sampled.sample.pose[row, :3, 3]
     return Result(
         program=program,
@@ -140,16 +140,16 @@ def process(
         motion=targets.motion,
         t=targets.t,
         output_line=output_line,
-        nominal=_some(sampled.sample.pose, row),
+        nominal=sampled.sample.pose[some],
         printed=printed,
-        wrench=_some(sampled.wrench, row),
+        wrench=wrench,
         deflection=deflection,
         before=before,
         after=after,
-        bound=elastostatics.position_bound(place.robot, chosen.q, *frames),
-        q=chosen.q,
+        bound=elastostatics.position_bound(place.robot, q, tool, place.wrench(program, targets.motion, wrench)),
+        q=q,
         joint_margin=kinematics.joint_margin(robot, sampled.command.q),
-        singular_value=kinematics.smallest_singular_value(robot, chosen.q, frames[0]),
+        singular_value=kinematics.smallest_singular_value(robot, q, tool),
         between=between,
         largest_correction=float(norm(correction).max(initial=0.0)),
         issues=group_issues(issues),
@@ -275,8 +275,8 @@ def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> Bools:
 
 def _targets(
     program: Program, place: InRoot, sampled: _Sampled, mode: Mode, linearize_arcs: bool
-) -> tuple[Targets, Ints, Compensation]:
-    """Choose what to write; return the targets, and of each the row among the samples and the command."""
+) -> tuple[Targets, Ints]:
+    """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
     whole = _unchanged(program, sampled, mode)
     ends, position = np.flatnonzero(sample.ends), sampled.command.pose[:, :3, 3]
@@ -293,13 +293,8 @@ def _targets(
     via[arcs] = position[via_row[arcs]]
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
     keep = whole[motion] & (program.dialect == "krl")
-    chosen = sampled.command.at(row)
-    return Targets(motion, sample.t[row], target_kind, chosen.pose, via, keep, status, turn), row, chosen
-
-
-def _some(values: Array, row: Ints) -> Array:
-    """Return rows in order, each at most once; the array itself if these are all: large ones are not copied then."""
-    return values if len(row) == len(values) else values[row]
+    pose = sampled.command.pose[without_gaps(row)]
+    return Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn), row
 
 
 def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:
@@ -319,22 +314,20 @@ def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q
 
 
 def _uncorrected(
-    program: Program, place: InRoot, sampled: _Sampled, row: Ints, theta: Array, run: Run
+    program: Program, place: InRoot, sampled: _Sampled, row: Ints, run: Run
 ) -> Callable[[], tuple[Array, Array]]:
     """Return what returns what the targets (K rows of the samples) would do uncorrected.
 
     That is the distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
-
-    :param theta: (K, nv) deflections of the springs at the targets [rad, m].
     """
     motion = sampled.sample.motion[row]
     nominal = sampled.sample.pose[row, :3, 3]
-    q, wrench = _some(sampled.joints.q, row), _some(sampled.wrench, row)
 
     def chunk(index: int) -> tuple[object, ...]:
         rows = chunk_rows(index)
-        force = place.wrench(program, motion[rows], wrench[rows])
-        return place.robot, q[rows], place.tool(program, motion[rows]), force, theta[rows], place.rest_is_nominal
+        at, tool = without_gaps(row[rows]), place.tool(program, motion[rows])
+        force = place.wrench(program, motion[rows], sampled.wrench[at])
+        return place.robot, sampled.joints.q[at], tool, force, sampled.command.theta[at], place.rest_is_nominal
 
     parts = run.later(_deflected, chunk_count(len(row)), chunk)
 

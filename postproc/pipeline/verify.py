@@ -69,6 +69,7 @@ def simulate(
     ends: Array,
     text: Written,
     place: InRoot,
+    sample: Ints,
     command: Compensation,
     branch: Ints,
     run: Run,
@@ -82,9 +83,9 @@ def simulate(
     :param ends: (K, 3) their nominal positions, `$BASE` [m].
     :param text: the program as written.
     :param place: robot, cell and start.
-    :param command: the K commands as computed: where the search for those of the text begins, and its branch;
-        poses in `$BASE`.
-    :param branch: (K,) branch of the inverse kinematics of each.
+    :param sample: (K,) which of the N samples of the path each target is.
+    :param command: the N commands as computed: where the search for those of the text begins.
+    :param branch: (N,) branch of the inverse kinematics of each.
     :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
@@ -115,12 +116,12 @@ def simulate(
         nominal = toolpath.at(program, path, motion[rows], t[rows])
         spot[rows] = nominal.pose[:, :3, 3]
         wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
-        near = command.at(index[rows])
+        near = command.at(sample[index[rows]])
         printed = toolpath.at(written, written_path, on[rows], share[rows]).pose
         q = near.q
         if (share[rows] < 1.0).any():  # between targets the joint angles are not known yet
             flange = toolpath.flange_from_tcp(written, on[rows], printed)
-            q = kinematics.on_branch(place.robot, flange, branch[index[rows]], q)
+            q = kinematics.on_branch(place.robot, flange, branch[sample[index[rows]]], q)
         commanded, tool = place.pose(written, on[rows], printed), place.tool(written, on[rows])
         return place.robot, rows.start, commanded, tool, place.wrench(written, on[rows], wrench), q, near.theta
 

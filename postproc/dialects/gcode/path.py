@@ -132,7 +132,10 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
     rapid = rows.motion[kept] == 0.0
     kind = np.where(rapid, LIN, np.where(rows.motion[kept] == 1.0, LIN, CIRC))
     kind[:1] = np.where(rapid[:1], PTP, kind[:1])
-    centre, normal, sweep = np.full((len(kept), 3), np.nan), np.full((len(kept), 3), np.nan), np.full(len(kept), np.nan)
+    nothing = np.broadcast_to(np.nan, (len(kept), 6))  # takes no memory
+    centre, normal, sweep = nothing[:, :3], nothing[:, :3], nothing[:, 0]
+    if len(circular):
+        centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
     target = np.zeros((len(kept), 4, 4))
     target[:, 3, 3] = 1.0
     is_arc = kind == CIRC
@@ -141,9 +144,10 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
         here, there = rows.offset[kept] == code, rows.offset[circular] == code
         target[here, :3, :3] = pose[:3, :3] @ setting.tool
         target[here, :3, 3] = _placed(pose, after[kept[here]])
-        centre[here & is_arc] = _placed(pose, arcs.centre[there])
-        normal[here & is_arc] = arcs.normal[there] @ pose[:3, :3].T
-        sweep[here & is_arc] = arcs.sweep[there]
+        if len(circular):
+            centre[here & is_arc] = _placed(pose, arcs.centre[there])
+            normal[here & is_arc] = arcs.normal[there] @ pose[:3, :3].T
+            sweep[here & is_arc] = arcs.sweep[there]
     feed = np.where(rapid, setting.rapid, rows.feed[kept] * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
     blend = in_force(modes.blends, setting.approximation, modes.rows)[kept]
@@ -153,7 +157,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
         rapid=rapid,
         line=kept + 1,
         target=target,
-        joints=np.full((len(kept), 6), np.nan),
+        joints=nothing,
         centre=centre,
         normal=normal,
         sweep=sweep,
