@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -49,3 +51,21 @@ def test_if_the_helper_dies_its_chunks_are_worked_on_here():
         for _ in range(2):
             assert list(run(dies_elsewhere, 12, lambda index: (index, home))) == list(range(12))
             assert list(run.later(dies_elsewhere, 12, lambda index: (index, home))()) == list(range(12))
+
+
+IN_A_PROCESS = """
+from postproc.memory import keep_freed
+from postproc.parallel import helper_process
+
+if __name__ == "__main__":
+    keep_freed()
+    with helper_process("postproc.errors", wanted=True) as run:
+        print(sum(run(abs, 9, lambda index: (-index,))))
+"""
+
+
+def test_a_process_with_a_helper_ends_without_a_word(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(IN_A_PROCESS, encoding="utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "36\n", "")
