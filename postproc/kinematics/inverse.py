@@ -81,7 +81,7 @@ class ClosedForm:
 
     def branches(self, pose_flange_in_root: Array) -> Array:
         """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""
-        wrist = RigidTransform.from_matrix(pose_flange_in_root @ inverse(self.flange_in_wrist))
+        wrist = RigidTransform(pose_flange_in_root @ inverse(self.flange_in_wrist), normalize=False, copy=False)
         # limits that nothing meets: the solver then skips the singular values, which are not used here
         nothing = [(10.0, 11.0)] * 6
         return np.asarray(self.arm.reach(wrist, joint_limits=nothing, threads=1).joints)
