@@ -136,12 +136,15 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
         yield Issue("warning", "start-singular", message, source_line=int(program.motions.line[0]))
 
 
-def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array, position: Array) -> Iterator[Issue]:
+def joint_speeds(
+    program: Program, robot: RobotModel, sample: Toolpath, turn: Array, q: Array, position: Array
+) -> Iterator[Issue]:
     """Joint speeds at the programmed feed must stay within the robot's limits.
 
     Where a program relies on the controller's default speed, which the controller may have been told otherwise, it is
     but a warning.
 
+    :param turn: (M,) how far each motion turns the tool [rad].
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
     m = program.motions
@@ -153,8 +156,12 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, q: Array
     travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
     turned = np.abs(np.diff(q, axis=0))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
-    relative = sample.pose[1:, :3, :3] @ np.swapaxes(sample.pose[:-1, :3, :3], 1, 2)
-    by_turning = norm(rotation_vector(relative)) * np.nan_to_num(feed) > _ORIENTATION_SPEED * nominal
+    turns = np.flatnonzero(turn[sample.motion[1:]] > 0.0)
+    relative = sample.pose[turns + 1, :3, :3] @ np.swapaxes(sample.pose[turns, :3, :3], 1, 2)
+    by_turning = np.zeros(len(nominal), dtype=bool)
+    by_turning[turns] = (
+        norm(rotation_vector(relative)) * np.nan_to_num(feed[turns]) > _ORIENTATION_SPEED * nominal[turns]
+    )
     usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)

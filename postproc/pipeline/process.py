@@ -252,7 +252,7 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
         *checks.status_and_turn(program, robot, sample, sampled.joints.q),
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, sampled.joints, q, sampled.command.pose),
-        *checks.joint_speeds(program, robot, sample, q, position),
+        *checks.joint_speeds(program, robot, sample, sampled.path.turn, q, position),
         *checks.correction_size(program, sample.motion, correction, place.cell.output.max_correction_mm * M_PER_MM),
     ]
 
