@@ -20,6 +20,8 @@ _ELBOW = 0.2 * RAD_PER_DEG
 """A3 nearer than this to the stretched arm is in the elbow singularity."""
 _SHOULDER = 0.005
 """A wrist centre nearer than this to the A1 axis [m] is in the shoulder singularity."""
+_TURNS = 1e-9
+"""A motion that turns the tool by less than this [rad] does not turn it."""
 _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
 _LIMIT_ROUNDING = 1e-9
@@ -156,12 +158,11 @@ def joint_speeds(
     travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
     turned = np.abs(np.diff(q, axis=0))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
-    turns = np.flatnonzero(turn[sample.motion[1:]] > 0.0)
+    turns = np.flatnonzero(turn[sample.motion[1:]] > _TURNS)
     relative = sample.pose[turns + 1, :3, :3] @ np.swapaxes(sample.pose[turns, :3, :3], 1, 2)
     by_turning = np.zeros(len(nominal), dtype=bool)
-    by_turning[turns] = (
-        norm(rotation_vector(relative)) * np.nan_to_num(feed[turns]) > _ORIENTATION_SPEED * nominal[turns]
-    )
+    by_feed = norm(rotation_vector(relative)) * np.nan_to_num(feed[turns])
+    by_turning[turns] = by_feed > _ORIENTATION_SPEED * nominal[turns]
     usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
