@@ -8,11 +8,12 @@ All functions take any number of leading axes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from postproc.parallel import chunks
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,6 @@ _POLE = 1e-9
 _SMALL_SINE = 5e-3
 """Below this the series of asin and of Rodrigues' factors to the fifth power are exact to 1e-16."""
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
-_BLOCK = 4096
 
 
 def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
@@ -40,8 +40,8 @@ def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
     values: Array = np.asarray(xyzabc, dtype=float)
     rows = values.reshape(-1, 6)
     pose = np.empty((len(rows), 4, 4))
-    for block in _blocks(len(rows)):
-        pose[block] = _pose(rows[block] * _TO_SI)
+    for part in chunks(len(rows)):
+        pose[part] = _pose(rows[part] * _TO_SI)
     return pose.reshape(*values.shape[:-1], 4, 4)
 
 
@@ -58,11 +58,6 @@ def _pose(values: Array) -> Array:
     return pose
 
 
-def _blocks(count: int) -> Iterator[slice]:
-    """Yield slices of so many rows that they stay in the cache, where several passes over them cost little."""
-    return (slice(begin, begin + _BLOCK) for begin in range(0, count, _BLOCK))
-
-
 def xyzabc_from_pose(pose: Array) -> Array:
     """Return KUKA frames (..., 6) [mm, deg] of poses (..., 4, 4) [m]; A, B, C in (−180, 180].
 
@@ -71,8 +66,8 @@ def xyzabc_from_pose(pose: Array) -> Array:
     """
     rows = pose.reshape(-1, 4, 4)
     xyzabc = np.empty((len(rows), 6))
-    for block in _blocks(len(rows)):
-        xyzabc[block] = _xyzabc(rows[block])
+    for part in chunks(len(rows)):
+        xyzabc[part] = _xyzabc(rows[part])
     return xyzabc.reshape(*pose.shape[:-2], 6)
 
 

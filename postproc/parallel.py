@@ -21,8 +21,6 @@ T = TypeVar("T")
 
 _AHEAD = 2
 """Chunks that wait at the helper, so that it never does."""
-
-
 _ROWS = 8192
 """Rows of a chunk: with their matrices they fit the cache."""
 
@@ -35,6 +33,11 @@ def chunk_count(count: int) -> int:
 def chunk_rows(index: int) -> slice:
     """Return the rows of a chunk."""
     return slice(index * _ROWS, (index + 1) * _ROWS)
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """Yield the rows of each chunk of `count` rows: several passes over a chunk cost little."""
+    return map(chunk_rows, range(chunk_count(count)))
 
 
 def without_gaps(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import RAD_PER_DEG, Array, interpolated, inverse, norm, twist_between
-from postproc.parallel import chunk_count, chunk_rows
+from postproc.parallel import chunks
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
 
 _STEP = 0.020
@@ -93,7 +93,7 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     start = starts(program, m.target.__getitem__, start_flange_in_root)
     length, turn = np.empty(len(m)), np.empty(len(m))
     every = np.arange(len(m))
-    for rows in (every[chunk_rows(index)] for index in range(chunk_count(len(m)))):
+    for rows in map(every.__getitem__, chunks(len(m))):
         between = twist_between(start.at(rows), m.target[rows])
         length[rows], turn[rows] = norm(between[:, :3]), norm(between[:, 3:])
     arcs = np.flatnonzero(m.kind == CIRC)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import frames
-from postproc.program import CIRC, LIN, PTP, Document, ForceNote, Motions, Program
+from postproc.program import CIRC, LIN, PTP, Document, ForceNote, Motions, Program, Targets
 
 DOWN = frames.pose_from_xyzabc([0, 0, 0, 0, 0, 180.0])[:3, :3]
 
@@ -44,3 +44,10 @@ def program(moves, notes=(), bases=None, tools=None, base=None, orientation=DOWN
         tools=frames.pose_from_xyzabc([[0.0, 0, 350, 0, 0, 0]]) if tools is None else tools,
         notes=tuple(ForceNote(*note) for note in notes),
     )
+
+
+def ends(motions, pose):
+    """One target for each motion, at its end, without S and T."""
+    n = len(motions)
+    none = np.full(n, -1)
+    return Targets(np.arange(n), np.ones(n), motions.kind, pose, np.full((n, 3), np.nan), np.zeros(n, bool), none, none)

@@ -24,7 +24,7 @@ from postproc.elastostatics.springs import (
 )
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, displaced, largest, twist_between
-from postproc.parallel import chunk_count, chunk_rows
+from postproc.parallel import chunks
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
@@ -73,7 +73,7 @@ def deflect(
     """
     count = len(q)
     theta, pose, rest = np.empty((count, robot.actual.nv)), np.empty((count, 4, 4)), np.empty((count, 4, 4))
-    for part in map(chunk_rows, range(chunk_count(count))):
+    for part in chunks(count):
         tools = tool if tool.ndim == 2 else tool[part]
         x0 = coordinates(robot, q[part])
         rest[part] = kinematics.tcp(robot.loaded, x0, tools)[0] if unloaded is None else unloaded[part]

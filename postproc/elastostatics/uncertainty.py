@@ -17,10 +17,10 @@ from postproc.elastostatics.springs import (
 )
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, Array
+from postproc.parallel import chunks
 from postproc.robot import RobotModel
 
 _JOINT_PARAMETERS = ("k1", "k2", "k3", "k4", "k5", "k6")
-_CHUNK = 8192
 
 
 def position_bound(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array | None:
@@ -39,8 +39,7 @@ def position_bound(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> A
         return None
     bound = np.empty(len(q))
     covariance = np.array(robot.covariance.matrix, dtype=float)
-    for begin in range(0, len(q), _CHUNK):
-        part = slice(begin, begin + _CHUNK)
+    for part in chunks(len(q)):
         s = sensitivity(robot, q[part], tool if tool.ndim == 2 else tool[part], wrench[part])
         spread = s @ covariance @ np.swapaxes(s, 1, 2)
         trace = np.trace(spread, axis1=1, axis2=2)

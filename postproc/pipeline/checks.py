@@ -181,9 +181,9 @@ def joint_speeds(
             )
 
 
-def correction_size(program: Program, motion: Ints, correction: Array, largest: float) -> Iterator[Issue]:
+def correction_size(program: Program, motion: Ints, correction: Array, allowed: float) -> Iterator[Issue]:
     """No commanded position may be further from nominal than allowed; distances (N,) [m]."""
-    bad = ~(correction <= largest)
+    bad = ~(correction <= allowed)
     if bad.any():
         yield from _first(
             program,
@@ -191,7 +191,7 @@ def correction_size(program: Program, motion: Ints, correction: Array, largest: 
             bad,
             "correction-size",
             f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
-            f"{largest * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell.",
+            f"{allowed * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell.",
         )
 
 

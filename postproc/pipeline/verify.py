@@ -17,7 +17,7 @@ from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
-from postproc.parallel import Run, chunk_count, chunk_rows
+from postproc.parallel import Run, chunk_count, chunk_rows, chunks
 from postproc.pipeline import checks
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
@@ -176,7 +176,7 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
     wrong = m.kind[row] != targets.kind
-    for part in map(chunk_rows, range(chunk_count(len(row)))):
+    for part in chunks(len(row)):
         wrong[part] |= largest(twist_between(m.target[row[part]], targets.pose[part])) > _PRINTED
     for frames, other, used, wanted in (
         (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),

@@ -277,17 +277,7 @@ def test_two_hundred_thousand_targets_are_written_at_once():
     motions = Motions(*(np.repeat(getattr(few, name), count, axis=0) for name in Motions.__slots__))
     motions.target[:] = pose
     program = replace(milling(MOVES[:1], ()), motions=motions)
-    nothing = np.full(count, -1)
-    wanted = Targets(
-        np.arange(count),
-        np.ones(count),
-        motions.kind,
-        pose,
-        np.full((count, 3), np.nan),
-        np.zeros(count, bool),
-        nothing,
-        nothing,
-    )
+    wanted = programs.ends(motions, pose)
     best = np.inf
     for _ in range(3):
         begin = time.process_time()

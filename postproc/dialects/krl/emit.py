@@ -26,7 +26,7 @@ from postproc.dialects.krl.statements import written
 from postproc.dialects.krl.wanted import DECIMALS, printed
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import M_PER_MM, MM_PER_M, Array, xyzabc_from_pose
-from postproc.parallel import chunk_count, chunk_rows
+from postproc.parallel import chunks
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, Targets, Written
 
 _END = "\r\n"
@@ -122,7 +122,7 @@ class _Emitter:
         ends = np.flatnonzero(self.last)
         return any(
             np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
-            for part in (ends[chunk_rows(index)] for index in range(chunk_count(len(ends))))
+            for part in map(ends.__getitem__, chunks(len(ends)))
             if len(part)
         )
 
@@ -222,8 +222,8 @@ class _Emitter:
     def _print(self, kind: int, approximated: Bools) -> tuple[bytes, Ints]:
         """Return the lines of all targets of a kind, and where each of them ends."""
         k = np.flatnonzero(self.targets.kind == kind)
-        chunks = [k[chunk_rows(index)] for index in range(chunk_count(len(k)))]
-        text = b"".join([self._lines(kind, rows, approximated[rows]) for rows in chunks if len(rows)])
+        parts = map(k.__getitem__, chunks(len(k)))
+        text = b"".join([self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows)])
         return text, np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n")) + 1
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
