@@ -7,11 +7,13 @@ moves is collected as `Issue`s; one of level ``"error"`` means that no program i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self, TypeVar
 
 Level = Literal["error", "warning", "info"]
+MOST = 20
+"""So many errors of one input are shown in one run; a reader may stop when it has found more."""
 
 
 class PostprocError(Exception):
@@ -21,13 +23,15 @@ class PostprocError(Exception):
 class InputError(PostprocError):
     """A file, a line or a value cannot be used.
 
-    The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too.
+    The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too. What else is wrong
+    with the same input (`others`, see `together`) follows, each on a line of its own.
 
     :param problem: what is wrong, without a full stop.
     :param file: name of the file as the user knows it.
     :param line: 1-based line in that file.
     :param text: the text found there.
     :param advice: what the user can do.
+    :param others: further errors of the same input, in order of lines.
     """
 
     def __init__(
@@ -38,17 +42,34 @@ class InputError(PostprocError):
         line: int | None = None,
         text: str | None = None,
         advice: str | None = None,
+        others: Sequence[InputError] = (),
     ) -> None:
         self.problem, self.file, self.line, self.text, self.advice = problem, file, line, text, advice
+        self.others = tuple(others)
         where = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
         if file is None and line is not None:
             where = f"line {line}: "
         quoted = "" if text is None else f" Text: {text.strip()[:160]!r}."
-        super().__init__(f"{where}{problem}.{quoted}{'' if advice is None else ' ' + advice}")
+        own = f"{where}{problem}.{quoted}{'' if advice is None else ' ' + advice}"
+        shown = [own, *map(str, self.others[: MOST - 1])]
+        if len(self.others) >= MOST:
+            shown.append(f"There are more errors: these are the first {MOST}.")
+        super().__init__("\n".join(shown))
+
+    def with_file(self, name: str, path: str) -> Self:
+        """Return the same error with file `path` where it says `name`, in all `others` too."""
+        return type(self)(
+            self.problem,
+            file=path if self.file == name else self.file,
+            line=self.line,
+            text=self.text,
+            advice=self.advice,
+            others=[other.with_file(name, path) for other in self.others],
+        )
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle by attributes, so that the exception survives a process pool."""
-        return _rebuild, (type(self), self.problem, self.file, self.line, self.text, self.advice)
+        return _rebuild, (type(self), self.problem, self.file, self.line, self.text, self.advice, self.others)
 
 
 def _rebuild(
@@ -58,8 +79,28 @@ def _rebuild(
     line: int | None,
     text: str | None,
     advice: str | None,
+    others: tuple[InputError, ...],
 ) -> InputError:
-    return kind(problem, file=file, line=line, text=text, advice=advice)
+    return kind(problem, file=file, line=line, text=text, advice=advice, others=others)
+
+
+AnyInputError = TypeVar("AnyInputError", bound=InputError)
+
+
+def together(errors: Iterable[AnyInputError]) -> AnyInputError:
+    """Return all that is wrong with one input as one error: the first in order of lines, which carries the others.
+
+    :param errors: at least one, in any order and without others of their own; those of one file follow each other, in
+        the order in which files are first named.
+    """
+    found = list(errors)
+    files = list(dict.fromkeys(error.file for error in found))
+    first, *others = sorted(found, key=lambda error: (files.index(error.file), error.line or 0))
+    if not others:
+        return first
+    return type(first)(
+        first.problem, file=first.file, line=first.line, text=first.text, advice=first.advice, others=others
+    )
 
 
 class ProgramError(InputError):
@@ -95,11 +136,13 @@ class Issue:
     """What is wrong, or worth knowing, at one move.
 
     :param level: ``"error"`` (no program is written), ``"warning"`` or ``"info"``.
-    :param kind: short stable name, e.g. ``"joint-limit"``; issues of one kind are grouped.
+    :param kind: short stable name, e.g. ``"joint-limit"``; issues of one kind and subject are grouped.
     :param message: one sentence for the user.
     :param source_line: 1-based line of the input program, if there is one.
     :param output_line: 1-based line of the written program, if there is one.
     :param count: number of places this issue stands for after grouping.
+    :param subject: the name or value that the message is about (a program that is called, a code), where issues of one
+        kind may be about several; empty where there is but one.
     """
 
     level: Level
@@ -108,13 +151,14 @@ class Issue:
     source_line: int | None = None
     output_line: int | None = None
     count: int = 1
+    subject: str = ""
 
 
 def group_issues(issues: Iterable[Issue]) -> tuple[Issue, ...]:
-    """Return one issue per (level, kind), the first found, counting the others; errors first."""
-    grouped: dict[tuple[str, str], Issue] = {}
+    """Return one issue per (level, kind, subject), the first found, counting the others; errors first."""
+    grouped: dict[tuple[str, str, str], Issue] = {}
     for issue in issues:
-        key = (issue.level, issue.kind)
+        key = (issue.level, issue.kind, issue.subject)
         known = grouped.get(key)
         grouped[key] = issue if known is None else replace(known, count=known.count + issue.count)
     order = {"error": 0, "warning": 1, "info": 2}

@@ -88,11 +88,7 @@ def read_program(path: str | Path, robot: RobotModel, cell: Cell, dialect: str |
     try:
         return pipeline.read(documents, robot, cell, path.stem, dialect)
     except ProgramError as cause:
-        if cause.file != path.name:
-            raise
-        raise ProgramError(
-            cause.problem, file=str(path), line=cause.line, text=cause.text, advice=cause.advice
-        ) from cause
+        raise cause.with_file(path.name, str(path)) from cause
 
 
 @contextmanager

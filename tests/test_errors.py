@@ -1,0 +1,55 @@
+"""Errors that tell of all that is wrong with an input, and issues in groups."""
+
+import pickle
+
+from postproc.errors import MOST, Issue, ProgramError, group_issues, together
+
+
+def _error(line: int, file: str = "part.nc") -> ProgramError:
+    return ProgramError(f"odd word {line}", file=file, line=line, text=f"G9{line}", advice="Remove it.")
+
+
+def test_errors_of_a_file_are_told_together_in_order_of_lines() -> None:
+    error = together([_error(7), _error(3), _error(5)])
+    assert (error.problem, error.line) == ("odd word 3", 3)
+    assert str(error).splitlines() == [f"part.nc:{n}: odd word {n}. Text: 'G9{n}'. Remove it." for n in (3, 5, 7)]
+
+
+def test_errors_of_the_first_file_come_first() -> None:
+    error = together([_error(7, "part.src"), _error(3, "part.dat"), _error(5, "part.src")])
+    assert [(e.file, e.line) for e in (error, *error.others)] == [("part.src", 5), ("part.src", 7), ("part.dat", 3)]
+
+
+def test_one_error_stays_what_it_is() -> None:
+    error = _error(3)
+    assert together([error]) is error
+
+
+def test_no_more_than_the_first_errors_are_shown() -> None:
+    exactly, more = together([_error(n) for n in range(MOST)]), together([_error(n) for n in range(MOST + 5)])
+    assert len(str(exactly).splitlines()) == MOST
+    assert len(str(more).splitlines()) == MOST + 1
+    assert str(more).splitlines()[-1] == f"There are more errors: these are the first {MOST}."
+
+
+def test_errors_survive_a_process_pool_and_a_change_of_the_file_name() -> None:
+    error = pickle.loads(pickle.dumps(together([_error(3), _error(5), _error(1, "part.dat")])))
+    moved = error.with_file("part.nc", "jobs/part.nc")
+    assert isinstance(moved, ProgramError)
+    assert [(e.file, e.line) for e in (moved, *moved.others)] == [
+        ("jobs/part.nc", 3),
+        ("jobs/part.nc", 5),
+        ("part.dat", 1),
+    ]
+
+
+def test_issues_about_different_names_are_not_grouped() -> None:
+    issues = [
+        Issue("warning", "call", "A() is not there", 3, subject="A"),
+        Issue("warning", "call", "B() is not there", 4, subject="B"),
+        Issue("warning", "call", "A() is not there", 5, subject="A"),
+    ]
+    assert [(issue.message[0], issue.source_line, issue.count) for issue in group_issues(issues)] == [
+        ("A", 3, 2),
+        ("B", 4, 1),
+    ]
