@@ -18,7 +18,6 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, largest, twist_between
-from postproc.parallel import without_gaps
 from postproc.program import Ints
 from postproc.robot import RobotModel
 
@@ -44,8 +43,7 @@ class Compensation:
 
     def at(self, rows: Ints) -> Compensation:
         """Return the given rows (n,)."""
-        some = without_gaps(rows)
-        return Compensation(self.q[some], self.pose[some], self.theta[some])
+        return Compensation(self.q[rows], self.pose[rows], self.theta[rows])
 
 
 def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:

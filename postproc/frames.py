@@ -13,8 +13,6 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from postproc.parallel import chunks
-
 Array = NDArray[np.float64]
 
 M_PER_MM = 1e-3
@@ -37,16 +35,7 @@ def pose_from_xyzabc(xyzabc: ArrayLike) -> Array:
     >>> pose_from_xyzabc([0, 0, 1000, 0, 90, 0]).round(6).tolist()[0]
     [0.0, 0.0, 1.0, 0.0]
     """
-    values: Array = np.asarray(xyzabc, dtype=float)
-    rows = values.reshape(-1, 6)
-    pose = np.empty((len(rows), 4, 4))
-    for part in chunks(len(rows)):
-        pose[part] = _pose(rows[part] * _TO_SI)
-    return pose.reshape(*values.shape[:-1], 4, 4)
-
-
-def _pose(values: Array) -> Array:
-    """Return poses of (n, 6) position [m] and A, B, C [rad]."""
+    values: Array = np.asarray(xyzabc, dtype=float) * _TO_SI
     sin, cos = np.sin(values[..., 3:]), np.cos(values[..., 3:])
     (sa, sb, sc), (ca, cb, cc) = np.moveaxis(sin, -1, 0), np.moveaxis(cos, -1, 0)
     pose = np.zeros((*values.shape[:-1], 4, 4))
@@ -64,15 +53,6 @@ def xyzabc_from_pose(pose: Array) -> Array:
     At B = ±90°, where A and C are not unique, A is 0 and the three still compose to the given rotation: C is taken
     from what remains after A and B, not from entries that vanish there.
     """
-    rows = pose.reshape(-1, 4, 4)
-    xyzabc = np.empty((len(rows), 6))
-    for part in chunks(len(rows)):
-        xyzabc[part] = _xyzabc(rows[part])
-    return xyzabc.reshape(*pose.shape[:-2], 6)
-
-
-def _xyzabc(pose: Array) -> Array:
-    """Return X, Y, Z [mm], A, B, C [deg] of (n, 4, 4) poses."""
     r = pose[..., :3, :3]
     at_pole = np.hypot(r[..., 1, 0], r[..., 0, 0]) < _POLE
     a = np.where(at_pole, 0.0, np.arctan2(r[..., 1, 0], r[..., 0, 0]))

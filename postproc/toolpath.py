@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from postproc.chunks import in_chunks
 from postproc.frames import RAD_PER_DEG, Array, interpolated, inverse, norm, twist_between
-from postproc.parallel import chunks
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
 
 _STEP = 0.020
@@ -91,11 +91,12 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     """
     m = program.motions
     start = starts(program, m.target.__getitem__, start_flange_in_root)
-    length, turn = np.empty(len(m)), np.empty(len(m))
-    every = np.arange(len(m))
-    for rows in map(every.__getitem__, chunks(len(m))):
+
+    def chord(rows: Ints) -> tuple[Array, Array]:
         between = twist_between(start.at(rows), m.target[rows])
-        length[rows], turn[rows] = norm(between[:, :3]), norm(between[:, 3:])
+        return norm(between[:, :3]), norm(between[:, 3:])
+
+    length, turn = in_chunks(chord, np.arange(len(m)))
     arcs = np.flatnonzero(m.kind == CIRC)
     begin = start.at(arcs)[:, :3, 3]
     rise = np.einsum("ni,ni->n", m.target[arcs, :3, 3] - begin, m.normal[arcs])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -19,7 +17,6 @@ from postproc.cell import Cell
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
-from postproc.parallel import Run, here
 from postproc.pipeline import Result
 from postproc.program import Program
 from postproc.report import Summary
@@ -50,16 +47,13 @@ def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
     return robots.load(robots.find(name, Path(relative_to)))
 
 
-def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run: Run = here) -> Outcome:
+def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
     Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
-
-    :param run: where the chunks of a large program are worked on.
     """
     try:
-        with _no_collection():
-            return _converted(job, settings, cell, robot, run)
+        return _converted(job, settings, cell, robot)
     except PostprocError as cause:
         return Outcome(str(job.program), FAILED, message=str(cause))
     except MemoryError:
@@ -91,30 +85,16 @@ def read_program(path: str | Path, robot: RobotModel, cell: Cell, dialect: str |
         raise cause.with_file(path.name, str(path)) from cause
 
 
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Pause the search for unreachable cycles: 10⁵ lines make many small objects at once, and no cycles."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()
-
-
-def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run: Run) -> Outcome:
+def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     program = read_program(job.program, robot, cell, job.dialect)
     rows = None if job.forces is None else read_force_csv(job.forces)
-    result = pipeline.process(
-        program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs, run=run
-    )
+    result = pipeline.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
     if result.failed:
         return Outcome(str(job.program), FAILED, issues=result.issues)
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     content = report.summary(result, tolerance)
-    contents = _contents(job, result, content, tolerance, run)
+    contents = _contents(job, result, content, tolerance)
     with held_back() as interrupts:
         written = files.write_whole(job.output, contents)
     exceeded = settings.mode != "predict" and content["tolerance_held"] is False
@@ -127,13 +107,13 @@ def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, run:
 
 
 def _contents(
-    job: Job, result: Result, content: Summary, tolerance: float | None, run: Run
+    job: Job, result: Result, content: Summary, tolerance: float | None
 ) -> dict[str, bytes | Iterable[bytes]]:
     """Return what to write: file name → content."""
     stem = job.program.stem
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
     contents[f"{stem}.report.json"] = report.to_json(content)
-    contents[f"{stem}.targets.csv"] = report.targets_csv(result, run)
+    contents[f"{stem}.targets.csv"] = report.targets_csv(result)
     contents[f"{stem}.report.html"] = report.page(result, tolerance)
     for name in contents:
         if is_input(job, job.output / name):

@@ -20,12 +20,11 @@ from postproc.batch.interrupts import Interrupted, be_deaf, hear_once, ignored_b
 from postproc.batch.outcome import FAILED, Outcome, Settings
 from postproc.cell import Cell
 from postproc.errors import PostprocError
-from postproc.parallel import Run, here
 from postproc.robot import RobotModel
 
 
 def convert_all(
-    jobs: Sequence[Job], settings: Settings, *, workers: int = 1, scheduler: str | None = None, run: Run = here
+    jobs: Sequence[Job], settings: Settings, *, workers: int = 1, scheduler: str | None = None
 ) -> Iterator[Outcome]:
     """Work through jobs; yield each outcome as soon as it is known (not in the order of the jobs).
 
@@ -38,7 +37,6 @@ def convert_all(
         ``if __name__ == "__main__":``.
     :param scheduler: address of a Dask scheduler, e.g. ``tcp://10.0.0.5:8786``. Its workers must see the same files
         under the same paths, and have the same postproc.
-    :param run: where the chunks of a large program are worked on, if there is but this process.
     :raises PostprocError: the cell or the robot is unusable, or there is no Dask.
     """
     cell, robot = load_setup(settings)
@@ -49,7 +47,7 @@ def convert_all(
     else:
         for job in jobs:
             try:
-                yield convert_one(job, settings, cell, robot, run)
+                yield convert_one(job, settings, cell, robot)
             except Interrupted as cause:
                 yield cause.outcome
                 raise

@@ -11,12 +11,9 @@ import click
 
 if TYPE_CHECKING:
     from postproc.batch import Job, Outcome, Settings
-    from postproc.parallel import Run
 
 _PATH = click.Path(path_type=Path)
 _DIALECT = click.Choice(["gcode", "krl"])
-_LARGE = 1_000_000
-"""Bytes from which on a single program is worth the start of a helper process."""
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -84,13 +81,7 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc import memory, parallel
-
-    large = len(programs) == 1 and scheduler is None and _size(programs[0]) > _LARGE
-    if large:
-        memory.keep_freed()
-    run = ctx.with_resource(parallel.helper_process("postproc.pipeline.verify", wanted=large))
-    from postproc.batch import Settings, find_jobs  # slow: the helper gets ready meanwhile
+    from postproc.batch import Settings, find_jobs
 
     if scheduler is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
@@ -101,15 +92,9 @@ def convert(
         )
     found = find_jobs(programs, dialect=dialect, forces=forces, output=output, cell=cell)
     settings = Settings(cell, "nominal" if nominal else "convert", tolerance, linearize_arcs)
-    outcomes = _worked(ctx, found, settings, workers=jobs, scheduler=scheduler, run=run)
+    outcomes = _worked(ctx, found, settings, workers=jobs, scheduler=scheduler)
     _report(outcomes, found, as_json=as_json)
     ctx.exit(_worst(outcomes))
-
-
-def _size(program: str) -> int:
-    """Return the size of a file; 0 for folders and patterns."""
-    path = Path(program)
-    return path.stat().st_size if path.is_file() else 0
 
 
 @click.command()
@@ -150,14 +135,12 @@ def _worked(
     *,
     workers: int = 1,
     scheduler: str | None = None,
-    run: Run | None = None,
 ) -> list[Outcome]:
     """Return the outcomes in the order of the jobs; an interrupt ends the command and says what is there."""
     from postproc.batch import convert_all
-    from postproc.parallel import here
 
     known: dict[str, Outcome] = {}
-    outcomes = convert_all(jobs, settings, workers=workers, scheduler=scheduler, run=run or here)
+    outcomes = convert_all(jobs, settings, workers=workers, scheduler=scheduler)
     try:
         for outcome in _with_progress(outcomes, len(jobs)):
             known[outcome.program] = outcome

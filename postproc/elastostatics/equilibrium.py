@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import kinematics
+from postproc.chunks import in_chunks
 from postproc.elastostatics.springs import (
     A2,
     compensator_share,
@@ -24,7 +25,6 @@ from postproc.elastostatics.springs import (
 )
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, displaced, largest, twist_between
-from postproc.parallel import chunks
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
@@ -71,18 +71,14 @@ def deflect(
     :param unloaded: (N, 4, 4) pose of the tool frame at θ = 0, if it is known.
     :raises NotConvergedError: the load is beyond what the springs hold, or the numbers are not finite.
     """
-    count = len(q)
-    theta, pose, rest = np.empty((count, robot.actual.nv)), np.empty((count, 4, 4)), np.empty((count, 4, 4))
-    for part in chunks(count):
-        tools = tool if tool.ndim == 2 else tool[part]
-        x0 = coordinates(robot, q[part])
-        rest[part] = kinematics.tcp(robot.loaded, x0, tools)[0] if unloaded is None else unloaded[part]
-        start = np.zeros_like(x0) if guess is None else guess[part]
-        try:
-            theta[part], pose[part] = _fixed_point(robot, x0, start, tools, wrench[part])
-        except NotConvergedError as cause:
-            raise NotConvergedError(str(cause), [part.start + row for row in cause.rows]) from None
-    return Deflection(theta, pose, rest)
+    x0 = coordinates(robot, q)
+    tools = np.broadcast_to(tool, (len(q), 4, 4))
+
+    def solve(x0: Array, start: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
+        return _fixed_point(robot, x0, start, tool, wrench)
+
+    theta, pose = in_chunks(solve, x0, np.zeros_like(x0) if guess is None else guess, tools, wrench)
+    return Deflection(theta, pose, kinematics.tcp(robot.loaded, x0, tool)[0] if unloaded is None else unloaded)
 
 
 def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
@@ -94,7 +90,7 @@ def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench
     previous = np.full(len(x0), np.nan)
     for _ in range(_MAX_ITERATIONS):
         x = x0[rows] + theta[rows]
-        here, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool if tool.ndim == 2 else tool[rows])
+        here, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool[rows])
         torque = np.einsum("nij,ni->nj", jacobian, wrench[rows]) + reference[rows]
         torque -= rest_torque(robot, robot.loaded, x, weight)
         step, slope = spring_deflection(robot, torque, at_rest[rows])

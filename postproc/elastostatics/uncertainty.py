@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from postproc import kinematics
+from postproc.chunks import in_chunks
 from postproc.elastostatics.springs import (
     A2,
     compensator_share,
@@ -17,7 +18,6 @@ from postproc.elastostatics.springs import (
 )
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, Array
-from postproc.parallel import chunks
 from postproc.robot import RobotModel
 
 _JOINT_PARAMETERS = ("k1", "k2", "k3", "k4", "k5", "k6")
@@ -37,17 +37,18 @@ def position_bound(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> A
     """
     if robot.covariance is None:
         return None
-    bound = np.empty(len(q))
     covariance = np.array(robot.covariance.matrix, dtype=float)
-    for part in chunks(len(q)):
-        s = sensitivity(robot, q[part], tool if tool.ndim == 2 else tool[part], wrench[part])
+
+    def bound(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
+        s = sensitivity(robot, q, tool, wrench)
         spread = s @ covariance @ np.swapaxes(s, 1, 2)
         trace = np.trace(spread, axis1=1, axis2=2)
         square = np.sum(spread**2, axis=(1, 2))
         h = np.divide(trace**2, square, out=np.ones_like(trace), where=square > 0.0)
         g = np.divide(square, trace, out=np.zeros_like(trace), where=trace > 0.0)
-        bound[part] = np.sqrt(g * h * (1.0 - 2.0 / (9.0 * h) + 1.6448536 * np.sqrt(2.0 / (9.0 * h))) ** 3)
-    return bound
+        return (np.sqrt(g * h * (1.0 - 2.0 / (9.0 * h) + 1.6448536 * np.sqrt(2.0 / (9.0 * h))) ** 3),)
+
+    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)[0]
 
 
 def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:

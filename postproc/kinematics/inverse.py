@@ -16,10 +16,10 @@ import pinocchio as pin
 from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
+from postproc.chunks import in_chunks
 from postproc.errors import ModelError, PostprocError
 from postproc.frames import Array, displaced, inverse, largest, twist_between
 from postproc.kinematics.chain import tcp
-from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
@@ -220,7 +220,6 @@ def follow(
     axis_target: Array,
     status: Ints,
     turn: Ints,
-    run: Run = here,
 ) -> JointPath:
     """Solve a path by the controller's geometry, continuous from the start.
 
@@ -234,14 +233,13 @@ def follow(
     :param axis_target: (J, 6) joint angles of the PTP moves to an axis target [rad], NaN for the others.
     :param status: (J,) S of the PTP targets, −1 where none.
     :param turn: (J,) T of the PTP targets, −1 where none.
-    :param run: where the chunks are worked on.
     :raises UnreachableError: a pose has no solution on its branch.
     """
     jumps = np.flatnonzero(free)
     by_axes = np.isfinite(axis_target[:, 0])
     slots = _branches_along(robot, flange(jumps), start, axis_target, status)
     branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
-    q = _on_branches(robot, flange, branch, run)
+    q = _on_branches(robot, flange, branch)
     q[jumps[by_axes]] = axis_target[by_axes]
     unreached = np.flatnonzero(np.isnan(q).any(axis=1))
     if len(unreached):
@@ -267,14 +265,11 @@ def _branches_along(robot: RobotModel, flange: Array, start: Array, axis_target:
     return slots
 
 
-def _on_branches(robot: RobotModel, flange: Callable[[Ints], Array], branch: Ints, run: Run) -> Array:
-    every = np.arange(len(branch))
+def _on_branches(robot: RobotModel, flange: Callable[[Ints], Array], branch: Ints) -> Array:
+    def on_branch(rows: Ints, branch: Ints) -> tuple[Array]:
+        return (_on_branch(robot, flange(rows), branch),)
 
-    def chunk(index: int) -> tuple[object, ...]:
-        rows = every[chunk_rows(index)]
-        return robot, flange(rows), branch[rows]
-
-    return np.concatenate(list(run(_on_branch, chunk_count(len(branch)), chunk)))
+    return in_chunks(on_branch, np.arange(len(branch)), branch)[0]
 
 
 def _on_branch(robot: RobotModel, pose: Array, branch: Ints) -> Array:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
+from postproc.chunks import in_chunks
 from postproc.compensation import Compensation, compensate, uncorrected
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.parallel import Run, chunk_count, chunk_rows, here, without_gaps
 from postproc.pipeline import checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
@@ -81,7 +81,6 @@ def process(
     mode: Mode = "convert",
     *,
     linearize_arcs: bool = False,
-    run: Run = here,
 ) -> Result:
     """Correct a program, or predict what it does as it stands.
 
@@ -92,7 +91,6 @@ def process(
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
         nothing.
     :param linearize_arcs: write arcs as lines.
-    :param run: where the chunks of a large program are worked on.
     :returns: a result; with an issue of level error it holds no documents.
     :raises ForceError: forces that cannot be given to the motions.
     """
@@ -100,11 +98,10 @@ def process(
     also: tuple[Ints, Array] | None = None
     for _ in range(_ROUNDS):
         try:
-            sampled = _sample(program, place, rows, mode, linearize_arcs, also, run)
+            sampled = _sample(program, place, rows, mode, linearize_arcs, also)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
         targets, row = _targets(program, place, sampled, mode, linearize_arcs)
-        uncorrected_later = _uncorrected(program, place, sampled, row, run)
         issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated = None, None
         if mode != "predict" and not _blocked(issues):
@@ -113,13 +110,13 @@ def process(
             if not _blocked(issues):
                 simulated = verify.simulate(
                     program, sampled.path, sampled.load, targets, sampled.sample.pose[row, :3, 3], text, place, row,
-                    sampled.command, sampled.joints.branch, run, corrected=mode == "convert",
+                    sampled.command, sampled.joints.branch, corrected=mode == "convert",
                 )  # fmt: skip
         if mode != "convert" or simulated is None or len(simulated.missed[0]) == 0:
             break
         # between its targets the written path leaves the tolerance: look there too, and insert what is needed
         also = simulated.missed if also is None else _joined(also, simulated.missed)
-    before, deflection = uncorrected_later()
+    before, deflection = _uncorrected(program, place, sampled, row)
     after, between = before, float(before.max(initial=0.0))
     documents: tuple[Document, ...] = ()
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
@@ -129,8 +126,8 @@ def process(
         issues += simulated.issues
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
         after, between, printed = simulated.after, simulated.between, simulated.printed
-    some, tool = without_gaps(row), place.tool(program, targets.motion)
-    q, wrench = sampled.command.q[some], sampled.wrench[some]
+    tool = place.tool(program, targets.motion)
+    q, wrench = sampled.command.q[row], sampled.wrench[row]
     correction = targets.pose[:, :3, 3] - sampled.sample.pose[row, :3, 3]
     return Result(
         program=program,
@@ -140,7 +137,7 @@ def process(
         motion=targets.motion,
         t=targets.t,
         output_line=output_line,
-        nominal=sampled.sample.pose[some],
+        nominal=sampled.sample.pose[row],
         printed=printed,
         wrench=wrench,
         deflection=deflection,
@@ -171,7 +168,6 @@ def _sample(
     mode: Mode,
     linearize_arcs: bool,
     also: tuple[Ints, Array] | None,
-    run: Run,
 ) -> _Sampled:
     path = toolpath.segments(program, place.start_flange)
     load = forces.per_motion(program, rows)
@@ -188,7 +184,7 @@ def _sample(
 
     try:
         joints = kinematics.follow(
-            place.robot, flange, place.cell.start_joints, free, m.joints[ptp], m.status[ptp], m.turn[ptp], run
+            place.robot, flange, place.cell.start_joints, free, m.joints[ptp], m.status[ptp], m.turn[ptp]
         )
     except UnreachableError as cause:
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
@@ -198,7 +194,7 @@ def _sample(
         return _Sampled(path, load, sample, wrench, joints, command)
     movable = np.isnan(m.joints[motion, 0])
     try:
-        command = _compensated(program, place, sample, wrench, joints, movable, run)
+        command = _compensated(program, place, sample, wrench, joints, movable)
     except NotConvergedError as cause:
         message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
         raise _BlockedError(_at_rows("not-converged", message, program, motion[list(cause.rows)])) from None
@@ -212,34 +208,23 @@ def _at_rows(kind: str, message: str, program: Program, motion: Ints) -> Issue:
 
 
 def _compensated(
-    program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools, run: Run
+    program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools
 ) -> Compensation:
     """Correct all samples but axis targets, which are left as they stand."""
     moved = np.flatnonzero(movable)
 
-    def chunk(index: int) -> tuple[object, ...]:
-        rows = moved[chunk_rows(index)]
+    def corrected(rows: Ints) -> tuple[Array, Array, Array]:
         motion = sample.motion[rows]
-        target = place.pose(program, motion, sample.pose[rows])
-        force = place.wrench(program, motion, wrench[rows])
-        return place.robot, rows, target, joints.q[rows], place.tool(program, motion), force
+        target, force = place.pose(program, motion, sample.pose[rows]), place.wrench(program, motion, wrench[rows])
+        found = compensate(place.robot, target, joints.q[rows], place.tool(program, motion), force)
+        return found.q, place.back(program, motion, found.pose), found.theta
 
-    count = len(sample.motion)
-    out = Compensation(joints.q.copy(), np.empty((count, 4, 4)), np.zeros((count, place.robot.actual.nv)))
-    out.pose[~movable] = sample.pose[~movable]
-    for index, part in enumerate(run(_corrected, chunk_count(len(moved)), chunk)):
-        rows = moved[chunk_rows(index)]
-        out.q[rows], out.theta[rows] = part.q, part.theta
-        out.pose[rows] = place.back(program, sample.motion[rows], part.pose)
-    return out
-
-
-def _corrected(robot: RobotModel, rows: Ints, target: Array, q: Array, tool: Array, wrench: Array) -> Compensation:
-    """Return the commands of some samples; an error names them by their `rows`."""
+    out = Compensation(joints.q.copy(), sample.pose.copy(), np.zeros((len(movable), place.robot.actual.nv)))
     try:
-        return compensate(robot, target, q, tool, wrench)
+        out.q[moved], out.pose[moved], out.theta[moved] = in_chunks(corrected, moved)
     except NotConvergedError as cause:
-        raise NotConvergedError(str(cause), rows[list(cause.rows)].tolist()) from None
+        raise NotConvergedError(str(cause), moved[list(cause.rows)].tolist()) from None
+    return out
 
 
 def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
@@ -293,7 +278,7 @@ def _targets(
     via[arcs] = position[via_row[arcs]]
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
     keep = whole[motion] & (program.dialect == "krl")
-    pose = sampled.command.pose[without_gaps(row)]
+    pose = sampled.command.pose[row]
     return Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn), row
 
 
@@ -313,41 +298,31 @@ def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q
     return status, turn
 
 
-def _uncorrected(
-    program: Program, place: InRoot, sampled: _Sampled, row: Ints, run: Run
-) -> Callable[[], tuple[Array, Array]]:
-    """Return what returns what the targets (K rows of the samples) would do uncorrected.
+def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints) -> tuple[Array, Array]:
+    """Return what the targets (K rows of the samples) would do uncorrected.
 
     That is the distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
     """
-    motion = sampled.sample.motion[row]
-    nominal = sampled.sample.pose[row, :3, 3]
+    robot = place.robot
 
-    def chunk(index: int) -> tuple[object, ...]:
-        rows = chunk_rows(index)
-        at, tool = without_gaps(row[rows]), place.tool(program, motion[rows])
-        force = place.wrench(program, motion[rows], sampled.wrench[at])
-        return place.robot, sampled.joints.q[at], tool, force, sampled.command.theta[at], place.rest_is_nominal
+    def deflected(row: Ints) -> tuple[Array, Array]:
+        motion, nominal = sampled.sample.motion[row], sampled.sample.pose[row, :3, 3]
+        force = place.wrench(program, motion, sampled.wrench[row])
+        state = sampled.joints.q[row], place.tool(program, motion)
+        tip = place.points_back(program, motion, _tip(robot, *state, force, sampled.command.theta[row]))
+        if place.rest_is_nominal:
+            return norm(tip - nominal), tip - nominal
+        rest = _tip(robot, *state, np.zeros_like(force), sampled.command.theta[row])
+        return norm(tip - nominal), tip - place.points_back(program, motion, rest)
 
-    parts = run.later(_deflected, chunk_count(len(row)), chunk)
-
-    def results() -> tuple[Array, Array]:
-        done = list(parts())
-        tip = place.points_back(program, motion, np.concatenate([part[0] for part in done]))
-        rest = nominal
-        if not place.rest_is_nominal:
-            rest = place.points_back(program, motion, np.concatenate([part[1] for part in done]))
-        return norm(tip - nominal), tip - rest
-
-    return results
+    before, deflection = in_chunks(deflected, row)
+    return before, deflection
 
 
-def _deflected(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array, rest_is_nominal: bool
-) -> tuple[Array, Array]:
-    """Return the tip (n, 3) in the root under the wrench, and without it if that is not known to be nominal [m]."""
+def _tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array) -> Array:
+    """Return the tip (n, 3) in the root [m] under a wrench."""
     if len(q) == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3))
+        return np.zeros((0, 3))
     few = np.arange(0, len(q), _FEW)
     some_tool = tool if tool.ndim == 2 else tool[few]
     # the springs give way a little differently here than at the target; along the path the difference changes slowly:
@@ -356,10 +331,7 @@ def _deflected(
     every = np.arange(len(q))
     guess = guess + np.stack([np.interp(every, few, column) for column in more.T], axis=1)
     nowhere = np.broadcast_to(np.eye(4), (len(q), 4, 4))  # where the tip rests is not asked for
-    tip = elastostatics.deflect(robot, q, tool, wrench, guess, nowhere).pose[:, :3, 3]
-    if rest_is_nominal:
-        return tip, np.zeros((0, 3))
-    return tip, elastostatics.deflect(robot, q, tool, np.zeros_like(wrench), guess, nowhere).pose[:, :3, 3]
+    return elastostatics.deflect(robot, q, tool, wrench, guess, nowhere).pose[:, :3, 3]
 
 
 def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
+from postproc.chunks import in_chunks
 from postproc.compensation import Compensation
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
-from postproc.parallel import Run, chunk_count, chunk_rows, chunks
 from postproc.pipeline import checks
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
@@ -72,7 +72,6 @@ def simulate(
     sample: Ints,
     command: Compensation,
     branch: Ints,
-    run: Run,
     *,
     corrected: bool,
 ) -> Simulated:
@@ -86,11 +85,10 @@ def simulate(
     :param sample: (K,) which of the N samples of the path each target is.
     :param command: the N commands as computed: where the search for those of the text begins.
     :param branch: (N,) branch of the inverse kinematics of each.
-    :param run: where the chunks are worked on.
     :param corrected: the program claims to hold the tolerance.
     """
     try:
-        written = krl.read(text.documents, place.cell, place.forward, program.name, run)
+        written = krl.read(text.documents, place.cell, place.forward, program.name)
     except ProgramError as cause:
         message = f"the written program cannot be read back ({cause.problem}): a fault of postproc, please report it"
         return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))
@@ -109,29 +107,25 @@ def simulate(
     t = begin[index] + share * (targets.t - begin)[index]
     t = np.where(share == 1.0, targets.t[index], t)
     motion, on = targets.motion[index], row[index]
-    spot = np.empty((len(index), 3))
 
-    def chunk(number: int) -> tuple[object, ...]:
-        rows = chunk_rows(number)
-        nominal = toolpath.at(program, path, motion[rows], t[rows])
-        spot[rows] = nominal.pose[:, :3, 3]
+    def simulated(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
+        nominal = toolpath.at(program, path, motion, t)
         wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
-        near = command.at(sample[index[rows]])
-        printed = toolpath.at(written, written_path, on[rows], share[rows]).pose
+        near = command.at(sample)
+        printed = toolpath.at(written, written_path, on, share).pose
         q = near.q
-        if (share[rows] < 1.0).any():  # between targets the joint angles are not known yet
-            flange = toolpath.flange_from_tcp(written, on[rows], printed)
-            q = kinematics.on_branch(place.robot, flange, branch[sample[index[rows]]], q)
-        commanded, tool = place.pose(written, on[rows], printed), place.tool(written, on[rows])
-        return place.robot, rows.start, commanded, tool, place.wrench(written, on[rows], wrench), q, near.theta
+        if (share < 1.0).any():  # between targets the joint angles are not known yet
+            q = kinematics.on_branch(place.robot, toolpath.flange_from_tcp(written, on, printed), branch[sample], q)
+        commanded, tool = place.pose(written, on, printed), place.tool(written, on)
+        tip = _tip(place.robot, commanded, tool, place.wrench(written, on, wrench), q, near.theta)
+        return (place.points_back(written, on, tip) - nominal.pose[:, :3, 3],)
 
     try:
-        tip = place.points_back(written, on, np.concatenate(list(run(_tip, chunk_count(len(index)), chunk))))
+        (off,) = in_chunks(simulated, motion, t, on, share, sample[index])
     except NotConvergedError as cause:
         line = int(program.motions.line[motion[cause.rows[0]]])
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
         return _unusable(targets, issue)
-    off = tip - spot
     after = norm(off[share == 1.0])
     distance = norm(off)
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
@@ -149,25 +143,14 @@ def _unusable(targets: Targets, issue: Issue) -> Simulated:
     return Simulated(np.full(count, np.nan), np.inf, np.full((count, 6), np.nan), nowhere, (issue,))
 
 
-def _tip(
-    robot: RobotModel,
-    begin: int,
-    commanded: Array,
-    tool: Array,
-    wrench: Array,
-    q: Array,
-    theta: Array,
-) -> Array:
+def _tip(robot: RobotModel, commanded: Array, tool: Array, wrench: Array, q: Array, theta: Array) -> Array:
     """Return the loaded tip (n, 3) in the root [m] under commanded poses (n, 4, 4) in the root."""
     q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded)
     missed = largest(twist_between(pose, commanded)) > _REACHED
     if missed.any():
-        raise NotConvergedError("a commanded pose is out of reach", (begin + np.flatnonzero(missed)).tolist())
+        raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(missed).tolist())
     unloaded = pose if robot.geometry_is_nominal else None
-    try:
-        return elastostatics.deflect(robot, q, tool, wrench, guess=theta, unloaded=unloaded).pose[:, :3, 3]
-    except NotConvergedError as cause:
-        raise NotConvergedError(str(cause), [begin + row for row in cause.rows]) from None
+    return elastostatics.deflect(robot, q, tool, wrench, guess=theta, unloaded=unloaded).pose[:, :3, 3]
 
 
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
@@ -175,15 +158,17 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     m, nominal = written.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
-    wrong = m.kind[row] != targets.kind
-    for part in chunks(len(row)):
-        wrong[part] |= largest(twist_between(m.target[row[part]], targets.pose[part])) > _PRINTED
+
+    def apart(row: Ints, pose: Array) -> tuple[Array]:
+        return (largest(twist_between(m.target[row], pose)),)
+
+    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, row, targets.pose)[0] > _PRINTED)
     for frames, other, used, wanted in (
         (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
     ):
-        apart = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
-        wrong |= apart[used, wanted]
+        differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
+        wrong |= differ[used, wanted]
     if wrong.any():
         first = int(np.argmax(wrong))
         line = int(program.motions.line[targets.motion[first]])

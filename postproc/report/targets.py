@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import decimals
+from postproc.chunks import chunks
 from postproc.decimals import Bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
-from postproc.parallel import Run, chunk_count, chunk_rows, here
 from postproc.pipeline import Result
 from postproc.program import Bools, Ints
 
@@ -30,28 +30,22 @@ _WRENCH = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 
 
-def targets_csv(result: Result, run: Run = here) -> Iterator[bytes]:
+def targets_csv(result: Result) -> Iterator[bytes]:
     """Yield the file in pieces of some thousand rows.
 
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
-
-    :param run: where the pieces are worked on.
     """
     m = result.program.motions
-
-    def piece(index: int) -> tuple[object, ...]:
-        part = chunk_rows(index)
+    yield (",".join(COLUMNS) + "\n").encode()
+    for part in chunks(len(result)):
         motion = result.motion[part]
-        return (
+        yield _rows(
             (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
             (result.nominal[part], result.printed[part], _COMMAND[result.program.dialect], result.wrench[part]),
             (result.deflection[part], result.before[part], result.after[part]),
             None if result.bound is None else result.bound[part],
             result.q[part],
         )
-
-    yield (",".join(COLUMNS) + "\n").encode()
-    yield from run(_rows, chunk_count(len(result)), piece)
 
 
 def _rows(

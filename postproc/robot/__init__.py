@@ -6,10 +6,9 @@ one with the calibrated geometry), the springs, the compensator, the covariance,
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -176,19 +175,6 @@ class RobotModel:
             flange.parentJoint, pin.Inertia(mass, np.asarray(centre, dtype=float), np.zeros((3, 3))), flange.placement
         )
         return replace(self, loaded=loaded)
-
-    @cached_property
-    def _content(self) -> bytes:
-        return pickle.dumps([getattr(self, field.name) for field in fields(self)])
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return _received, (self._content,)
-
-
-@lru_cache(maxsize=4)
-def _received(content: bytes) -> RobotModel:
-    """Return a robot from another process; it comes with every chunk of work, and is the same object each time."""
-    return RobotModel(*pickle.loads(content))
 
 
 def shipped() -> dict[str, Path]:

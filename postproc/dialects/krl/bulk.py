@@ -17,7 +17,6 @@ from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, none
 from postproc.dialects.krl.source import Source
 from postproc.dialects.text import line_spans
 from postproc.frames import Array
-from postproc.parallel import Run, here
 from postproc.program import LIN, PTP, Bools, Ints
 
 _LINES = 8192
@@ -55,18 +54,14 @@ _BLANK = np.zeros(256, dtype=np.bool_)
 _BLANK[[9, 10, 13, 32]] = True
 
 
-def scan(source: Source, run: Run = here) -> list[Rows]:
-    """Return the plain motions of a document, wherever they stand, in some parts one behind the other.
-
-    :param run: where the pieces of a long text are worked on.
-    """
+def scan(source: Source) -> list[Rows]:
+    """Return the plain motions of a document, wherever they stand, in some parts one behind the other."""
     text, first = source.text, source.starts[::_LINES]
-    last = np.append(first[1:], len(text))
-
-    def piece(index: int) -> tuple[object, ...]:
-        return text[first[index] : last[index]], index * _LINES, int(first[index])
-
-    return list(run(_plain, len(first), piece))
+    last = [*first[1:].tolist(), len(text)]
+    return [
+        _plain(text[start:stop], index * _LINES, start)
+        for index, (start, stop) in enumerate(zip(first.tolist(), last, strict=True))
+    ]
 
 
 def _plain(text: str, lines: int, characters: int) -> Rows:

@@ -19,6 +19,7 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.cell import Cell
+from postproc.chunks import chunks
 from postproc.decimals import Bytes, fixed, lines
 from postproc.dialects.krl.names import fault_of, suggestion
 from postproc.dialects.krl.positions import CARTESIAN
@@ -26,7 +27,6 @@ from postproc.dialects.krl.statements import written
 from postproc.dialects.krl.wanted import DECIMALS, printed
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import M_PER_MM, MM_PER_M, Array, xyzabc_from_pose
-from postproc.parallel import chunks
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, Targets, Written
 
 _END = "\r\n"

@@ -25,7 +25,6 @@ from postproc.dialects.krl.walker import Walker
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
-from postproc.parallel import Run, here
 from postproc.program import Bools, Document, ForceNote, Ints, Program, parse_force_note
 
 _FORCE = re.compile(r";[ \t]*FORCE\b", re.IGNORECASE)
@@ -36,7 +35,6 @@ def read(
     cell: Cell,
     forward: Callable[[Array], Array],
     name: str,
-    run: Run = here,
     *,
     _bulk: bool = True,
 ) -> Program:
@@ -46,7 +44,6 @@ def read(
     :param cell: frames for programs that set none of their own, frames by number, where the robot stands first.
     :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
     :param name: name of the program.
-    :param run: where the pieces of a long text are worked on.
     :returns: the program; its `layout` is a `Layout`.
     :raises ProgramError: the program is not complete, something that changes motion is not understood or not known
         before the program runs; it names file, line, text and what to do.
@@ -62,7 +59,7 @@ def read(
     settings = Settings(source, variables, cell)
     moves = MoveReader(settings, tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD))
     walker = Walker(source, settings, moves, name)
-    plain = bulk.scan(source, run) if _bulk else [none()]
+    plain = bulk.scan(source) if _bulk else [none()]
     others = np.ones(len(source.starts), dtype=np.bool_)
     lines = np.concatenate([rows.line for rows in plain])
     others[lines - 1] = False
