@@ -1,72 +1,145 @@
-"""Whole `convert` of one 200 000-block program against pygcode parsing the same file; memory; start-up.
+"""Whole `convert` of large programs, in one process, against what other software needs for the same file.
 
-Run: python tests/benchmarks/convert.py [BLOCKS]
+Run: python -m tests.benchmarks.convert [--blocks N] [--only WORD …] [--slope]
 
-Everything is a ratio within one run on one machine. The program is a freeform finishing pass as CAM systems write it,
-with blocks as long as `N10 G1 X… Y… Z…`, as `G1 X… Y… Z…` and as modal blocks `X… Y… Z…`.
+Everything is a ratio within one run on one machine, of processor time (user and system), so that other work on the
+machine matters little:
+
+- programs (see `programs.py`): to pygcode merely parsing the file, line by line; KRL to the same pass in G-code;
+- peak memory: to 300 MiB and 2 KiB a target;
+- the budget: µs a target by stage (see `budget.py`);
+- a peer's job file (see `peer.py`), seconds a target;
+- start-up: 100 blocks to importing numpy, pinocchio and click;
+- `--slope`: 10⁶ targets to ten times 10⁵.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
 import subprocess
 import sys
-import sysconfig
 import tempfile
-import time
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
+from tests.benchmarks import programs
+from tests.benchmarks.budget import ORDER
 
-SAMPLES = Path(__file__).parent.parent.parent / "samples"
-CELL = str(SAMPLES / "cell_kr270.toml")
-POSTPROC = str(Path(sysconfig.get_path("scripts")) / "postproc")
-
-
-FORMS = ("N{n} G1 X{:.3f} Y{:.3f} Z{:.3f}", "G1 X{:.3f} Y{:.3f} Z{:.3f}", "X{:.3f} Y{:.3f} Z{:.3f}")
-
-
-def program(blocks: int, form: str) -> str:
-    """A zigzag over a wavy surface, 0.5 mm steps."""
-    s = np.arange(blocks) * 0.5
-    x, y = np.abs(s % 240 - 120), (s // 120) * 0.1
-    z = 3 * np.sin(x / 20) * np.cos(y / 15)
-    head = "%\nG21 G90 G17\nS10000 M3\nG0 X0 Y0 Z20\n(FORCE FX=60 FY=-40 FZ=90)\nG1 Z0 F3000\n"
-    body = "".join(form.format(*row, n=10 * n) + "\n" for n, row in enumerate(zip(x, y, z, strict=True)))
-    return head + body + "G0 Z50\nM5\nM30\n%\n"
+ROOT = Path(__file__).parent.parent.parent
+CELL = str(ROOT / "samples" / "cell_kr270.toml")
+PARSE = "import sys\nfrom pygcode import Line\nfor text in open(sys.argv[1]):\n    Line(text.rstrip('\\n'))"
+POSTPROC = "from postproc.cli import main; main()"
+IMPORTS = "import numpy, pinocchio, click"
+_PEER_BLOCKS = 3000
 
 
-def run(*command: str) -> tuple[float, int]:
-    """Return seconds and peak memory [KiB] of a command."""
-    code = (
-        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL);"
-        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a process took: processor time [s], peak memory [MiB], what it wrote to stderr."""
+
+    seconds: float
+    memory: float
+    said: str
+
+
+def cost(*command: str) -> Cost:
+    """Run a command of Python to its end."""
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen([sys.executable, *command], stdout=subprocess.DEVNULL, stderr=said, cwd=ROOT)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        said.seek(0)
+        text = said.read().decode()
+    if process.returncode not in (0, 3):
+        raise SystemExit(f"{' '.join(command)}: exit code {process.returncode}\n{text}")
+    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, text)
+
+
+def convert(path: Path) -> tuple[Cost, int]:
+    """Convert a program as users do; return what it took and the number of targets."""
+    out = path.parent / "out"
+    done = cost("-c", POSTPROC, "convert", str(path), "--cell", CELL, "-o", str(out))
+    return done, json.loads((out / f"{path.stem}.report.json").read_bytes())["targets"]
+
+
+def budget(path: Path) -> dict[str, float]:
+    """Return where the processor's time of a `convert` goes, seconds by stage."""
+    done = cost("-m", "tests.benchmarks.budget", str(path), "--cell", CELL, "-o", str(path.parent / "out"))
+    stages: dict[str, float] = json.loads(done.said.splitlines()[-1])
+    return stages
+
+
+def measured(name: str, path: Path, parsed: Path) -> None:
+    """Print ratio, memory and budget of one program; `parsed` is what pygcode parses."""
+    alone = cost("-c", PARSE, str(parsed))
+    (whole, targets), stages = convert(path), budget(path)
+    allowed = 300 + targets * 2 / 1024
+    print(
+        f"{name:<18}{targets:>9}{whole.seconds:>9.2f}{1e6 * whole.seconds / targets:>9.1f}{alone.seconds:>9.2f}"
+        f"{whole.seconds / alone.seconds:>8.2f}{whole.memory:>9.0f}{whole.memory / allowed:>8.2f}",
+        flush=True,
     )
-    start = time.perf_counter()
-    done = subprocess.run([sys.executable, "-c", code, *command], check=True, capture_output=True, text=True)
-    return time.perf_counter() - start, int(done.stdout)
+    each = "  ".join(f"{stage} {1e6 * stages[stage] / targets:.2f}" for stage in ORDER if stage != "start")
+    print(f"    µs a target: {each}; start {stages['start']:.2f} s", flush=True)
 
 
 def main() -> None:
     """Print the ratios."""
-    blocks = int(sys.argv[1]) if len(sys.argv) > 1 else 200_000
-    parse = "import sys\nfrom pygcode import Line\nfor text in open(sys.argv[1]):\n    Line(text.rstrip('\\n'))"
-    with tempfile.TemporaryDirectory() as folder:
-        for form in FORMS:
-            path = Path(folder) / "part.nc"
-            path.write_text(program(blocks, form), encoding="utf-8")
-            alone, _ = run(sys.executable, "-c", parse, str(path))
-            whole, memory = run(POSTPROC, "convert", str(path), "--cell", CELL, "-o", folder + "/out")
-            allowed = 400 * 1024 + 2 * blocks
-            like = form.split("{:")[0].format(n=10)
-            print(f"{blocks} blocks {like}…: convert {whole:.2f} s, pygcode alone {alone:.2f} s, "
-                  f"ratio {whole / alone:.2f} (1 allowed)")  # fmt: skip
-            print(f"  peak memory {memory / 1024:.0f} MiB, ratio to 400 MiB + 2 KiB a target {memory / allowed:.2f}")
-        path.write_text(program(100, FORMS[0]), encoding="utf-8")
-        small, _ = run(POSTPROC, "convert", str(path), "--cell", CELL, "-o", folder + "/out")
-        print(f"convert of 100 blocks: {small:.2f} s (1.5 allowed)")
-    click = min(run(sys.executable, "-c", "import click")[0] for _ in range(5))
-    shown = min(run(POSTPROC, "--help")[0] for _ in range(5))
-    print(f"postproc --help: {shown / click:.2f} × python -c 'import click' (4 allowed)")
+    options = argparse.ArgumentParser()
+    options.add_argument("--blocks", type=int, default=50_000)
+    options.add_argument("--only", nargs="*", default=[], help="names of programs, or peer, start")
+    options.add_argument("--slope", action="store_true", help="10⁶ targets too: 1 GiB, some minutes")
+    given = options.parse_args()
+    blocks = given.blocks
+
+    def wanted(name: str) -> bool:
+        return not given.only or any(word in name for word in given.only)
+
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        texts = {name: programs.lines(blocks, form) for name, form in programs.LINES.items()}
+        texts |= {"half circles": programs.half_circles(blocks), "arcs and lines": programs.rounded_corners(blocks)}
+        print(
+            f"{blocks} blocks each; s of processor time; ratio to pygcode's parsing; MiB, ratio to 300 + 2 KiB/target"
+        )
+        print(f"{'program':<18}{'targets':>9}{'s':>9}{'µs each':>9}{'pygcode':>9}{'ratio':>8}{'memory':>9}{'ratio':>8}")
+        path = folder / "part.nc"
+        for name, text in texts.items():
+            if wanted(name):
+                path.write_text(text, encoding="utf-8")
+                measured(name, path, path)
+        if wanted("KRL"):
+            path.write_text(texts["numbered lines"], encoding="utf-8")
+            (folder / "part.src").write_text(programs.krl(blocks), encoding="utf-8", newline="")
+            measured("KRL", folder / "part.src", path)
+        if wanted("peer"):
+            path.write_text(programs.lines(_PEER_BLOCKS, programs.LINES["lines"]), encoding="utf-8")
+            peer = cost("-m", "tests.benchmarks.peer", str(path), str(folder / "peer.src"))
+            path.write_text(programs.lines(10 * _PEER_BLOCKS, programs.LINES["lines"]), encoding="utf-8")
+            ours, targets = convert(path)
+            peers, own = peer.seconds / _PEER_BLOCKS, ours.seconds / targets
+            print(f"a peer's job file: {1e6 * peers:.0f} µs a target, ours {1e6 * own:.1f}: ratio {own / peers:.3f}")
+        if wanted("start"):
+            path.write_text(programs.lines(100, programs.LINES["lines"]), encoding="utf-8")
+            small = min(convert(path)[0].seconds for _ in range(3))
+            imports = min(cost("-c", IMPORTS).seconds for _ in range(3))
+            shown = min(cost("-c", POSTPROC, "--help").seconds for _ in range(3))
+            click = min(cost("-c", "import click").seconds for _ in range(3))
+            ratio = f"ratio {small / imports:.2f} (2 allowed)"
+            print(f"convert of 100 blocks {small:.2f} s, {IMPORTS} {imports:.2f} s: {ratio}")
+            print(f"postproc --help {shown:.2f} s, import click {click:.2f} s: ratio {shown / click:.2f}")
+        if given.slope:
+            each = {}
+            for count in (100_000, 1_000_000):
+                path.write_text(programs.lines(count, programs.LINES["modal lines"]), encoding="utf-8")
+                done, targets = convert(path)
+                each[count] = done.seconds / targets
+                print(
+                    f"{targets} targets: {done.seconds:.1f} s, {1e6 * each[count]:.1f} µs each, {done.memory:.0f} MiB"
+                )
+            print(f"slope: {each[1_000_000] / each[100_000]:.2f}")
 
 
 if __name__ == "__main__":
