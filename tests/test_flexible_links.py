@@ -78,6 +78,70 @@ def test_tangent_compliance_is_the_derivative_of_the_equilibrium():
         np.testing.assert_allclose(plus - minus, tangent, rtol=1e-3, atol=1e-8)
 
 
+STATES = pytest.mark.parametrize(
+    "gravity", [Gravity(r, g) for r in ("calibrated", "rigid") for g in (False, True)], ids=str
+)
+
+
+def newton_step(model, q, wrench):
+    """First Newton step to θ = c(τ(θ)) from θ = 0, the derivative by central differences; τ written down anew."""
+    x0 = elastostatics.coordinates(model, q)
+    second = model.actuated[1]
+
+    def held(robot, x):
+        torque = kinematics.gravity_torque(robot, x)
+        torque[:, second] += model.compensator.gradient(x[:, second])
+        return torque
+
+    rest = held(model.actual, x0)
+    feels = -rest if model.subtract_reference and model.stiffening.carries_weight else 0.0 * rest
+
+    def given(theta):
+        _, jacobian = kinematics.tcp(model.loaded, x0 + theta, TOOL)
+        torque = np.einsum("nij,ni->nj", jacobian, wrench) - held(model.loaded, x0 + theta)
+        return elastostatics.spring_deflection(model, torque + rest * model.subtract_reference, feels)[0]
+
+    h, size = 1e-5, x0.shape[1]
+    slope = np.stack([(given(h * e) - given(-h * e)) / (2 * h) for e in np.eye(size)], axis=2)
+    _, jacobian = kinematics.tcp(model.loaded, x0, TOOL)
+    step = np.linalg.solve(np.eye(size) - slope, given(np.zeros_like(x0))[:, :, None])
+    return (jacobian @ step)[..., 0]
+
+
+@STATES
+def test_linear_deflection_is_the_first_newton_step_by_finite_differences(gravity):
+    model = flexible(gravity=gravity).with_payload(40.0, [0.1, 0.0, 0.2])
+    q, wrench = cases(5)
+    expected = newton_step(model, q, wrench)
+    linear = elastostatics.linear_deflection(model, q, TOOL, wrench)
+    np.testing.assert_allclose(linear, expected, atol=1e-7 * np.abs(expected).max())
+
+
+@STATES
+def test_linear_deflection_is_the_first_iterate_of_the_solver_but_for_the_load_stiffness(gravity, monkeypatch):
+    model = flexible(gravity=gravity).with_payload(40.0, [0.1, 0.0, 0.2])
+    q, wrench = cases()
+    found = elastostatics.deflect(model, q, TOOL, wrench).twist
+    monkeypatch.setattr(elastostatics.equilibrium, "_POSITION_TOLERANCE", np.inf)
+    first = elastostatics.deflect(model, q, TOOL, wrench).twist
+    linear = elastostatics.linear_deflection(model, q, TOOL, wrench)
+    size = np.linalg.norm(found[:, :3], axis=1)
+    for other in (first, found):  # they differ by C·H of load and weights; the tangent alone would be off by a fifth
+        assert np.all(np.linalg.norm((linear - other)[:, :3], axis=1) < 0.01 * size)
+
+
+def test_linear_deflection_of_stiffening_gears_meets_the_equilibrium_with_the_square_of_the_load():
+    model = flexible()
+    q, wrench = cases(force=1000.0)
+    gap = []
+    for size in (1.0, 2.0):
+        found = elastostatics.deflect(model, q, TOOL, size * wrench).twist[:, :3]
+        linear = elastostatics.linear_deflection(model, q, TOOL, size * wrench)[:, :3]
+        gap.append(np.linalg.norm(linear - found, axis=1) / np.linalg.norm(found, axis=1))
+    assert np.median(gap[0]) < 2e-3  # the tangent compliance under the load times the load: 0.03
+    assert np.median(gap[1] / gap[0]) == pytest.approx(2.0, abs=0.3)
+
+
 def test_gears_grow_stiffer_with_load_and_never_softer():
     model = flexible()
     torque = np.linspace(0.0, 5000.0, 200)[:, None] * np.ones(model.actual.nv)

@@ -68,7 +68,8 @@ def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: A
     """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights."""
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
-    deflection = linear_deflection(robot, q, tool, wrench)[:, :3]
+    moved, sagged = (linear_deflection(robot, q, tool, load)[:, :3] for load in (wrench, np.zeros_like(wrench)))
+    deflection = moved - sagged  # of a robot whose geometry is a weightless one's
     return TestPoses(
         q, wrench, weight / weight.sum(), jacobian[:, :3] * torque[:, None], np.linalg.norm(deflection, axis=1), source
     )
