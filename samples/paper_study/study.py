@@ -2,27 +2,25 @@
 
     python samples/paper_study/study.py [--monte-carlo 500] [--hard 4]
 
-The raw data come from `tests/identification/simulator.py`, plain numpy that shares no code with the identification; the
+The raw data come from `simulator.py`, plain numpy that shares no code with the identification; the
 identification reads them from files, as a user's. Seeds are fixed: the numbers in README.md are what this prints.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 import tempfile
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
+import harness
 import numpy as np
+import simulator
 
 from postproc import elastostatics
 from postproc.identification import compensator_geometry
 from postproc.identification.identify import identify
 from postproc.identification.model_folder import to_file_units
-from tests.identification import harness, simulator
 
 NAMES = ("k1", "k2", "k3", "k4", "k5", "k6")
 PAPER_1 = ((184.72, 0.06), (685.93, 0.70), (123.30, 0.69))
@@ -237,8 +235,9 @@ def hard_robots(count: int) -> None:
             result = identify(harness.PRIOR, data)
             used = time.process_time() - began
             joints = identify(harness.PRIOR, data, depth="joints")
-            factors = [harness.job_factor(true, r.robot(), np.random.default_rng(seed)) for r in (joints, result)]
-            share = harness.share_within_bound(true, result, np.random.default_rng(seed))
+            work = simulator.milling_jobs(np.random.default_rng(seed))
+            factors = [harness.job_factor(true, r.robot(), work) for r in (joints, result)]
+            share = harness.share_within_bound(true, result, work)
             print(f"{label:46}{factors[0]:8.1f}{factors[1]:8.0f}{share:6.0%}{used:6.1f}s", flush=True)
 
 

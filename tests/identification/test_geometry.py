@@ -10,7 +10,7 @@ from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
 from postproc.identification import geometry, geometry_folder, identify_folder
 from postproc.identification.placement import kabsch
-from tests.identification import harness, simulator
+from samples.paper_study import harness, simulator
 
 
 def measured(folder, seed=703, **kind):

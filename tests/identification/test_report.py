@@ -8,7 +8,7 @@ import pytest
 
 from postproc.identification import identify_folder
 from postproc.report.identification import page
-from tests.identification import simulator
+from samples.paper_study import simulator
 
 
 class Balanced(HTMLParser):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postproc import elastostatics, robot
-from tests.identification import simulator
+from samples.paper_study import simulator
 
 
 @pytest.mark.parametrize(("gear", "links"), [("linear", "begin"), ("cubic", "beam"), ("cubic", "end")])

@@ -1,6 +1,6 @@
 """Many identifications from a plan's measurements with fresh noise: what accuracy after compensation do they reach?
 
-Readings come from tests/identification/simulator.py (nonlinear equilibrium, tilted tracker), the identification is the
+Readings come from samples/paper_study/simulator.py (nonlinear equilibrium, tilted tracker), the identification is the
 package's, the errors are those of predicted against true tool positions at the test poses.
 """
 
@@ -14,7 +14,7 @@ from postproc import elastostatics
 from postproc.errors import PostprocError
 from postproc.identification import measurements
 from postproc.identification.identify import identify
-from tests.identification import simulator
+from samples.paper_study import simulator
 from tests.plan import setting
 
 

@@ -75,7 +75,7 @@ def site(folder: Path, text: str = BASIC + RIG + AROUND, margin: float = 5.0):
 @lru_cache
 def job(seed: int = 0, count: int = 300):
     """Test poses along a fabricated milling job; other seeds are other parts elsewhere, under other forces."""
-    from tests.identification.simulator import milling_job
+    from samples.paper_study.simulator import milling_job
 
     q, force = milling_job(np.random.default_rng(seed), count=count)
     wrench = np.zeros((len(q), 6))

@@ -100,7 +100,7 @@ def test_the_plan_can_be_measured_and_identified_by_its_own_files(written, tmp_p
     """Poses of the CSV through the simulator into `identify`: all compliances come out."""
     from postproc.identification import measurements
     from postproc.identification.identify import identify
-    from tests.identification import simulator
+    from samples.paper_study import simulator
     from tests.plan.monte_carlo import true_robot
 
     q, force = setting.read_plan((written[0] / "plan.csv").read_text())

@@ -6,7 +6,7 @@ import pytest
 from postproc.identification import measurements
 from postproc.plan import Options, candidates, constraints, make, search
 from postproc.plan.errors import PlanError
-from tests.identification import simulator
+from samples.paper_study import simulator
 from tests.plan import setting
 from tests.plan.setting import BASIC, RIG
 

@@ -8,12 +8,13 @@ rotations. The equilibrium is the stationary point of
 found by damped-free Newton steps with the spring stiffness as the tangent (the load changes it by a per cent at most);
 `tests/identification/test_simulator.py` checks by differences that the energy is stationary there.
 
-Everything is SI; files are written in the units of formats.md. The robot is built weightless ("rigid"): sag is what
+Everything is SI; files are written as FORMATS.md says. The robot is built weightless ("rigid"): sag is what
 the weights do to it, so readings without load contain it.
 """
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -311,7 +312,7 @@ def readings(exact, rng, sigma, repeats):
 
 
 def write(folder: Path, q, f, raw, sigma=0.03e-3, robot="kuka_kr270", points=None):
-    """Write measurements.csv and experiment.toml in the formats of the contract."""
+    """Write measurements.csv and experiment.toml as FORMATS.md describes them."""
     points = POINTS if points is None else points
     folder.mkdir(parents=True, exist_ok=True)
     rows = ["config,load,repeat,point,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,Mx,My,Mz,X,Y,Z"]
@@ -343,3 +344,22 @@ def milling_job(rng, count=60, force=600.0):
     q = start + swing * np.sin(t[:, None] + phase)
     direction = np.stack([np.cos(2 * t), np.sin(2 * t), rng.uniform(0.2, 0.6) + 0 * t], axis=1)
     return q, force * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+
+def milling_jobs(rng, count=3):
+    """The angles and forces of several jobs."""
+    return [milling_job(rng) for _ in range(count)]
+
+
+def main():
+    """Write readings of a robot as the paper models it, under a weight that hangs, into a folder."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "demo")
+    rng = np.random.default_rng(1)
+    robot = paper_like(rng)
+    q, f = plan(rng, vertical=True)
+    write(folder, q, f, measure(robot, q, f, rng)[1])
+    print(f"written: {folder / 'measurements.csv'}, {folder / 'experiment.toml'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""From the simulator to the identification without rewriting files for every Monte-Carlo run; and the milling job."""
+"""From readings to the identification without rewriting files for every Monte-Carlo run; and what is left on jobs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from postproc import elastostatics, robot
 from postproc.identification.measurements import read, read_experiment
 from postproc.identification.model_folder import to_file_units
-from tests.identification import simulator
 
 PRIOR = robot.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)
@@ -32,26 +31,24 @@ def true_deflection(true, q, f):
     return tip[1] - tip[0]
 
 
-def job_factor(true, model, rng, jobs=3):
-    """RMS of what the load does to the tool tip over RMS of what the model leaves, on milling jobs at 600 N."""
+def job_factor(true, model, jobs):
+    """RMS of what the load does to the tool tip over RMS of what the model leaves, on jobs of angles and forces."""
     seen, left = 0.0, 0.0
-    for _ in range(jobs):
-        q, f = simulator.milling_job(rng)
+    for q, f in jobs:
         moved = true_deflection(true, q, f)
         predicted = elastostatics.deflect(model, q, TOOL, np.c_[f, 0 * f]).twist[:, :3]
         seen, left = seen + np.sum(moved**2), left + np.sum((moved - predicted) ** 2)
     return float(np.sqrt(seen / left))
 
 
-def share_within_bound(true, result, rng, jobs=3):
-    """Share of samples of milling jobs at 600 N whose error of prediction is within the 95 % bound (u95)."""
+def share_within_bound(true, result, jobs):
+    """Share of samples of jobs whose error of prediction is within the 95 % bound (u95)."""
     from postproc.robot import Covariance
 
     names, _, covariance = to_file_units(result.fit)
     model = replace(result.robot(), covariance=Covariance(names, covariance.tolist()))
     inside = []
-    for _ in range(jobs):
-        q, f = simulator.milling_job(rng)
+    for q, f in jobs:
         wrench = np.c_[f, 0 * f]
         error = elastostatics.deflect(model, q, TOOL, wrench).twist[:, :3] - true_deflection(true, q, f)
         inside.append(np.linalg.norm(error, axis=1) <= elastostatics.position_bound(model, q, TOOL, wrench))
