@@ -242,20 +242,29 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     ]
 
 
-def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> Bools:
-    """(M,) True for motions that are written as they stand, in one piece.
+def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> tuple[Bools, Bools]:
+    """Return which motions are one target whatever lies between (M,), and which end as their text says (M,).
 
-    For a prediction that is all; in KRL it is those that neither need a correction nor start from a corrected pose.
+    For a prediction that is all; in KRL it is those that need no correction. Where a motion starts matters to straight
+    lines, which may then have to be divided, and to circles, which are other circles then; a PTP ends where it ends.
     """
+    m = program.motions
     if mode == "predict":
-        return np.ones(len(program.motions), dtype=bool)
+        return np.ones(len(m), dtype=bool), np.ones(len(m), dtype=bool)
     if program.dialect == "gcode":
-        return np.zeros(len(program.motions), dtype=bool)
+        return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
     sample = sampled.sample
     moved = largest(twist_between(sample.pose, sampled.command.pose)) > _UNCHANGED
     first = np.flatnonzero(np.concatenate([[True], np.diff(sample.motion) != 0]))
-    start_moved = np.concatenate([[False], moved[sample.ends][:-1]])
-    return np.asarray(~(np.maximum.reduceat(moved, first) | start_moved))
+    end_moved = moved[sample.ends]
+    any_moved = np.maximum.reduceat(moved, first) | np.concatenate([[False], end_moved[:-1]])
+    arcs = m.kind == CIRC
+    # a circle is what it was if it starts where it did to the last digit, and so does each circle before it
+    rows, changed = np.arange(len(m)), np.where(arcs, any_moved, end_moved)
+    last_changed = np.maximum.accumulate(np.where(changed, rows, -2))
+    last_other = np.maximum.accumulate(np.where(arcs, -1, rows))
+    kept = np.where(arcs, last_changed < last_other, ~end_moved)
+    return np.where(m.kind == LIN, ~any_moved, kept), kept
 
 
 def _targets(
@@ -263,7 +272,7 @@ def _targets(
 ) -> tuple[Targets, Ints]:
     """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
-    whole = _unchanged(program, sampled, mode)
+    whole, kept = _unchanged(program, sampled, mode)
     ends, position = np.flatnonzero(sample.ends), sampled.command.pose[:, :3, 3]
     starts = toolpath.starts(program, lambda motion: sampled.command.pose[ends[motion]], place.start_flange)
     start = np.roll(position[ends], 1, axis=0)
@@ -277,7 +286,7 @@ def _targets(
     arcs = via_row >= 0
     via[arcs] = position[via_row[arcs]]
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
-    keep = whole[motion] & (program.dialect == "krl")
+    keep = kept[motion] & (sample.t[row] == 1.0)
     pose = sampled.command.pose[row]
     return Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn), row
 

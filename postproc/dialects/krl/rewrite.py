@@ -123,7 +123,8 @@ class _Rewriter:
         split = k > 0 and bool(self.row[k - 1] == row)
         straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
         depends = bool(move.relative) or move.angle is not None
-        forced = straight or (split and (depends or move.kind == CIRC)) or (depends and bool(self.wanted.moved[row]))
+        moved = bool(move.relative) and bool(self.wanted.moved[row])
+        forced = straight or (split and (depends or move.kind == CIRC)) or moved
         changed = forced or bool(self.wanted.changed[k])
         if changed and (move.relative or straight):
             self.edits[0].add(*self.statements.rewritten(row, k, move))
