@@ -51,8 +51,7 @@ class Structure:
     @cached_property
     def springs(self) -> tuple[VirtualSpring, ...]:
         """Springs of links among the parameters, in chain order of `elastic_chain`."""
-        found = [VirtualSpring(*name.split(".")) for name in self.names if "." in name]
-        return tuple(found)
+        return tuple(VirtualSpring(*name.split(".")) for name in self.names if _is_link(name))
 
     @cached_property
     def template(self) -> tuple[RobotModel, dict[str, int]]:
@@ -99,7 +98,7 @@ class Structure:
             stiffening = GearStiffening(row.astype(np.int64), torque, part, self.in_gears)
             np.add.at(compliance, row, part)
         for name, value in given.items():
-            if "." in name:
+            if _is_link(name):
                 compliance[row_of[name]] = value
         joint_rows = list(template.actuated)
         compliance[joint_rows] = np.maximum(compliance[joint_rows], _LEAST)
@@ -108,9 +107,12 @@ class Structure:
         law = template.compensator
         if law is not None and STIFFNESS in given:
             law = _compensator(law, given[STIFFNESS], given[PRELOAD])
-        if level is not None:
-            law = None  # the levels hold its part
-        return replace(template, stiffness=stiffness, stiffening=stiffening, compensator=law)
+        balanced = template.subtract_reference
+        if level is not None:  # the levels hold the compensator's part, about the state of rest as in Eq. (4)
+            law, balanced = None, True
+        return replace(
+            template, stiffness=stiffness, stiffening=stiffening, compensator=law, subtract_reference=balanced
+        )
 
     def typical(self) -> Array:
         """Return usual sizes (p,) of the parameters, SI, of a robot of this class."""
@@ -130,6 +132,10 @@ class Structure:
                 law = robot.compensator
                 values[index] = law.stiffness * (1.0 if name == STIFFNESS else law.free_length)
         return values
+
+
+def _is_link(name: str) -> bool:
+    return "." in name and "@" not in name  # not k6@6.2: a part that fades at 6.2 N·m
 
 
 def _compensator(law: Compensator, stiffness: float, preload: float) -> Compensator:
@@ -204,45 +210,67 @@ def _predict(
     placement: Placement,
 ) -> tuple[Array, Array]:
     robot = structure.robot(values, level)
-    _, row_of = structure.template
+    x0 = elastostatics.coordinates(robot, q)
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    x0 = elastostatics.coordinates(robot, q)
-    rest, _ = kinematics.tcp(robot.loaded, x0, tool)
-    found = elastostatics.deflect(robot, q, tool, wrench, unloaded=rest)
     lever = placement.points - data.load_point
-    before = np.einsum("lij,pj->lpi", rest[:, :3, :3], lever)
-    after = np.einsum("lij,pj->lpi", found.pose[:, :3, :3], lever)
-    moved = after - before + (found.pose[:, :3, 3] - rest[:, :3, 3])[:, None]
+    pose, twist = _equilibrium(structure, robot, level, x0, tool, wrench)
+    loaded, slopes = _of_points(pose, twist, lever)
+    if robot.subtract_reference:
+        rest, _ = kinematics.tcp(robot.loaded, x0, tool)
+        unloaded, _ = _of_points(rest, twist, lever)
+    else:  # without load the robot sags by the same springs
+        rest, sag = _equilibrium(structure, robot, level, x0, tool, np.zeros_like(wrench))
+        unloaded, of_sag = _of_points(rest, sag, lever)
+        slopes = slopes - of_sag
+    return loaded - unloaded + (pose[:, :3, 3] - rest[:, :3, 3])[:, None], slopes
 
+
+def _of_points(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
+    """Return points (L, P, 3) from the load point, root axes, and how they move (L, P, 3, p) with twists (L, 6, p)."""
+    points = np.einsum("lij,pj->lpi", pose[:, :3, :3], lever)
+    turned = np.cross(np.swapaxes(twist[:, 3:], 1, 2)[:, None], points[:, :, None], axisa=3, axisb=3, axisc=3)
+    return points, twist[:, None, :3] + turned.swapaxes(2, 3)
+
+
+def _equilibrium(
+    structure: Structure, robot: RobotModel, level: int | None, x0: Array, tool: Array, wrench: Array
+) -> tuple[Array, Array]:
+    """Return the pose (L, 4, 4) of the load point under load and its derivative (L, 6, p), a twist per parameter."""
+    _, row_of = structure.template
+    second = row_of["k2"]
+    found = elastostatics.deflect(robot, x0[:, list(robot.actuated)], tool, wrench)
     x = x0 + found.theta
     _, jacobian = kinematics.tcp(robot.loaded, x, tool)
-    second = row_of["k2"]
     torque = np.einsum("lij,li->lj", jacobian, wrench)
     hessian = kinematics.load_stiffness(jacobian, wrench)
     at_rest = np.zeros_like(torque)
+    balanced = x0 if robot.subtract_reference else None
     if robot.has_weight:
-        here, there = kinematics.gravity_torque(robot.loaded, x), kinematics.gravity_torque(robot.actual, x0)
-        torque -= here - there
-        at_rest -= there
+        torque -= kinematics.gravity_torque(robot.loaded, x)
         hessian -= kinematics.gravity_stiffness(robot.loaded, x)
+        if balanced is not None:
+            at_rest -= kinematics.gravity_torque(robot.actual, x0)
     if robot.compensator is not None:
-        torque[:, second] -= robot.compensator.gradient(x[:, second]) - robot.compensator.gradient(x0[:, second])
-        at_rest[:, second] -= robot.compensator.gradient(x0[:, second])
+        torque[:, second] -= robot.compensator.gradient(x[:, second])
         hessian[:, second, second] -= robot.compensator.stiffness_about_joint(x[:, second])
-    if not structure.in_gears:
+        if balanced is not None:
+            at_rest[:, second] -= robot.compensator.gradient(x0[:, second])
+    torque -= at_rest
+    in_gears = structure.in_gears and balanced is not None
+    if not in_gears:
         at_rest[:] = 0.0
     _, slope = elastostatics.spring_deflection(robot, torque, at_rest)
     tangent = np.eye(x.shape[1]) - slope[:, :, None] * hessian
     reach = np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
-    amount = np.zeros((len(q), len(structure.names)))
+    amount = np.zeros((len(x), len(structure.names)))
     rows = np.zeros(len(structure.names), dtype=np.int64)
     for index, name in enumerate(structure.names):
         head, _, scale = name.partition("@")
         if name in (STIFFNESS, PRELOAD) and robot.compensator is not None:
             rows[index] = second
-            amount[:, index] = -slope[:, second] * _unit_torque(robot.compensator, name, x0, x, second)
-            if structure.in_gears:  # the torque at rest changes too
+            amount[:, index] = -slope[:, second] * _unit_torque(robot.compensator, name, balanced, x, second)
+            if in_gears:  # the torque at rest changes too
                 _, before_load = elastostatics.spring_deflection(robot, 0.0 * torque, at_rest)
                 held = _unit_torque(robot.compensator, name, None, x0, second)
                 amount[:, index] -= (slope - before_load)[:, second] * held
@@ -254,11 +282,7 @@ def _predict(
         elif "#" not in name or level == int(name.partition("#")[2]):
             rows[index] = row_of[name]
             amount[:, index] = torque[:, rows[index]]
-    twist = reach[:, :, rows] * amount[:, None]
-    slopes = twist[:, None, :3] + np.cross(
-        np.swapaxes(twist[:, 3:], 1, 2)[:, None], after[:, :, None], axisa=3, axisb=3, axisc=3
-    ).swapaxes(2, 3)
-    return moved, slopes
+    return found.pose, reach[:, :, rows] * amount[:, None]
 
 
 def _unit_torque(law: Compensator, name: str, x0: Array | None, x: Array, row: int) -> Array:

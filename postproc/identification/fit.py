@@ -10,6 +10,7 @@ from postproc.frames import Array
 from postproc.identification.elastic import Structure, measured_displacements, predict, visible, whitening
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
+from postproc.robot import RobotModel
 
 _ITERATIONS = 25
 _WORSE = 1.5
@@ -38,6 +39,11 @@ class Fit:
     dof: int
     design: Array
     target: Array
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot with the values found."""
+        return self.structure.robot(self.values)
 
     @property
     def rms(self) -> float:

@@ -21,7 +21,7 @@ from postproc.identification.enhanced import (
 from postproc.identification.fit import Fit
 from postproc.identification.measurements import Measurements
 from postproc.identification.observability import NotObservable, not_observable
-from postproc.identification.placement import Placement
+from postproc.identification.placement import Placement, locate
 from postproc.identification.plausibility import check_frames, check_loads, check_points
 from postproc.identification.serial import fit_serial
 from postproc.identification.structure import Choice, choose
@@ -66,7 +66,7 @@ class Identification:
 
     def robot(self) -> RobotModel:
         """Return the identified robot (without the covariance, which the model file holds)."""
-        return self.fit.structure.robot(self.fit.values)
+        return self.fit.robot
 
 
 def identify(
@@ -96,12 +96,15 @@ def identify(
 
     progress("joint springs and compensator")
     fit, levels, spring, missing = _joints(prior, data, placement)
+    if not prior.subtract_reference:  # where the robot stands without load depends on the springs
+        placement = locate(fit.robot, data)
+        fit, levels, spring, missing = _joints(prior, data, placement)
     choice = None
     if _unexplained(fit):
         cleaned, fewer, names = _cleaned(prior, data, placement, fit)
         if names and not _unexplained(fewer):
             data, left_out = cleaned, left_out + names
-            placement = check_frames(prior, data)
+            placement = locate(prior if prior.subtract_reference else fewer.robot, data)
             fit, levels, spring, missing = _joints(prior, data, placement)
     if _unexplained(fit):
         ratio = fit.chi2 / fit.dof
@@ -119,6 +122,8 @@ def identify(
                 data, left_out = cleaned, left_out + names
                 choice = choose(prior, data, placement)
             fit = choice.fit
+            if not prior.subtract_reference:
+                placement = locate(fit.robot, data)
             warnings.append(note + "; " + choice.reason)
             missing = _still_missing(fit, missing)
     warnings += [str(entry) for entry in missing]

@@ -247,7 +247,7 @@ def _k2_curve(result: Identification) -> list[list[float]]:
     model = result.robot()
     q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
     stiffness = 1.0 / model.compliance[model.actuated[1]]
-    added = 0.0 if model.compensator is None else model.compensator.stiffness_about_joint(q2)
+    added = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
     return [[float(a), float(c)] for a, c in zip(q2 * DEG_PER_RAD, _URAD / (stiffness + added), strict=True)]
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc import kinematics
+from postproc import elastostatics, kinematics
 from postproc.frames import MM_PER_M, Array, displaced, inverse
 from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
@@ -102,10 +102,10 @@ def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -
 
 
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:
-    """Return where the geometry puts the flange (C, 4, 4), springs at rest [m]."""
-    x = np.zeros((len(q), robot.actual.nv))
-    x[:, list(robot.actuated)] = q
-    return kinematics.tcp(robot.actual, x, np.eye(4))[0]
+    """Return where the flange (C, 4, 4) stands without load [m]: sagged, if the geometry is a weightless robot's."""
+    if robot.subtract_reference:
+        return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0]
+    return elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6))).pose
 
 
 def in_root_axes(placement: Placement, vectors: Array) -> Array:

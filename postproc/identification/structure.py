@@ -112,6 +112,8 @@ def candidates(robot: RobotModel, data: Measurements) -> list[tuple[str, Structu
     spring = [STIFFNESS, PRELOAD] if robot.compensator is not None and levels_of(data).max() >= 2 else []
     links, gears = link_names(robot, rich=False), gear_names(robot, data, joints)
     rich = link_names(robot, rich=True)
+    # where the geometry is a weightless robot's, the gears feel weights and compensator as they feel a load
+    rest = robot.subtract_reference and (robot.has_weight or bool(spring))
     found = [("joint springs", Structure(tuple(joints), robot))]
     if spring:
         found.append(("joint springs, compensator", Structure((*joints, *spring), robot)))
@@ -120,7 +122,7 @@ def candidates(robot: RobotModel, data: Measurements) -> list[tuple[str, Structu
     if spring:
         found.append(("springs of links, compensator", Structure((*joints, *links, *spring), robot)))
     found.append(("springs of links, gears stiffen", Structure((*joints, *links, *gears), robot)))
-    if robot.has_weight or spring:
+    if rest:
         found.append(
             (
                 "springs of links, gears stiffen with load and weights",
@@ -132,7 +134,7 @@ def candidates(robot: RobotModel, data: Measurements) -> list[tuple[str, Structu
             ("springs of links, compensator, gears stiffen", Structure((*joints, *links, *gears, *spring), robot))
         )
     found.append(("springs of links, their ends and the base", Structure((*joints, *rich), robot)))
-    if robot.has_weight or spring:
+    if rest:
         found.append(
             (
                 "springs of links, their ends and the base, gears stiffen with load and weights",

@@ -53,3 +53,11 @@ def share_within_bound(true, result, jobs):
         error = elastostatics.deflect(model, q, TOOL, wrench).twist[:, :3] - true_deflection(true, q, f)
         inside.append(np.linalg.norm(error, axis=1) <= elastostatics.position_bound(model, q, TOOL, wrench))
     return float(np.mean(inside))
+
+
+def placed(model, data):
+    """A placement with the points where the experiment guesses them."""
+    from postproc.identification.placement import Placement
+
+    size = 6 + 3 * len(data.points)
+    return Placement(np.eye(4), data.guess, np.eye(size), np.zeros((len(data.q), len(data.points), 3)))

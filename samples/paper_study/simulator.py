@@ -76,6 +76,7 @@ class TrueRobot:
     tilts: np.ndarray = field(default_factory=lambda: np.zeros((6, 3)))  # rotation vector of each joint frame
     offsets: np.ndarray = field(default_factory=lambda: np.zeros(6))
     gears_feel_rest: bool = True
+    centres: np.ndarray = field(default_factory=lambda: CENTRES)
 
     def __post_init__(self):
         self.chain = []  # (fixed 4×4, "R"/"P", axis, kind, index)
@@ -154,7 +155,7 @@ class TrueRobot:
         for j, mass in enumerate(self.masses):
             if mass:
                 pose = frames[0][self.body_row[j]]
-                com = pose[:, :3, 3] + pose[:, :3, :3] @ CENTRES[j]
+                com = pose[:, :3, 3] + pose[:, :3, :3] @ self.centres[j]
                 out += self.pulled(frames, self.body_row[j], com, np.tile([0, 0, -mass * G], (len(x), 1)))
         second = self.joint_rows[1]
         out[:, second] -= self._comp(x[:, second])[0]
@@ -212,7 +213,7 @@ class TrueRobot:
             e += 0.5 * np.einsum("ni,ij,nj->n", y[:, rows], self.link_k[link], y[:, rows])
         for j, mass in enumerate(self.masses):
             pose = frames[0][self.body_row[j]]
-            e += mass * G * (pose[:, :3, 3] + pose[:, :3, :3] @ CENTRES[j])[:, 2]
+            e += mass * G * (pose[:, :3, 3] + pose[:, :3, :3] @ self.centres[j])[:, 2]
         e += self.comp_energy(x[:, self.joint_rows[1]])
         flange = self.flange(frames)
         return e - np.sum((flange[:, :3, 3] + flange[:, :3, :3] @ point) * force, axis=1)
@@ -275,6 +276,29 @@ def hard(rng, gear="quadratic", links="begin", weights=True, base=False, geometr
         offsets=rng.normal(0, geometry, 6) * 0.5,
     )
     return robot
+
+
+def small(rng, gear="quadratic", links=True, feel_rest=True):
+    """A KR 16 without compensator: origins, masses and centres as robot_models/kuka_kr16_2 has them (A6 at the flange,
+    which is on its axis)."""
+    k = np.array([1.9, 1.1, 2.1, 11.0, 14.0, 17.0]) * 1e-6 * np.exp(rng.uniform(-0.35, 0.35, 6))
+    compliance = {}
+    for link in range(1, 7) if links else ():
+        t = np.exp(rng.uniform(np.log(1e-8), np.log(1e-7), 3))
+        r = np.exp(rng.uniform(np.log(1e-7), np.log(6e-7), 3)) * (1.0 if link < 4 else 3.0)
+        compliance[link] = np.diag([*t, *r])
+    bend = np.array([20, 15, 15, 20, 20, 20]) * 0.2e-3 * np.exp(rng.uniform(-0.4, 0.4, 6))
+    return TrueRobot(
+        Gear(gear, 1 / k, bend),
+        links=compliance,
+        masses=np.array([90.0, 45.0, 35.0, 14.0, 6.0, 2.0]),
+        comp=(0.0, 0.458, 0.18472, 0.68593, 0.1233),
+        origins=np.array([[0, 0, 0.675], [0.26, 0, 0], [0.68, 0, 0], [0.67, 0, -0.035], [0, 0, 0], [0.158, 0, 0]]),
+        gears_feel_rest=feel_rest,
+        centres=np.array(
+            [[0.05, 0, -0.15], [0.3, 0.05, 0], [0.08, 0, -0.035], [-0.25, 0, 0], [0.02, 0, 0], [-0.068, 0, 0]]
+        ),
+    )
 
 
 def plan(rng, count=15, levels=(-10, -40, -70, -100, -130), load=2700.0, tilt=40.0, vertical=False):

@@ -1,0 +1,79 @@
+"""A prior whose geometry is a weightless robot's: readings without load hold the sag, which its springs predict."""
+
+import numpy as np
+import pytest
+
+from postproc import elastostatics, robot
+from postproc.identification import identify_folder
+from postproc.identification.elastic import Structure, predict
+from samples.paper_study import harness, simulator
+
+
+def prior(folder, reference="rigid"):
+    """The KR 270-2 with another gravity reference."""
+    source = robot.find("kuka_kr270")
+    folder.mkdir(parents=True)
+    (folder / "robot.urdf").write_bytes((source / "robot.urdf").read_bytes())
+    text = (source / "model.toml").read_text(encoding="utf-8")
+    old = 'reference = "calibrated"'
+    assert old in text
+    (folder / "model.toml").write_text(text.replace(old, f'reference = "{reference}"'), encoding="utf-8")
+    return folder
+
+
+def weightless(rng):
+    k = simulator.PAPER_K * np.exp(rng.uniform(-0.35, 0.35, 6))
+    gear = simulator.Gear("linear", 1 / k, np.ones(6))
+    return simulator.TrueRobot(gear, masses=simulator.MASSES.copy(), comp=(1.2e5, 0.458, 0.18472, 0.68593, 0.1233))
+
+
+def test_sag_and_load_are_predicted_to_a_hundredth_of_a_millimetre(tmp_path):
+    rng = np.random.default_rng(5)
+    true = weightless(rng)
+    q, f = simulator.plan(rng, 30, tilt=50.0)
+    _, raw = simulator.measure(true, q, f, rng)
+    simulator.write(tmp_path, q, f, raw, robot=str(prior(tmp_path / "prior")))
+    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
+    names, found, half = zip(
+        *(
+            (n, e["value"], e["ci95"])
+            for n, e in done.data["parameters"].items()
+            if n in ("k1", "k2", "k3", "k4", "k5")
+        ),
+        strict=True,
+    )
+    expected = [1e6 / true.gear.k[int(name[1]) - 1] for name in names]
+    assert np.all(np.abs(np.subtract(found, expected)) < np.maximum(3 * np.array(half), 0.01 * np.array(expected)))
+    assert done.result.choice is None
+    assert done.result.fit.rms < 1.1 * 0.03e-3 * np.sqrt(2)  # noise of a difference of two means of three
+    assert done.result.placement.rms < 1.1 * 0.03e-3  # noise of a mean of three: the sag is explained
+    model = robot.load(tmp_path / "model")
+    assert not model.subtract_reference
+    job, force = simulator.milling_job(rng)
+    for load in (0.0 * force, force):
+        pose = elastostatics.deflect(model, job, harness.TOOL, np.c_[load, 0 * load]).pose[:, :3, 3]
+        tip = true.solve(job, load, point=harness.TOOL[:3, 3]) @ harness.TOOL
+        assert np.linalg.norm(pose - tip[:, :3, 3], axis=1).max() < 0.012e-3
+    sag = tip[:, :3, 3] - true.flange(true.frames(true.commanded(job)))[:, :3] @ harness.TOOL[:, 3]
+    assert np.linalg.norm(sag, axis=1).min() > 0.5e-3
+
+
+@pytest.mark.parametrize("reference", ["calibrated", "rigid"])
+@pytest.mark.parametrize("in_gears", [False, True])
+def test_derivatives_of_the_prediction_are_those_by_finite_differences(tmp_path, reference, in_gears):
+    rng = np.random.default_rng(8)
+    q, f = simulator.plan(rng, 6)
+    raw = np.zeros((6, 2, 1, 3, 3))
+    data = harness.load(simulator.write(tmp_path, q, f, raw + rng.normal(size=raw.shape)))
+    model = robot.load(prior(tmp_path / "prior", reference))
+    names = ("k1", "k2", "k3", "k5", "k2@3000", "k5@90.5", "A2.RX", "A3.Y", "A6.end_RZ", "K_c", "K_c*s_0")
+    structure = Structure(names, model, in_gears=in_gears)
+    values = np.array([0.6, 0.2, 0.4, 3.0, 0.1, 0.4, 0.1, 0.02, 0.1, 2e11, 1e11]) * 1e-6
+    placement = harness.placed(model, data)
+    _, slopes = predict(structure, values, data, placement)
+    for index, value in enumerate(values):
+        step = np.zeros(len(values))
+        step[index] = 1e-3 * value
+        plus, minus = (predict(structure, values + sign * step, data, placement)[0] for sign in (1, -1))
+        slope = (plus - minus) / (2 * step[index])
+        np.testing.assert_allclose(slopes[..., index], slope, atol=1e-5 * np.abs(slope).max(), err_msg=names[index])
