@@ -14,11 +14,13 @@ from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from postproc.errors import InputError
+from postproc.errors import MOST, InputError, together
 from postproc.frames import Array
 
 T = TypeVar("T")
+Error = TypeVar("Error", bound=InputError)
 
 
 def read_text(path: Path, error: type[InputError]) -> str:
@@ -93,63 +95,101 @@ def read_csv(
     path: Path,
     required: Sequence[str],
     optional: Sequence[str],
-    error: type[InputError],
+    error: type[Error],
     text_columns: Sequence[str] = (),
     may_be_empty: Sequence[str] = (),
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
+    """Read a CSV file as `parse_csv` does; what is wrong in its rows is raised, all together."""
+    numbers, texts, line, wrong = parse_csv(path, required, optional, error, text_columns, may_be_empty)
+    if wrong:
+        raise together(wrong)
+    return numbers, texts, line
+
+
+def parse_csv(
+    path: Path,
+    required: Sequence[str],
+    optional: Sequence[str],
+    error: type[Error],
+    text_columns: Sequence[str] = (),
+    may_be_empty: Sequence[str] = (),
+) -> tuple[dict[str, Array], dict[str, list[str]], Array, list[Error]]:
     """Read a CSV file with a header line, comma separated, `.` as decimal point.
 
     :param required: columns that must be there.
     :param optional: columns that may be there.
-    :param error: raised with file and line for a missing or unknown column, a row of wrong length, an empty or
-        non-numeric or non-finite value.
+    :param error: kind of the errors.
     :param text_columns: those of the columns that hold text.
     :param may_be_empty: those of the numeric columns whose cells may be empty: NaN.
-    :returns: numeric columns by name (each (n,)), text columns by name, and the 1-based line of each row (n,).
+    :returns: numeric columns by name (each (n,)), text columns by name, the 1-based line of each row (n,), and what is
+        wrong in single rows: a row of wrong length, which is left out, or a value that is no finite number, NaN here.
+    :raises InputError: (`error`) the file cannot be read, or its header line cannot be used.
     """
     import csv
 
     text = read_text(path, error)
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
-    header = [name.strip() for name in next(reader, [])]
+    rows, lines, wrong = [], [], []
+    try:
+        header = _header(next(reader, []), path, required, optional, error)
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(header):
+                problem, advice = f"{len(row)} values where the header has {len(header)}", None
+                if len(row) == 1 and len(row[0].split(";")) == len(header):
+                    problem, advice = "values separated by semicolons", _COMMAS
+                wrong.append(error(problem, file=str(path), line=reader.line_num, text=",".join(row), advice=advice))
+                continue
+            rows.append(row)
+            lines.append(reader.line_num)
+    except csv.Error as cause:
+        raise error(f"not a valid CSV file: {cause}", file=str(path), line=reader.line_num) from cause
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
+    numeric: dict[str, Array] = {}
+    for name, values in columns.items():
+        if name not in text_columns:
+            numeric[name], bad = _numeric(values, empty_is_nan=name in may_be_empty)
+            wrong += [
+                error(
+                    f"column {name} is not a finite number: {values[place][:80]!r}",
+                    file=str(path),
+                    line=lines[place],
+                    advice="Use a decimal point, no units and no empty cells.",
+                )
+                for place in bad[: MOST + 1].tolist()
+            ]
+    texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
+    return numeric, texts, np.array(lines, dtype=float), wrong
+
+
+_COMMAS = "Separate the columns by commas, and write numbers with a decimal point (as English Excel saves CSV)."
+
+
+def _header(
+    row: Sequence[str], path: Path, required: Sequence[str], optional: Sequence[str], error: type[Error]
+) -> list[str]:
+    """Return the names of the columns, each known, none twice, all required ones there."""
+    header = [name.strip() for name in row]
     known = [*required, *optional]
     valid = f"Valid columns: {', '.join(known)}."
     if not any(header):
         raise error("empty file", file=str(path), advice=valid)
-    for name in header:
-        if name not in known:
-            raise error(f"unknown column {name!r}", file=str(path), line=1, advice=valid)
-        if header.count(name) > 1:
-            raise error(f"column {name!r} stands twice", file=str(path), line=1)
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise error(f"columns separated by {name}", file=str(path), line=1, text=row[0], advice=_COMMAS)
+    wrong = [f"unknown column {name!r}" for name in dict.fromkeys(header) if name not in known]
+    wrong += [f"column {name!r} stands twice" for name in dict.fromkeys(header) if header.count(name) > 1]
     missing = [name for name in required if name not in header]
     if missing:
-        raise error(f"missing column {', '.join(missing)}", file=str(path), line=1, advice=valid)
-    rows, lines = [], []
-    for row in reader:
-        if any(cell.strip() for cell in row):
-            if len(row) != len(header):
-                raise error(
-                    f"{len(row)} values where the header has {len(header)}",
-                    file=str(path),
-                    line=reader.line_num,
-                    text=",".join(row),
-                )
-            rows.append(row)
-            lines.append(reader.line_num)
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
-    line = np.array(lines, dtype=float)
-    numeric = {
-        name: _numeric(values, name, path, lines, error, empty_is_nan=name in may_be_empty)
-        for name, values in columns.items()
-        if name not in text_columns
-    }
-    texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
-    return numeric, texts, line
+        wrong.append(f"missing column {', '.join(missing)}")
+    if wrong:
+        raise error("; ".join(wrong), file=str(path), line=1, advice=valid)
+    return header
 
 
-def _numeric(
-    values: Sequence[str], name: str, path: Path, lines: Sequence[int], error: type[InputError], *, empty_is_nan: bool
-) -> Array:
+def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArray[np.int64]]:
+    """Return a column as numbers, NaN where they are none, and the places (n,) of those that are wrong."""
     empty = np.array([empty_is_nan and not value.strip() for value in values], dtype=bool)
     try:
         column = np.array(values, dtype=float)
@@ -159,14 +199,8 @@ def _numeric(
             with contextlib.suppress(ValueError):
                 column[index] = float(value)
     bad = np.flatnonzero(~np.isfinite(column) & ~empty)
-    if len(bad):
-        raise error(
-            f"column {name} is not a finite number: {values[bad[0]]!r}",
-            file=str(path),
-            line=lines[bad[0]],
-            advice="Use a decimal point, no units and no empty cells.",
-        )
-    return column
+    column[bad] = np.nan
+    return column, bad
 
 
 def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> list[Path]:

@@ -6,7 +6,6 @@ physics. The text stays in `Document`s to the byte; `Motions` says what the line
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -128,6 +127,8 @@ class Starts:
 
 ForceFrame = Literal["BASE", "TOOL", "FEED"]
 FORCE_FRAMES: tuple[ForceFrame, ...] = ("BASE", "TOOL", "FEED")
+MOST_FORCE = 1e6
+"""A force or moment beyond this [N, N·m], a hundred times what any arm carries, is taken for a mistake."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,12 @@ class ForceNote:
     frame: ForceFrame = "BASE"
 
 
-_FORCE = re.compile(r"\s*FORCE\b(?=\s*(?:OFF\b|$)|.*[=\d])", re.IGNORECASE)
+FORCE_COMMENT = re.compile(
+    r"[ \t]*FORCE(?:\b|\w?[ \t]*OFF\b)|(?![ \t]*FOLD\b)[^\r\n;]*?\bF[XYZ][ \t]*=[ \t]*[-+.\d]", re.IGNORECASE
+)
+"""The beginning of a comment that is about forces, or was meant to be: it begins with the word FORCE, or gives FX, FY
+or FZ a number. (The inline forms of KRL, ``;FOLD …``, give their parameters in the same way.)"""
+_FORCE_WORD = re.compile(r"\s*FORCE\b", re.IGNORECASE)
 _FORCE_PART = re.compile(r"\s*(?:(F[XYZ]|M[XYZ])\s*=\s*([^\s=]+)|FRAME\s*=\s*(\w+))", re.IGNORECASE)
 
 
@@ -152,17 +158,19 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
     """Read ``FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=TOOL]`` or ``FORCE OFF`` from a comment.
 
     :param comment: text of the comment without its brackets or semicolon.
-    :returns: the note, or None if the comment is not about forces (it does not begin with the word FORCE
-        and goes on with OFF or anything that holds a number or `=`).
-    :raises ForceError: it begins so, but cannot be read to its end or a value is not finite.
+    :returns: the note, or None if the comment is not about forces, see `FORCE_COMMENT`.
+    :raises ForceError: it is, but cannot be read to its end, a word is misspelt or a value is out of range.
     """
-    begin = _FORCE.match(comment)
-    if begin is None:
+    if FORCE_COMMENT.match(comment) is None:
         return None
+    advice = "Write FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=BASE|TOOL|FEED], or FORCE OFF (N, N·m)."
+    begin = _FORCE_WORD.match(comment)
+    if begin is None:
+        problem = "looks like a force comment, but does not begin with the word FORCE"
+        raise ForceError(problem, file=file, line=line, text=comment, advice=advice)
     rest = comment[begin.end() :]
     if rest.strip().upper() == "OFF":
         return ForceNote(line, (0.0,) * 6)
-    advice = "Write FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=BASE|TOOL|FEED], or FORCE OFF (N, N·m)."
     wrench: dict[str, float] = {}
     frame: ForceFrame = "BASE"
     position = 0
@@ -175,7 +183,7 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
                 frame = FORCE_FRAMES[FORCE_FRAMES.index(part[3].upper())]
             else:
                 value = float(part[2])
-                if not math.isfinite(value) or part[1].upper() in wrench:
+                if not abs(value) <= MOST_FORCE or part[1].upper() in wrench:
                     raise ValueError  # noqa: TRY301
                 wrench[part[1].upper()] = value
         except ValueError:

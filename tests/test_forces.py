@@ -14,10 +14,14 @@ START = np.eye(4)
 RAMP = 1e-3
 
 
+def per_motion(made, rows, axis="+Z"):
+    return forces.per_motion(made, toolpath.segments(made, START), rows, axis)
+
+
 def along(made, motion, distance_mm, rows=None, axis="+Z"):
     """Wrench at a distance along one motion [mm]."""
     path = toolpath.segments(made, START)
-    load = forces.per_motion(made, rows)
+    load = per_motion(made, rows, axis)
     t = np.array([distance_mm / 1000 / path.length[motion]])
     sample = toolpath.at(made, path, np.array([motion]), t)
     return forces.wrench(made, path, load, sample, axis, RAMP)[0]
@@ -76,10 +80,48 @@ def test_tool_frame_is_turned_with_the_tool():
     np.testing.assert_allclose(along(made, 1, 50), [1, -2, -3, 4, -5, -6], atol=1e-12)
 
 
-def test_feed_force_on_a_plunge_names_the_line():
-    made = program([("PTP", 0, 0, 10), ("LIN", 0, 0, 0)], notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
-    with pytest.raises(ForceError, match=r"part\.nc:2: .*along the spindle"):
-        along(made, 1, 5)
+def test_on_a_plunge_feed_x_is_the_last_travel_across_the_spindle():
+    moves = [("PTP", 0, 0, 10), ("RAPID", 30, 40, 10), ("LIN", 30, 40, 5), ("LIN", 30, 40, 0), ("LIN", 0, 40, 0)]
+    made = program(moves, notes=[(1, (10.0, 5.0, 30.0, 0, 0, 0), "FEED")])
+    for motion in (2, 3):
+        np.testing.assert_allclose(along(made, motion, 4), [6 - 4, 8 + 3, 30, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(along(made, 4, 4), [-10, -5, 30, 0, 0, 0], atol=1e-12)
+    (issue,) = per_motion(made, None).issues
+    assert (issue.kind, issue.level, issue.source_line, issue.count) == ("feed-direction", "info", 3, 2)
+
+
+def test_after_an_arc_a_retract_takes_the_direction_at_its_end():
+    moves = [("PTP", 50, 0, 0), ("CIRC", 0, 50, 0, 0, 0, 0, 90.0, (0, 0, 1)), ("LIN", 0, 50, 20)]
+    made = program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
+    np.testing.assert_allclose(along(made, 2, 10), [-10, 0, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_the_last_travel_keeps_its_direction_in_space_when_the_base_changes():
+    bases = frames.pose_from_xyzabc([[1500.0, 0, 700, 0, 0, 0], [1500.0, 0, 700, 90, 0, 0]])
+    moves = [("PTP", 0, 0, 10), ("LIN", 30, 0, 10), ("LIN", 0, -30, 0)]
+    made = program(moves, notes=[(3, (10.0, 0, 0, 0, 0, 0), "FEED")], bases=bases, base=[0, 0, 1])
+    np.testing.assert_allclose(along(made, 2, 5), [0, -10, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_an_arc_that_runs_along_the_spindle_at_one_place_keeps_its_direction_there():
+    made = program(
+        [("PTP", 50, 0, 0), ("CIRC", -50, 0, 0, 0, 0, 0, 180.0, (0, -1, 0))], notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")]
+    )
+    for share in (1e-9, 0.5, 1.0):  # up at its start, along −X on top, down at its end
+        np.testing.assert_allclose(along(made, 1, share * np.pi * 50)[0], -10 if share > 1e-6 else 0, atol=1e-5)
+
+
+def test_a_feed_force_on_a_plunge_before_any_travel_names_the_lines():
+    moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0), ("LIN", 10, 0, 0)]
+    with pytest.raises(ForceError, match=r"part\.nc:2: .*along the spindle") as caught:
+        along(program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")]), 1, 5)
+    assert [error.line for error in caught.value.others] == [3]
+
+
+def test_a_feed_force_along_the_spindle_alone_needs_no_travel():
+    made = program([("PTP", 0, 0, 10), ("LIN", 0, 0, 0)], notes=[(2, (0.0, 0, 30.0, 0, 0, 2.0), "FEED")])
+    np.testing.assert_allclose(along(made, 1, 5), [0, 0, 30, 0, 0, 2], atol=1e-12)
+    assert per_motion(made, None).issues == ()
 
 
 def test_a_dead_force_keeps_its_direction_in_space_when_the_base_changes():
@@ -100,23 +142,23 @@ def test_a_row_for_a_move_that_goes_nowhere_is_no_error(tmp_path):
 
     made = replace(program(SQUARE), still=np.array([77]))
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n2,1,0,0\n77,1,0,0\n"))
-    assert forces.per_motion(made, rows).wrench[:, 0].tolist() == [0, 1, 0, 0]
+    assert per_motion(made, rows).wrench[:, 0].tolist() == [0, 1, 0, 0]
 
 
 def test_an_empty_line_end_means_the_line_alone(tmp_path):
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n2,1,2,3,\n3,4,5,6,3\n"))
-    assert forces.per_motion(program(SQUARE), rows).wrench[1:3, 0].tolist() == [1.0, 4.0]
+    assert per_motion(program(SQUARE), rows).wrench[1:3, 0].tolist() == [1.0, 4.0]
 
 
 def test_cutting_moves_without_a_force_are_counted():
-    load = forces.per_motion(program(SQUARE), None)
+    load = per_motion(program(SQUARE), None)
     (issue,) = load.issues
     assert (issue.kind, issue.count, issue.source_line, issue.level) == ("no-force", 2, 2, "warning")
 
 
 def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n1,5,5,5,4\n"))
-    load = forces.per_motion(program(SQUARE), rows)
+    load = per_motion(program(SQUARE), rows)
     assert not load.wrench[[0, 3]].any()
     assert [issue.kind for issue in load.issues] == ["force-on-rapid"]
 
@@ -137,12 +179,36 @@ def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
         ("line,Fx,Fy,Fz,frame\n2,1,0,0,WORLD\n", "unknown frame 'WORLD'"),
         ("line,Fx,Fy,Fz,line_end\n3,1,0,0,2\n", "line_end is before line"),
         ("line,Fx,Fy,Fz\n2,1,0,0\n2,1,0,0\n", "a second row for line 2"),
+        ("line,Fx,Fy,Fz\n1e300,1,0,0\n", r"forces\.csv:2: line is 1e\+300"),
+        ("line,Fx,Fy,Fz\nx,1,0,0\n", r"forces\.csv:2: column line is not a finite number: 'x'[^\n]*$"),
+        ("line,Fx,Fy,Fz\n-1,1,0,0\n", r"forces\.csv:2: line is -1"),
+        ("line,Fx,Fy,Fz\n2,1e300,0,0\n", r"forces\.csv:2: Fx is 1e\+300"),
+        ("line,Fx,Fy,Fz,line_end\n1,1,0,0,4\n2,1,0,0,\n3,1,0,0,\n", r"forces\.csv:3: .*\n.*csv:4: a second row"),
+        ("line;Fx;Fy;Fz\n2;1,5;0;0\n", "columns separated by semicolons.*Separate the columns by commas"),
+        ("line\tFx\tFy\tFz\n2\t1\t0\t0\n", "columns separated by tabs"),
+        ("line,Fx,Fy,Fz\n2;1;0;0\n", r"forces\.csv:2: values separated by semicolons"),
+        ("line,Fx,Fy,Fz\n2," + "1" * 200_000 + ",0,0\n", "not a valid CSV file"),
         ("", "empty file"),
     ],
 )
 def test_a_bad_force_file_is_refused_with_its_place(tmp_path, text, message):
     with pytest.raises(ForceError, match=message):
-        forces.per_motion(program(SQUARE), forces.read_force_csv(write(tmp_path, text)))
+        per_motion(program(SQUARE), forces.read_force_csv(write(tmp_path, text)))
+
+
+def test_all_errors_of_a_force_file_are_told_in_order_of_lines(tmp_path):
+    text = "line,Fx,Fy,Fz,frame\n2,1,0,0,WORLD\n3,1,0\n2.5,x,0,0,\n4,0,0,0,\n4,0,0,1e9,\n"
+    with pytest.raises(ForceError) as caught:
+        forces.read_force_csv(write(tmp_path, text))
+    error = caught.value
+    assert [(e.line, e.problem) for e in (error, *error.others)] == [
+        (2, "unknown frame 'WORLD'"),
+        (3, "3 values where the header has 5"),
+        (4, "column Fx is not a finite number: 'x'"),
+        (4, "line is 2.5"),
+        (6, "Fz is 1e+09"),
+        (6, "a second row for line 4"),
+    ]
 
 
 def test_force_comments_are_read_in_any_case_and_others_are_left_alone():
@@ -154,8 +220,31 @@ def test_force_comments_are_read_in_any_case_and_others_are_left_alone():
 
 
 @pytest.mark.parametrize(
-    "text", ["FORCE FX 100", "FORCE FX=nan", "FORCE FX=1 FX=2", "FORCE FX=1 FRAME=WORLD", "FORCE 100"]
+    "text",
+    [
+        "FORCE FX 100",
+        "FORCE FX=nan",
+        "FORCE FX=1e7",
+        "FORCE FX=1 FX=2",
+        "FORCE FX=1 FRAME=WORLD",
+        "FORCE 100",
+        "FORCE",
+        "FORCE ON",
+        "FORCE: FX=100",
+        "FORCES FX=100 FY=5",
+        "FORCES OFF",
+        "FORCEOFF",
+        "FORC FX=100",
+        "Froce fx = -100.5",
+        "CUTTING FORCE FX=100",
+        "FX=100 FY=20 FZ=0",
+    ],
 )
 def test_a_force_comment_that_cannot_be_read_is_an_error_with_its_line(text):
     with pytest.raises(ForceError, match=r"a\.nc:7"):
         parse_force_note(text, 7, "a.nc")
+
+
+@pytest.mark.parametrize("text", ["FOLD PTP P1 FX=100", "reinforce", "FX 6000 spindle", "AFX=1", "FORCED COOLING OFF"])
+def test_comments_about_other_things_are_no_force_comments(text):
+    assert parse_force_note(text, 7, "a.nc") is None

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.errors import ForceError
+from postproc.forces.feed import feed_axes
 from postproc.forces.per_motion import FEED, TOOL, MotionForces
-from postproc.frames import MM_PER_M, Array, largest, norm
+from postproc.frames import Array, largest
 from postproc.program import Ints, Program
-from postproc.toolpath import Segments, Toolpath, at, tangent
-
-_SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
-_PARALLEL = 1e-3
-"""Sine of the angle between travel and spindle below which FEED has no direction."""
+from postproc.toolpath import Segments, Toolpath, at
 
 
 def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolpath, axis: str, ramp: float) -> Array:
@@ -25,7 +21,6 @@ def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolp
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param ramp: [m].
     :returns: (N, 6) force [N] and moment [N·m] on the tool at the TCP, `$BASE` axes of the motion.
-    :raises ForceError: a FEED force on a motion along the spindle.
     """
     own = _in_base(program, path, forces, sample.motion, sample.t, axis)
     previous = _at_start(program, path, forces, sample.motion, axis)
@@ -66,31 +61,9 @@ def _in_base(program: Program, path: Segments, forces: MotionForces, motion: Int
         rows = np.flatnonzero((frame == code) & out.any(axis=1))
         if len(rows):
             sample = at(program, path, motion[rows], t[rows])
-            rotation = sample.pose[:, :3, :3] if code == TOOL else _feed_axes(program, path, sample, axis)
+            rotation = sample.pose[:, :3, :3]
+            if code == FEED:
+                rotation = feed_axes(program, path, sample, axis, forces.travel)
             for half in (slice(0, 3), slice(3, 6)):
                 out[rows, half] = np.einsum("nij,nj->ni", rotation, out[rows, half])
     return out
-
-
-def _feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str) -> Array:
-    """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
-
-    z along the spindle from the tip to the spindle, x along the travel as far as it is square to z, y = z × x.
-    """
-    column, sign = _SPINDLE[axis]
-    z = -sign * sample.pose[:, :3, column]
-    travel = tangent(program, path, sample.motion, sample.t)
-    across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
-    sine = norm(across)
-    bad = np.flatnonzero(sine < _PARALLEL)
-    if len(bad):
-        row = bad[0]
-        spot = np.round(sample.pose[row, :3, 3] * MM_PER_M, 3).tolist()
-        raise ForceError(
-            f"a FEED force on a move along the spindle, at {spot} mm",
-            file=program.documents[0].name,
-            line=int(program.motions.line[sample.motion[row]]),
-            advice="Such a move has no feed direction across the spindle: give its force in BASE or TOOL axes.",
-        )
-    x = across / sine[:, None]
-    return np.stack([x, np.cross(z, x), z], axis=-1)

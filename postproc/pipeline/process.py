@@ -170,7 +170,7 @@ def _sample(
     also: tuple[Ints, Array] | None,
 ) -> _Sampled:
     path = toolpath.segments(program, place.start_flange)
-    load = forces.per_motion(program, rows)
+    load = forces.per_motion(program, path, rows, place.axis)
     kinks = forces.kinks(program, path, load, place.axis, place.ramp)
     motion, t = toolpath.places(program, path, place.tolerance, kinks, linearize_arcs=linearize_arcs, also=also)
     sample = toolpath.at(program, path, motion, t)

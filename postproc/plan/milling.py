@@ -85,7 +85,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, rows: ForceRow
     name = program.documents[0].name
     start = kinematics.tcp(robot.nominal, cell.start_joints[None], np.eye(4))[0][0]
     path = toolpath.segments(program, start)
-    load = forces.per_motion(program, rows)
+    load = forces.per_motion(program, path, rows, cell.tool.axis)
     ramp = cell.output.force_ramp_mm * M_PER_MM
     kinks = forces.kinks(program, path, load, cell.tool.axis, ramp)
     motion, t = toolpath.places(program, path, cell.tolerance, kinks)

@@ -109,8 +109,7 @@ def _comments(source: words.Source, rows: int, file: str) -> tuple[tuple[ForceNo
     for line, text in zip(source.comment_lines.tolist(), source.comments, strict=True):
         if line > rows:
             break
-        about_force = text.lstrip()[:5].upper() == "FORCE"
-        note = parse_force_note(text, line, file) if about_force else None
+        note = parse_force_note(text, line, file)
         if note is None:
             comments.append((line - 1, text.strip()))
         else:

@@ -25,9 +25,9 @@ from postproc.dialects.krl.walker import Walker
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
-from postproc.program import Bools, Document, ForceNote, Ints, Program, parse_force_note
+from postproc.program import FORCE_COMMENT, Bools, Document, ForceNote, Ints, Program, parse_force_note
 
-_FORCE = re.compile(r";[ \t]*FORCE\b", re.IGNORECASE)
+_FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
 
 def read(

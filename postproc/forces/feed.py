@@ -1,0 +1,72 @@
+"""The axes of FEED: along the travel, along the spindle, and square to both."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import Array, norm
+from postproc.program import CIRC, Bools, Program
+from postproc.toolpath import Segments, Toolpath, at, tangent
+
+_SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
+_PARALLEL = 1e-3
+"""Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
+_BESIDE = 0.01
+"""Where an arc runs along the spindle at one place, its direction so far before that place is taken (share of it)."""
+
+
+def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
+    """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
+
+    z along the spindle from the tip to the spindle, x along the travel as far as it is square to z, y = z × x.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x square to z.
+    """
+    z = _towards_spindle(sample, axis)
+    x, sine = _square_to(z, tangent(program, path, sample.motion, sample.t))
+    along = np.flatnonzero(sine < _PARALLEL)
+    if len(along):
+        motion, t = sample.motion[along], sample.t[along]
+        beside = tangent(program, path, motion, np.where(t > _BESIDE, t - _BESIDE, t + _BESIDE))
+        other, sine = _square_to(z[along], beside)
+        none = np.flatnonzero(sine < _PARALLEL)
+        before, any_other = last[motion[none]], sample.pose[along[none], :3, _SPINDLE[axis][0] - 2]
+        before = np.where(np.isnan(before), any_other, before)
+        other[none] = _square_to(z[along[none]], before)[0]
+        x[along] = other
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Bools]:
+    """Return the travel direction of the last motion before each that had one across the spindle.
+
+    :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN where there is none; and (M,) True for motions that
+        need it: straight ones along the spindle, and those that travel nowhere.
+    """
+    m = program.motions
+    every, end = np.arange(len(m)), np.ones(len(m))
+    z = _towards_spindle(at(program, path, every, end), axis)
+    x, sine = _square_to(z, tangent(program, path, every, end))
+    turning = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
+    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _BESIDE))
+    needs = sine < _PARALLEL
+    before = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, every))[:-1]])
+    rotation = program.bases[:, :3, :3]
+    in_root = np.einsum("nij,nj->ni", rotation[m.base[before]], x[before])
+    last = np.einsum("nji,nj->ni", rotation[m.base], in_root)
+    last[before < 0] = np.nan
+    last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned to where it travelled
+    return last, needs
+
+
+def _towards_spindle(sample: Toolpath, axis: str) -> Array:
+    column, sign = _SPINDLE[axis]
+    return np.asarray(-sign * sample.pose[:, :3, column])
+
+
+def _square_to(z: Array, travel: Array) -> tuple[Array, Array]:
+    """Return unit vectors (n, 3) along the part of the travel that is square to z, and its length (n,)."""
+    across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
+    length = norm(across)
+    return across / np.where(length > 0.0, length, 1.0)[:, None], length
