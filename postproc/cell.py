@@ -1,6 +1,6 @@
 """The cell: which robot, where `$BASE` and `$TOOL` are, where the program starts, how strict to be.
 
-`cell.toml` is described in the README; `Cell` is its content in SI units, checked.
+`cell.toml` is described in FORMATS.md; `Cell` is its content in SI units, checked.
 """
 
 from __future__ import annotations

@@ -16,29 +16,30 @@ _FILE = click.Path(path_type=Path)
 
 @click.group()
 def identify() -> None:
-    r"""Identify the robot from measurements; the results go into a model folder that `convert` takes.
+    """Identify the robot from measurements; the results go into a model folder that `convert` takes.
 
     \b
-    Example:
+    Examples:
       postproc identify compensator markers.csv -o compensator.toml
-      postproc identify elastostatics measurements.csv --experiment experiment.toml \
+      postproc identify elastostatics measurements.csv --experiment experiment.toml \\
           --compensator compensator.toml -o my_robot
-    """
+    """  # noqa: D301 - click: keep these lines as they are
 
 
 @identify.command()
 @click.argument("markers", type=_FILE)
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write.")
 def compensator(markers: Path, output: Path) -> None:
-    r"""Geometry of the gravity compensator: L, a_x, a_y with 95 % intervals (paper, Eq. (6), (7)).
+    """Geometry of the gravity compensator: L, a_x, a_y with 95 % intervals.
 
     MARKERS is a CSV file with columns q2,marker,repeat,X,Y,Z: deg, mm, in any frame of the tracker. Marker P1 sits on
     link 2 where the spring is attached, P01, P02, … on the spring, best on opposite sides of its axis.
+    Eq. (6) and (7) of the paper.
 
     \b
     Example:
       postproc identify compensator markers.csv -o compensator.toml
-    """
+    """  # noqa: D301 - click: keep these lines as they are
     from postproc.identification import compensator_geometry
 
     result = compensator_geometry.identify(compensator_geometry.read(markers))
@@ -81,18 +82,19 @@ def elastostatics(
     output: Path,
     as_json: bool,
 ) -> None:
-    r"""Compliances of joints, compensator, links and gears, with 95 % intervals (paper, Eq. (8)–(10)).
+    """Compliances of joints, compensator, links and gears, with 95 % intervals.
 
     MEASUREMENTS is a CSV file of the positions of reference points on the tool, without load (load 0) and loaded, in
     several configurations; the frame of the measuring device is free. Writes a model folder for `robot = …` of a cell,
     with identification.json and report.html in it. What the readings do not determine keeps the robot's prior value
     and is reported together with what to measure instead.
+    Eq. (8) to (10) of the paper.
 
     \b
     Example:
-      postproc identify elastostatics measurements.csv --experiment experiment.toml \
+      postproc identify elastostatics measurements.csv --experiment experiment.toml \\
           --compensator compensator.toml -o my_robot
-    """
+    """  # noqa: D301 - click: keep these lines as they are
     from postproc.identification import identify_folder
     from postproc.report.identification import page
 
@@ -109,7 +111,7 @@ def elastostatics(
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def geometry(measurements: Path, experiment: Path, model: Path | None, output: Path, as_json: bool) -> None:
-    r"""Calibrate the geometry from readings without load: offsets, lengths, tilts, with sag under own weight.
+    """Geometry from readings without load: offsets, lengths, tilts, with sag under own weight.
 
     MEASUREMENTS is the CSV file of `identify elastostatics`; loaded readings in it are not used. The model folder
     written carries the calibrated geometry, and `convert` then corrects for it too. Whether sag is told from
@@ -118,7 +120,7 @@ def geometry(measurements: Path, experiment: Path, model: Path | None, output: P
     \b
     Example:
       postproc identify geometry measurements.csv --experiment experiment.toml --model my_robot -o my_calibrated_robot
-    """
+    """  # noqa: D301 - click: keep these lines as they are
     from postproc.identification import geometry_folder
     from postproc.report.identification import page
 

@@ -61,7 +61,7 @@ def plan(
     as_json: bool,
     output: Path,
 ) -> None:
-    r"""Choose poses and loads whose measurement identifies the robot best for the work at hand.
+    """Choose poses and loads whose measurement identifies the robot best for the work at hand.
 
     The plan makes the error that remains after compensation smallest where the PROGRAMs mill, under their forces. For
     plan.csv this writes plan.csv (config,A1…A6,Fx,Fy,Fz: deg; N, root axes, at the load point; in the order of least
@@ -73,12 +73,12 @@ def plan(
     \b
     Examples:
       postproc plan --experiment experiment.toml --cell cell.toml --program part.nc -o plan.csv
-      postproc plan --experiment experiment.toml --cell cell.toml --program "parts/*.nc" --forces forces/ \
+      postproc plan --experiment experiment.toml --cell cell.toml --program "parts/*.nc" --forces forces/ \\
           --configurations 20 --q2-levels 6 --seed 7 -o plan.csv
       postproc plan --experiment experiment.toml --cell cell.toml --poses tests.csv --grouped -o plan.csv
-      postproc plan --experiment experiment.toml --cell cell.toml --program part.nc \
+      postproc plan --experiment experiment.toml --cell cell.toml --program part.nc \\
           --measured measurements.csv --configurations 4 -o next.csv
-    """
+    """  # noqa: D301 - click: keep these lines as they are
     from postproc import cell as cells
     from postproc import robot as robots
     from postproc.files import write_whole

@@ -11,7 +11,9 @@ import click
 @click.argument("name", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def robots(name: str | None, as_json: bool) -> None:
-    """List the robot models, or show the one called NAME (or the model folder NAME) with the source of each value.
+    """List the robot models, or show one with the source of each value.
+
+    NAME is the name of a shipped robot or the path of a model folder.
 
     \b
     Examples:

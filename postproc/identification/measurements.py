@@ -1,6 +1,6 @@
 """Measurements of a loaded robot: `experiment.toml` and `measurements.csv`, read and checked.
 
-Formats: formats.md, "Measurements". What can be told from the numbers alone is checked here; what needs the robot's
+Formats: FORMATS.md, "Measurements". What can be told from the numbers alone is checked here; what needs the robot's
 kinematics (swapped points, a moved tracker, forces in kg) in `plausibility`.
 """
 

@@ -10,7 +10,6 @@ import time
 from itertools import pairwise
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -177,10 +176,3 @@ def test_ctrl_c_writes_the_best_plan_so_far(tmp_path):
     assert process.returncode == 0, output
     assert "interrupted: this is the best plan so far" in output
     assert len((tmp_path / "plan.csv").read_text().splitlines()) == 41
-
-
-def test_help_shows_examples_and_explains_every_option():
-    result = CliRunner().invoke(main, ["plan", "--help"])
-    assert "Examples:" in result.output
-    command = main.get_command(None, "plan")
-    assert all(getattr(parameter, "help", "x") for parameter in command.params if isinstance(parameter, click.Option))

@@ -1,0 +1,56 @@
+"""Every command and option explains itself, with examples that parse; FORMATS.md shows what `--help` prints."""
+
+from __future__ import annotations
+
+import click
+import pytest
+
+from postproc.cli import main
+from tests.documentation import pages
+from tests.documentation.reference import HEADING, every_command, reference
+
+CONTEXTS = list(every_command())
+PATHS = [ctx.command_path for ctx in CONTEXTS]
+SHOWN = [
+    (source, arguments)
+    for source, text in [
+        *((ctx.command_path, ctx.get_help()) for ctx in CONTEXTS),
+        ("README.md", pages.README),
+        ("FORMATS.md", pages.FORMATS.partition(HEADING)[0]),
+    ]
+    for arguments in pages.commands(text)
+]
+
+
+def test_formats_md_shows_the_help_of_every_command():
+    shown = HEADING + pages.FORMATS.partition(HEADING)[2]
+    assert shown == reference(), "FORMATS.md is not what --help prints: run python -m tests.documentation.reference"
+
+
+@pytest.mark.parametrize("ctx", CONTEXTS, ids=PATHS)
+def test_command_has_help_and_an_example_of_itself(ctx):
+    assert not ctx.command.get_short_help_str(100).endswith("..."), "the first sentence is too long for a list"
+    examples = [" ".join(["postproc", *arguments]) for arguments in pages.commands(ctx.get_help())]
+    assert any(example.startswith(ctx.command_path) for example in examples)
+    assert "\\b" not in ctx.get_help(), r"a raw docstring: click does not see \b"
+
+
+@pytest.mark.parametrize("ctx", CONTEXTS, ids=PATHS)
+def test_every_option_has_help(ctx):
+    silent = [p.name for p in ctx.command.params if isinstance(p, click.Option) and not p.help]
+    assert silent == []
+
+
+@pytest.mark.parametrize(("source", "arguments"), SHOWN, ids=[f"{s}: {' '.join(a)}" for s, a in SHOWN])
+def test_every_command_shown_anywhere_can_be_given(source, arguments):
+    ctx = main.make_context("postproc", list(arguments), resilient_parsing=False)
+    while isinstance(ctx.command, click.Group):
+        name, found, rest = ctx.command.resolve_command(ctx, [*ctx._protected_args, *ctx.args])
+        ctx = found.make_context(name, rest, parent=ctx)
+    assert ctx.args == []
+
+
+def test_a_wrong_option_would_be_noticed():
+    convert = main.get_command(None, "convert")
+    with pytest.raises(click.UsageError):
+        convert.make_context("convert", ["part.nc", "--cell", "cell.toml", "--tolerence", "0.1"])

@@ -1,0 +1,185 @@
+"""FORMATS.md against the readers and writers: nothing undescribed, nothing described that is not there."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import runpy
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc import cell, forces, robot
+from postproc.cli import main
+from postproc.errors import InputError
+from postproc.identification import compensator_geometry, measurements
+from postproc.plan import milling
+from postproc.report.targets import COLUMNS
+from postproc.robot import ModelFile
+from tests.documentation import pages, schema
+from tests.documentation.pages import ROOT, block, described
+
+CELL = cell.load(ROOT / "samples" / "cell_kr270.toml")
+ROBOT = robot.load(robot.find("kuka_kr270"))
+
+
+def write(folder: Path, title: str, language: str = "toml") -> Path:
+    path = folder / title
+    path.write_text(block(title, language), encoding="utf-8")
+    return path
+
+
+def model(path: Path) -> robot.RobotModel:
+    shutil.copy(robot.find("kuka_kr270") / "robot.urdf", path.parent)
+    return robot.load(path.parent)
+
+
+def readings(path: Path) -> measurements.Measurements:
+    return measurements.read(path, measurements.read_experiment(write(path.parent, "experiment.toml")))
+
+
+TOML = {
+    "cell.toml": (cell.load, cell.Cell),
+    "experiment.toml": (measurements.read_experiment, measurements.Experiment),
+    "model.toml": (model, ModelFile),
+}
+_NOT_OF_THE_FILE = {(cell.Cell, "folder")}
+"""Filled in when the file is read."""
+CSV = {
+    "forces.csv": forces.read_force_csv,
+    "measurements.csv": readings,
+    "compensator.csv": compensator_geometry.read,
+    "poses.csv": lambda path: milling.from_file(path, ROBOT, CELL),
+}
+
+
+@pytest.mark.parametrize("title", TOML)
+def test_every_key_stands_in_the_example_with_its_default(tmp_path, title):
+    read, structure = TOML[title]
+    read(write(tmp_path, title))
+    known = {pair: value for pair, value in schema.keys(structure).items() if pair not in _NOT_OF_THE_FILE}
+    shown = list(schema.shown(structure, block(title, "toml")))
+    absent = [f"{owner.__name__}.{key}" for owner, key in known if (owner, key) not in dict(shown)]
+    assert absent == [], f"FORMATS.md, {title}: say what these are"
+    stated = {}
+    for pair, comment in shown:
+        if comment is not None:
+            stated.setdefault(pair, schema.as_value(comment))
+    assert stated == {pair: value for pair, value in known.items() if value is not None}
+
+
+def test_a_key_without_a_line_would_be_noticed():
+    text = block("cell.toml", "toml").replace("force_ramp_mm = 1.0", "")
+    pairs = {pair for pair, _ in schema.shown(cell.Cell, text)} | _NOT_OF_THE_FILE
+    assert [key for owner, key in schema.keys(cell.Cell) if (owner, key) not in pairs] == ["force_ramp_mm"]
+
+
+def test_the_example_of_the_compensator_is_read_and_has_the_keys_that_are_written(tmp_path):
+    compensator_geometry.load(write(tmp_path, "compensator.toml"))
+    written = CliRunner().invoke(
+        main,
+        ["identify", "compensator", str(write(tmp_path, "compensator.csv", "csv")), "-o", str(tmp_path / "out.toml")],
+    )
+    assert written.exit_code == 0, written.output
+    keys = re.compile(r"^\[?(\w+)", re.M)
+    assert keys.findall((tmp_path / "out.toml").read_text()) == keys.findall(block("compensator.toml", "toml"))
+
+
+@pytest.mark.parametrize("title", CSV)
+def test_every_column_is_described_and_the_example_is_read(tmp_path, title):
+    CSV[title](write(tmp_path, title, "csv"))
+    header, _, rest = block(title, "csv").partition("\n")
+    (tmp_path / title).write_text(f"{header},no_such_column\n{rest}")
+    with pytest.raises(InputError, match="no_such_column") as caught:
+        CSV[title](tmp_path / title)
+    valid = caught.value.advice.removeprefix("Valid columns: ").rstrip(".").split(", ")
+    assert sorted(described(title)) == sorted(valid)
+
+
+def test_columns_of_the_targets_are_those_described():
+    assert described("part.targets.csv") == list(COLUMNS)
+
+
+@pytest.fixture(scope="module")
+def results(readme, tmp_path_factory):
+    """Folders of results beyond those of the README, so that each key occurs."""
+    folder = tmp_path_factory.mktemp("formats")
+    simulator = runpy.run_path(str(ROOT / "samples" / "paper_study" / "simulator.py"))
+    import numpy as np
+
+    rng = np.random.default_rng(900)
+    true = simulator["hard"](rng, gear="quadratic", links="begin")
+    q, f = simulator["plan"](rng, 20, tilt=50.0)
+    simulator["write"](folder, q, f, simulator["measure"](true, q, f, rng)[1])
+    (folder / "experiment.toml").write_text((folder / "experiment.toml").read_text() + "\n[rig]\nmass_kg = 275\n")
+    of = {name: str(folder / name) for name in ("measurements.csv", "experiment.toml", "model", "plan.csv")}
+    experiment = ["--experiment", of["experiment.toml"]]
+    for arguments in (
+        ["identify", "elastostatics", of["measurements.csv"], *experiment, "--geometry", "-o", of["model"]],
+        [
+            *("plan", *experiment, "--cell", str(ROOT / "samples" / "cell_kr270.toml")),
+            *("--program", str(ROOT / "samples" / "pocket.nc"), "--measured", of["measurements.csv"]),
+            *("--configurations", "2", "--q2-levels", "2", "--test-poses", "4", "-o", of["plan.csv"]),
+        ],
+    ):
+        result = CliRunner().invoke(main, arguments)
+        assert result.exit_code == 0, result.output
+    return {
+        "part.report.json": [readme[0] / "out" / "pocket.report.json"],
+        "identification.json": [
+            readme[0] / "my_robot" / "identification.json",
+            folder / "model" / "identification.json",
+        ],
+        "plan.json": [readme[0] / "plan.json", folder / "plan.json"],
+        "plan.csv": [readme[0] / "plan.csv"],
+    }
+
+
+@pytest.mark.parametrize("title", ["part.report.json", "identification.json", "plan.json"])
+def test_every_key_of_a_result_is_described(results, title):
+    found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}
+    told = [tuple(name.split(".")) for name in described(title)]
+    unknown = {way for way in found if not any(matches(name, way) for name in told)}
+    assert unknown == set(), f"FORMATS.md, {title}: say what these are"
+    assert [name for name in told if not any(matches(name, way) for way in found)] == []
+
+
+def leaves(data: object, way: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the way to each value; rows of a list count as one."""
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from leaves(value, (*way, key))
+    elif isinstance(data, list) and data and isinstance(data[0], dict):
+        for row in data:
+            yield from leaves(row, way)
+    else:
+        yield way
+
+
+def matches(name: tuple[str, ...], way: tuple[str, ...]) -> bool:
+    return len(name) == len(way) and all(a in ("NAME", b) for a, b in zip(name, way, strict=True))
+
+
+def test_columns_of_the_plan_are_those_described(results):
+    with results["plan.csv"][0].open(newline="") as file:
+        assert next(csv.reader(file)) == described("plan.csv")
+
+
+def test_keys_and_columns_named_in_the_text_exist():
+    """Names with a unit at their end are keys or columns; the pages name none that is not described."""
+    known = {key for _, structure in TOML.values() for _, key in schema.keys(structure)}
+    known |= {
+        part
+        for title in re.findall(r"^### (.*)$", pages.FORMATS, re.M)
+        for name in described(title)
+        for part in name.split(".")
+    }
+    known |= set(re.findall(r"^\[?(\w+)", block("compensator.toml", "toml"), re.M))
+    unit = re.compile(r"`(?:\[\w+\] )?(\w+_(?:mm|deg|kg|N|Nm|percent|s|m_per_s|um_per_N|urad_per_Nm|N_per_m))\b[^`]*`")
+    named = {name for text in (pages.README, pages.FORMATS) for name in unit.findall(text)}
+    assert named <= known
+    assert {"tolerance_mm", "u95_mm", "compliance_urad_per_Nm"} <= named
