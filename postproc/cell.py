@@ -15,20 +15,22 @@ from postproc import files
 from postproc.errors import CellError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, pose_from_xyzabc
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
+Length = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Angle = Annotated[float, msgspec.Meta(ge=-3600, le=3600)]
 ToolAxis = Literal["+Z", "-Z", "+X", "-X"]
 
 
 class Frame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A KUKA frame as it stands in a file: mm and degrees."""
 
-    X: float = 0.0
-    Y: float = 0.0
-    Z: float = 0.0
-    A: float = 0.0
-    B: float = 0.0
-    C: float = 0.0
+    X: Length = 0.0
+    Y: Length = 0.0
+    Z: Length = 0.0
+    A: Angle = 0.0
+    B: Angle = 0.0
+    C: Angle = 0.0
 
     def pose(self) -> Array:
         """Return the frame as a (4, 4) pose [m]."""
@@ -44,16 +46,16 @@ class Tool(Frame, frozen=True):
 class Start(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Where the program starts: A1…A6 [deg]."""
 
-    joints: tuple[float, float, float, float, float, float]
+    joints: tuple[Angle, Angle, Angle, Angle, Angle, Angle]
 
 
 class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Carried in addition to the state the model was calibrated in: kg, and mm in the flange frame."""
 
     mass_kg: NotNegative = 0.0
-    X: float = 0.0
-    Y: float = 0.0
-    Z: float = 0.0
+    X: Length = 0.0
+    Y: Length = 0.0
+    Z: Length = 0.0
 
 
 class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -68,7 +70,7 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How G-code becomes KRL. Each list holds KRL lines; {S} is the spindle speed in rpm, {T} the tool number."""
 
-    redundancy_deg: float = 0.0
+    redundancy_deg: Angle = 0.0
     rapid_m_per_s: Positive = 0.5
     approximation_mm: NotNegative = 0.5
     spindle_on: list[str] = []
@@ -79,8 +81,8 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     tool_change: list[str] = []
 
 
-class Cell(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Content of a `cell.toml`, in the units of the file; `folder` is where it stands."""
+class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of a `cell.toml`, in the units of the file."""
 
     robot: str
     base: Frame
@@ -93,6 +95,11 @@ class Cell(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     base_data: dict[str, Frame] = {}
     tool_data: dict[str, Tool] = {}
     config_dat: str | None = None
+
+
+class Cell(CellFile, frozen=True):
+    """A cell; `folder` is where its file stands."""
+
     folder: str = "."
 
     @property
@@ -116,6 +123,23 @@ class Cell(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         return orientation
 
 
+_EXAMPLE = """The least that a cell needs, for example:
+
+robot = "kuka_kr270"                    # a robot that `postproc robots` lists, or the path of a model folder
+
+[base]                                  # $BASE in the robot root: mm, degrees
+X = 1500
+Y = -200
+Z = 700
+
+[tool]                                  # $TOOL in the flange frame
+Z = 350
+
+[start]
+joints = [0, -70, 110, 0, 50, 0]        # A1…A6 where the program starts
+"""
+
+
 def load(path: str | Path) -> Cell:
     """Read and check a cell file.
 
@@ -123,12 +147,13 @@ def load(path: str | Path) -> Cell:
         names the key and what is valid.
     """
     path = Path(path)
-    cell = files.read_toml(path, Cell, CellError)
+    cell = files.read_toml(path, CellFile, CellError, _EXAMPLE)
     for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data")):
         for key in table:
-            if not key.isdigit():
+            if not (key.isascii() and key.isdecimal()):
                 raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=str(path))
     for key in cell.work_offsets:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
             raise CellError(f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3.")
-    return msgspec.structs.replace(cell, folder=str(path.parent))
+    content = {name: getattr(cell, name) for name in cell.__struct_fields__}
+    return Cell(**content, folder=str(path.parent))

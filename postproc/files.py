@@ -35,35 +35,47 @@ def read_text(path: Path, error: type[InputError]) -> str:
         raise error(f"not UTF-8 text (byte {cause.start})", file=str(path), advice="Save the file as UTF-8.") from cause
 
 
-def read_toml(path: Path, structure: type[T], error: type[InputError]) -> T:
+def read_toml(path: Path, structure: type[T], error: type[InputError], example: str | None = None) -> T:
     """Read a TOML file into a msgspec structure.
 
-    Unknown keys, missing keys, wrong types, NaN and infinity raise `error`; the message names the key and,
-    for an unknown one, the valid ones.
+    Unknown keys and missing keys (all of them at once), wrong types, NaN and infinity raise `error`; the message names
+    the key and, for an unknown one, the valid ones.
+
+    :param example: shown where keys are missing: what such a file looks like.
     """
     text = read_text(path, error)
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as cause:
+        for key, value in _numbers(data, ""):
+            if not math.isfinite(value):
+                raise error(f"{key} is {value}", file=str(path), advice="Give a finite number.")
+    except ValueError as cause:  # TOMLDecodeError is one; so is a number of thousands of digits
         raise error(f"not valid TOML: {cause}", file=str(path)) from cause
-    for key, value in _numbers(data, ""):
-        if not math.isfinite(value):
-            raise error(f"{key} is {value}", file=str(path), advice="Give a finite number.")
-    return convert(data, structure, str(path), error)
+    except RecursionError:
+        raise error("not valid TOML: nested too deeply", file=str(path)) from None
+    return convert(data, structure, str(path), error, example)
 
 
-def convert(data: object, structure: type[T], file: str, error: type[InputError]) -> T:
+def convert(data: object, structure: type[T], file: str, error: type[InputError], example: str | None = None) -> T:
     """Check plain data against a msgspec structure; see `read_toml`."""
+    found = list(_wrong_keys(data, msgspec.inspect.type_info(structure), ""))
+    if found:
+        is_missing = any(problem.startswith("missing") for problem, _ in found)
+        advice = example if example and is_missing else None
+        errors = [error(problem, file=file, advice=valid) for problem, valid in found]
+        errors[-1] = error(found[-1][0], file=file, advice="\n".join(filter(None, (found[-1][1], advice))) or None)
+        raise together(errors)
     try:
         return msgspec.convert(data, structure)
-    except msgspec.ValidationError as cause:
-        message = str(cause)
-        advice = None
-        if "unknown field" in message:
-            at = message.split("`$")[-1].strip("`") if "`$" in message else ""
-            keys = _valid_keys(structure, at)
-            advice = f"Valid keys: {', '.join(keys)}." if keys else None
-        raise error(message.replace("Object", "table"), file=file, advice=advice) from cause
+    except (msgspec.ValidationError, OverflowError) as cause:
+        message, at = str(cause).removesuffix("`"), ""
+        if " - at `$" in message:
+            message, at = message.split(" - at `$")
+            message = f"{at.removeprefix('.')}: {message}"
+        valid = _choices(msgspec.inspect.type_info(structure), at)
+        for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
+            message = message.replace(old, new)
+        raise error(message, file=file, advice=valid) from cause
 
 
 def _numbers(data: object, key: str) -> Iterator[tuple[str, float]]:
@@ -77,18 +89,47 @@ def _numbers(data: object, key: str) -> Iterator[tuple[str, float]]:
         yield key, data
 
 
-def _valid_keys(structure: object, at: str) -> list[str]:
-    kind: Any = msgspec.inspect.type_info(structure)
+def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | None]]:
+    """Yield what is wrong with the keys of a table and of those in it: problem and advice."""
+    kind = _inner(kind)
+    if isinstance(kind, msgspec.inspect.DictType) and isinstance(data, Mapping):
+        for name, value in data.items():
+            yield from _wrong_keys(value, kind.value_type, f"{at}.{name}" if at else str(name))
+    elif isinstance(kind, msgspec.inspect.ListType) and isinstance(data, list):
+        for value in data:
+            yield from _wrong_keys(value, kind.item_type, at)
+    elif isinstance(kind, msgspec.inspect.StructType) and isinstance(data, Mapping):
+        fields = {field.encode_name: field for field in kind.fields}
+        where = f" in [{at}]" if at else ""
+        for name in data:
+            if name not in fields:
+                yield f"unknown key {name!r}{where}", f"Valid keys: {', '.join(fields)}."
+        missing = [name for name, field in fields.items() if field.required and name not in data]
+        if missing:
+            yield f"missing {'key' if len(missing) == 1 else 'keys'}{where}: {', '.join(missing)}", None
+        for name, field in fields.items():
+            if name in data:
+                yield from _wrong_keys(data[name], field.type, f"{at}.{name}" if at else name)
+
+
+def _inner(kind: Any) -> Any:
+    """Return the table or list type of a type that may also be None."""
+    if isinstance(kind, msgspec.inspect.UnionType):
+        return next((t for t in kind.types if not isinstance(t, msgspec.inspect.NoneType)), kind)
+    return kind
+
+
+def _choices(kind: Any, at: str) -> str | None:
+    """Return the values that a key may have, if they are a list."""
     for part in at.replace("[...]", ".[...]").split("."):
-        if isinstance(kind, msgspec.inspect.UnionType):
-            kind = next((t for t in kind.types if not isinstance(t, msgspec.inspect.NoneType)), kind)
+        kind = _inner(kind)
         if part == "[...]" and isinstance(kind, msgspec.inspect.DictType):
             kind = kind.value_type
         elif isinstance(kind, msgspec.inspect.StructType):
             kind = next((f.type for f in kind.fields if f.encode_name == part), kind)
-    if isinstance(kind, msgspec.inspect.UnionType):
-        kind = next((t for t in kind.types if isinstance(t, msgspec.inspect.StructType)), kind)
-    return [f.encode_name for f in kind.fields] if isinstance(kind, msgspec.inspect.StructType) else []
+    if isinstance(_inner(kind), msgspec.inspect.LiteralType):
+        return f"Valid values: {', '.join(map(repr, _inner(kind).values))}."
+    return None
 
 
 def read_csv(

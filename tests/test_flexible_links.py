@@ -234,7 +234,7 @@ def test_covariance_that_names_an_unknown_parameter_is_refused():
     ("text", "message"),
     [
         ('\n[links.A9]\nsource = "x"\nX_um_per_N = 0.1\n', "unknown joint 'A9'"),
-        ('\n[links.A2]\nsource = "x"\nXX_um_per_N = 0.1\n', "unknown field `XX_um_per_N`"),
+        ('\n[links.A2]\nsource = "x"\nXX_um_per_N = 0.1\n', "unknown key 'XX_um_per_N'"),
         ('\n[links.A2]\nsource = "x"\nX_um_per_N = -0.1\n', "X_um_per_N"),
     ],
 )

@@ -1,0 +1,68 @@
+"""Cell files: what is missing or wrong is told, all keys at once."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from postproc import cell
+from postproc.errors import CellError
+
+CELL = (Path(__file__).parents[1] / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+
+
+def _load(tmp_path: Path, text: str) -> cell.Cell:
+    path = tmp_path / "cell.toml"
+    path.write_text(text, encoding="utf-8")
+    return cell.load(path)
+
+
+def test_all_missing_keys_are_told_at_once_with_an_example_that_loads(tmp_path: Path) -> None:
+    with pytest.raises(CellError, match="missing keys: robot, base, tool, start") as caught:
+        _load(tmp_path, "[output]\n")
+    example = str(caught.value.advice).partition("\n\n")[2]
+    assert _load(tmp_path, example).robot == "kuka_kr270"
+
+
+def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> None:
+    text = CELL.replace("tolerance_mm", "tolerence_mm").replace("[start]", "[begin]").replace("axis =", "axes =")
+    with pytest.raises(CellError) as caught:
+        _load(tmp_path, text)
+    error = caught.value
+    assert sorted(e.problem for e in (error, *error.others)) == [
+        "missing key: start",
+        "unknown key 'axes' in [tool]",
+        "unknown key 'begin'",
+        "unknown key 'tolerence_mm' in [output]",
+    ]
+    assert "Valid keys: tolerance_mm, max_correction_mm" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("force_ramp_mm = 1.0", 'controller = "KRC5"', "output.controller: .*'KRC5'. Valid values: 'KRC2', 'KRC4'."),
+        ('axis = "+Z"', 'axis = "up"', r"tool.axis: .*'up'. Valid values: '\+X', '\+Z', '-X', '-Z'."),
+        ("X = 1500.0", 'X = "1500"', "base.X: Expected `float`, got `str`"),
+        ("X = 1500.0", "X = 1e300", "base.X: Expected `float` <= 1000000.0"),
+        ("X = 1500.0", "X = 1" + "0" * 400, "base.X: "),
+        ("X = 1500.0", "X = 1" + "0" * 5000, "not valid TOML"),
+        ("X = 1500.0", "X = nan", "base.X is nan"),
+        ("X = 1500.0", "X = " + "[" * 5000, "not valid TOML"),
+        ("[0, -70, 110, 0, 50, 0]", "[0, -70]", "start.joints: Expected a list of length 6, got 2"),
+        ("[base_data.3]", '[base_data."²"]', r"base_data\.²"),
+        ("[work_offsets.G54]", "[work_offsets.G60]", "Valid names: G54"),
+        ('robot = "kuka_kr270"', 'robot = "kuka_kr270"\nfolder = "elsewhere"', "unknown key 'folder'"),
+    ],
+)
+def test_what_a_key_may_hold_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in CELL
+    with pytest.raises(CellError, match=message):
+        _load(tmp_path, CELL.replace(old, new, 1))
+
+
+def test_the_folder_of_a_cell_is_that_of_its_file(tmp_path: Path) -> None:
+    assert _load(tmp_path, CELL).folder == str(tmp_path)
+    assert set(tomllib.loads(CELL)) <= set(cell.CellFile.__struct_fields__)
