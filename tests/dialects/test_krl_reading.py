@@ -714,3 +714,17 @@ def test_a_constant_orientation_that_does_not_change_is_accepted():
 def test_frames_close_to_each_other_are_not_one():
     cell = replace(CELL, base=Frame(X=1500.0, Y=-200.0, Z=700.0001))
     assert read(body("$BASE={X 1500,Y -200,Z 700}", FULL), cell=cell).motions.base.tolist() == [1]
+
+
+def test_a_chain_has_the_status_the_turn_and_the_external_axes_of_its_last_operand():
+    data = "DEFDAT part\nDECL E6POS XP1={X 1,Y 2,Z 3,A 0,B 0,C 0,S 6,T 27,E1 3.5}\nFRAME FR={X 10}\nENDDAT\n"
+    program = read(body("PTP FR:XP1", "PTP XP1:FR"), data)
+    assert program.motions.status.tolist() == [6, -1]
+    assert program.motions.turn.tolist() == [27, -1]
+    (issue,) = (issue for issue in program.issues if issue.kind == "external-axis")
+    assert (issue.level, issue.source_line, issue.message[:16]) == ("warning", 4, "E1 stands at 3.5")
+
+
+def test_an_external_axis_at_zero_is_not_worth_a_word():
+    program = read(body("LIN {X 1,Y 2,Z 3,A 0,B 0,C 0,E1 0.0}"))
+    assert not [issue for issue in program.issues if issue.kind == "external-axis"]

@@ -29,6 +29,9 @@ def keep_unmoved(program, wanted, shift, turn=None):
     still = (np.abs(shift).sum(axis=1) == 0) & (turn is None or turn == 0.0)
     m = program.motions
     keep = still[wanted.motion] & (wanted.t == 1.0) & (wanted.kind == m.kind[wanted.motion])
+    for k in range(1, len(keep)):  # a circle that starts elsewhere is another circle
+        if wanted.kind[k] == CIRC and not keep[k - 1] and wanted.motion[k - 1] >= wanted.motion[k] - 1:
+            keep[k] = False
     return Targets(wanted.motion, wanted.t, wanted.kind, wanted.pose, wanted.via, keep, wanted.status, wanted.turn)
 
 
@@ -297,22 +300,86 @@ def test_a_force_on_the_line_also_acts_on_inserted_targets():
     assert [line.partition(";")[2] for line in lines[4:8]] == [" FORCE FX=5", " FORCE FX=5", "", "note"]
 
 
-def test_a_trigger_stays_with_the_end_of_its_motion():
-    trigger = "TRIGGER WHEN DISTANCE=1 DELAY=0 DO $OUT[1]=TRUE"
-    (lines, *_), written = rewritten(
-        body(FULL, trigger, "; comment", "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}"), raised=[1], pieces={1: [0.5]}
-    )
-    assert lines[4].startswith("LIN {X ")
-    assert lines[5:7] == [trigger, "; comment"]
-    assert written.output_line.tolist() == [4, 5, 8]
-    assert kinds(written) == ["trigger"]
+LONG = "LIN {X 200,Y 20,Z 30,A 10,B 20,C 170}"  # 100 mm from FULL
 
 
-def test_a_trigger_that_cannot_stay_is_warned_about():
-    source = body(FULL, "TRIGGER WHEN PATH=-5 DELAY=0 DO $OUT[1]=TRUE", "$VEL.CP=0.1", "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0}")
+def trigger(when):
+    return f"TRIGGER WHEN {when} DO $OUT[1]=TRUE"
+
+
+@pytest.mark.parametrize(
+    ("when", "piece", "now"),
+    [
+        ("DISTANCE=0 DELAY=0", 0, None),
+        ("DISTANCE=0 DELAY=50", 0, None),
+        ("DISTANCE=0 DELAY=-10", 0, None),
+        ("distance = 1 delay = 0", 2, None),
+        ("DISTANCE=1 DELAY=-500", 2, None),
+        ("DISTANCE=1 DELAY=200", 2, None),
+        ("PATH=-20 DELAY=0", 2, None),
+        ("PATH=-60 DELAY=0", 1, "PATH=-10 DELAY=0"),
+        ("PATH = -60.5 DELAY=100", 1, "PATH = -10.5 DELAY=100"),
+        ("PATH=-95 DELAY=0", 0, "PATH=-15 DELAY=0"),
+        ("PATH=-120 DELAY=0", 0, "PATH=-40 DELAY=0"),
+        ("PATH=7.5 DELAY=0", 2, None),
+        ("PATH=0 DELAY=0", 2, None),
+        ("PATH=10 ONSTART DELAY=0", 0, None),
+        ("PATH=30 ONSTART DELAY=0", 1, "PATH=10 ONSTART DELAY=0"),
+        ("PATH=99 ONSTART DELAY=0", 2, "PATH=49 ONSTART DELAY=0"),
+    ],
+)
+def test_a_trigger_stands_before_the_piece_on_which_it_switches(when, piece, now):
+    """Pieces of 20, 30 and 50 mm at 0.05 m/s."""
+    source = body("$VEL.CP=0.05", FULL, trigger(when), "; comment", LONG, FULL)
+    (lines, *_), written = rewritten(source, raised=[2], pieces={1: [0.2, 0.5]})
+    at = lines.index(trigger(now or when))
+    assert [line.startswith("LIN {") for line in lines[5:10]].count(True) == 3
+    assert sum(line.startswith("LIN {") for line in lines[5:at]) == piece
+    assert "\n".join(lines).count("TRIGGER") == 1
+    assert written.output_line.tolist() == [n for n, line in enumerate(lines, 1) if line.startswith("LIN {")]
+    assert kinds(written) == []
+
+
+def test_triggers_in_any_order_all_stand_where_they_must():
+    order = ["DISTANCE=1 DELAY=0", "PATH=-60 DELAY=0", "DISTANCE=0 DELAY=0", "PATH=-1 DELAY=0"]
+    source = body(FULL, *map(trigger, order), LONG, FULL, trigger(order[0]), LONG)
+    (lines, *_), written = rewritten(source, raised=[2], pieces={1: [0.2, 0.5], 3: [0.1]})
+    short = [line[:15] if line.startswith("LIN") else line.removeprefix("TRIGGER WHEN ")[:8] for line in lines[4:]]
+    assert [s if s.startswith(("DIST", "PATH")) else s[:3] for s in short] == [
+        "DISTANCE", "LIN", "PATH=-10", "LIN", "PATH=-1 ", "DISTANCE", "LIN", "LIN", "LIN", "DISTANCE", "LIN", "END"
+    ]  # fmt: skip
+    assert lines[4] == trigger(order[2])
+    assert lines[9] == trigger(order[0])
+    assert written.output_line.tolist() == [n for n, line in enumerate(lines, 1) if line.startswith("LIN {")]
+
+
+def test_a_trigger_behind_which_other_statements_stand_refers_to_the_first_piece():
+    source = body(FULL, trigger("PATH=-95 DELAY=0"), "$VEL.CP=0.1", LONG)
+    (lines, *_), written = rewritten(source, raised=[1], pieces={1: [0.5]})
+    assert lines[4] == trigger("PATH=-45 DELAY=0")
+    assert kinds(written) == []
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [trigger("PATH=-5 DELAY=0"), "$VEL.CP=0.1"],
+        [trigger("DISTANCE=1 DELAY=0"), "$VEL.CP=0.1"],
+        [trigger("DISTANCE=0 DELAY=1500")],
+        [trigger("PATH=-55 DELAY=200")],
+        [trigger("PATH=D DELAY=0")],
+        [trigger("DISTANCE=1 DELAY=-T")],
+        [trigger("DISTANCE=I DELAY=0")],
+    ],
+)
+def test_a_trigger_that_cannot_be_kept_right_is_an_error(lines):
+    """Pieces of 50 mm at 0.05 m/s."""
+    source = body("$VEL.CP=0.05", FULL, *lines, LONG)
     _, written = rewritten(source, raised=[1], pieces={1: [0.5]})
     (issue,) = written.issues
-    assert (issue.kind, issue.level, issue.source_line) == ("trigger-moved", "warning", 5)
+    assert (issue.kind, issue.level, issue.source_line) == ("trigger", "error", 6)
+    _, written = rewritten(source, raised=[1])
+    assert not written.issues
 
 
 # --- circles -----------------------------------------------------------------------------------------------------
@@ -491,3 +558,15 @@ def test_motions_of_all_kinds_are_where_they_were_said_to_be():
     assert words == ["PTP", "LIN", "LIN", "CIRC", "CIRC", "LIN", "LIN"]
     assert {LIN, CIRC, PTP} == set(read("\r\n".join([*lines, ""])).motions.kind.tolist())
     assert isinstance(read(source).motions, Motions)
+
+
+def test_a_target_written_as_numbers_keeps_its_external_axes_and_its_status():
+    data = DATA.replace("C 6}", "C 6,E1 5}").replace("PUBLIC\r\n", "PUBLIC\r\nFRAME FR={X 1,Y 2,Z 3,A 0,B 0,C 0}\r\n")
+    source = body("PTP FR:XP1", "LIN FR:XP1", "LIN P[1] C_DIS", "$OUT[1]=P[1].X>3")
+    program = read(source, data)
+    assert (program.motions.status[0], program.motions.turn[0]) == (2, 10)
+    (lines, *_), _ = rewritten(source, data, raised=[0, 1, 2], pieces={1: [0.5]})
+    assert lines[3].endswith(",S 2,T 10,E1 5}")
+    assert lines[4].endswith(",E1 5} C_DIS")
+    assert lines[5].endswith(",E1 5}")
+    assert lines[6].endswith(",E1 5} C_DIS")

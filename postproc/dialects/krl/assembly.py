@@ -15,10 +15,11 @@ from postproc.dialects.krl.rows import Rows, merged
 from postproc.dialects.krl.sequence import Sequence, arc_points, follow
 from postproc.dialects.krl.settings import DEFAULT_SPEED, Settings, State
 from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.triggers import Trigger, triggers
 from postproc.dialects.krl.walker import Walker
 from postproc.errors import Issue
-from postproc.frames import RAD_PER_DEG, Array
-from postproc.program import CIRC, PTP, Bools, Ints, Motions
+from postproc.frames import RAD_PER_DEG, Array, norm
+from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts
 
 _SAME_EXTERNAL = 1e-4
 """External axes that vary by less than this [mm, deg] stand still."""
@@ -75,7 +76,7 @@ def assemble(
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_frames(settings, base, tool, moves)
-    _check_external(source, rows, moves)
+    standing = _external(source, rows, moves)
     frames = base, tool, np.stack(settings.bases), np.stack(settings.tools)
     given = rows.numbers[:, :6]
     chain = follow(source, rows.line, given, frames, moves, start_joints, forward)
@@ -103,7 +104,6 @@ def assemble(
     )
     missing = np.isnan(given)
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
-    before, loose = _insertion_lines(walker, rows.line)
     layout = Layout(
         numbers=chain.numbers,
         missing=missing,
@@ -111,17 +111,16 @@ def assemble(
         keyword=rows.keyword,
         target=rows.target,
         tail=rows.tail,
-        before=before,
         resumed=chain.resumed,
         constant=constant,
         moves=moves,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
         understood=dict(settings.variables.understood),
-        loose_triggers=loose,
+        triggers=_triggers(source, walker, motions, chain.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    return motions, layout, _assumptions(rows.line, missing, assumed, moves)
+    return motions, layout, [*standing, *_assumptions(rows.line, missing, assumed, moves)]
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints]:
@@ -156,13 +155,14 @@ def _check_frames(settings: Settings, base: Ints, tool: Ints, moves: Mapping[int
         rows[rows < 0] = 0
 
 
-def _check_external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> None:
-    """Refuse programs that move external axes."""
+def _external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> list[Issue]:
+    """Refuse programs that move external axes; tell where one stands elsewhere than at zero."""
     external = rows.numbers[:, 8:]
     if np.isnan(external).all():
-        return
+        return []
     external = external.copy()
     external[[row for row, move in moves.items() if move.relative]] = np.nan
+    issues = []
     for axis, values in enumerate(external.T):
         given = np.flatnonzero(~np.isnan(values))
         moving = given[np.abs(values[given] - values[given[:1]]) > _SAME_EXTERNAL]
@@ -172,6 +172,14 @@ def _check_external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> No
                 int(rows.line[moving[0]]),
                 "Only external axes that stand still are supported.",
             )
+        if len(given) and abs(values[given[0]]) > _SAME_EXTERNAL:
+            name, line = EXTERNAL[axis], int(rows.line[given[0]])
+            message = (
+                f"{name} stands at {values[given[0]]:g}: $BASE is taken as seen from the robot there. If {name} "
+                "carries the robot or the part, [base] of the cell must be that of this place."
+            )
+            issues.append(Issue("warning", "external-axis", message, line, count=len(given), subject=name))
+    return issues
 
 
 def _check_orientation(source: Source, rows: Rows, states: list[State], state: Ints, chain: Sequence) -> None:
@@ -213,22 +221,19 @@ def _arcs(source: Source, chain: Sequence, moves: Mapping[int, Move], count: int
     return centre, normal, sweep
 
 
-def _insertion_lines(walker: Walker, line: Ints) -> tuple[Ints, tuple[int, ...]]:
-    """Return the line before which targets are inserted for each motion, and the TRIGGERs that this tears off.
-
-    A TRIGGER refers to the motion that follows it. Where nothing but comments stands between, inserted targets go
-    before the TRIGGER.
-    """
-    before, loose = line.copy(), []
-    for trigger in reversed(walker.triggers):
-        row = int(np.searchsorted(line, trigger))
-        if row == len(line):
-            continue
-        if walker.only_comments(trigger + 1, int(before[row]) - 1):
-            before[row] = trigger
-        else:
-            loose.append(trigger)
-    return before, tuple(reversed(loose))
+def _triggers(source: Source, walker: Walker, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
+    """Return the TRIGGERs that a motion follows."""
+    lines = np.array(walker.triggers, dtype=np.int64)
+    rows = np.searchsorted(motions.line, lines)
+    lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
+    if not len(rows):
+        return ()
+    following = motions.line[rows].tolist()
+    attached = [walker.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
+    begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
+    arc = motions.kind[rows] == CIRC
+    length = np.where(arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
+    return tuple(triggers(source, list(zip(lines.tolist(), rows.tolist(), attached, strict=True)), length))
 
 
 def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, Move]) -> list[Issue]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from postproc.dialects.krl.moves import Move
 from postproc.dialects.krl.rows import Offsets
+from postproc.dialects.krl.triggers import Trigger
 from postproc.frames import Array
 from postproc.program import Bools, Ints, Program
 
@@ -23,7 +24,6 @@ class Layout:
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
-    :param before: (M,) 1-based line before which inserted targets go: the motion's own, or that of its TRIGGERs.
     :param resumed: (M,) True where the controller's previous position is an axis target or the start.
     :param constant: (M,) True where ``$ORI_TYPE=#CONSTANT`` makes the controller ignore A, B, C.
     :param moves: row → statement, for motions that are not plain lines: named points, chains, CIRC, relative and
@@ -31,7 +31,7 @@ class Layout:
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
     :param understood: how often the `.src` names a variable in a way that the reader followed.
-    :param loose_triggers: lines of TRIGGER statements that other statements separate from their motion.
+    :param triggers: TRIGGER statements, in order.
     """
 
     numbers: Array
@@ -40,14 +40,13 @@ class Layout:
     keyword: Ints
     target: Ints
     tail: Ints
-    before: Ints
     resumed: Bools
     constant: Bools
     moves: Mapping[int, Move]
     types: Mapping[str, str]
     public: frozenset[str]
     understood: Mapping[str, int]
-    loose_triggers: tuple[int, ...]
+    triggers: tuple[Trigger, ...]
 
 
 def numbers(program: Program) -> Array:

@@ -2,8 +2,8 @@
 
 What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 
-- Inserted targets stand directly before the motion's line, or before the TRIGGERs that belong to it; they repeat its
-  approximation and its WITH (frames and speed of the motion stand there).
+- Inserted targets stand directly before the motion's line, or around the TRIGGERs that belong to it, so that each of
+  these switches where it did; they repeat its approximation and its WITH (frames and speed of the motion stand there).
 - A relative target that is corrected, or whose predecessor is, becomes an absolute one.
 - CA is dropped when a circle is corrected: its end point is then where the arc ends.
 - A point used by several motions with different corrections gets a new name beside the old one in the `.dat`; where
@@ -15,16 +15,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import groupby
+from operator import attrgetter
 
 import numpy as np
 
 from postproc.dialects.krl.geometry import same_orientation
 from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.lines import Lines
 from postproc.dialects.krl.moves import Move, Operand
 from postproc.dialects.krl.points import Points, Use, mentions
 from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.splice import Edits
 from postproc.dialects.krl.statements import Statements, edits, written
+from postproc.dialects.krl.triggers import Trigger, placed
 from postproc.dialects.krl.wanted import wanted
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Targets, Written
@@ -154,30 +158,52 @@ class _Rewriter:
 
     def _insert(self) -> Ints:
         """Put inserted targets on lines of their own; return the line of every target, (K,)."""
-        motions, layout = self.program.motions, self.layout
-        inserted = ~self.last
-        number = np.bincount(self.row[inserted], minlength=len(motions))
-        earlier = np.cumsum(number) - number
-        within = np.arange(len(self.row)) - np.searchsorted(self.row, self.row)
-        before = layout.before[self.row] + within
-        line = np.where(inserted, before, motions.line[self.row] + number[self.row]) + earlier[self.row]
-        for k in np.flatnonzero(inserted).tolist():
-            row = int(self.row[k])
-            offset = int(self.source.starts[layout.before[row] - 1])
-            self.edits[0].add(offset, offset, self.statements.inserted(row, k))
-        self._tell_triggers(number)
-        return np.asarray(line)
+        line = self.program.motions.line[self.row]
+        lines = Lines(self.source, self.edits[0])
+        at, moved = self._around_triggers()
+        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), list(moved))).tolist():
+            before = at.get(k, int(line[k]))
+            for trigger, text in moved.get(k, ()):
+                lines.move(trigger.line, before, text)
+            if not self.last[k]:
+                lines.add(before, self.statements.inserted(int(self.row[k]), k), k)
+        return lines.numbers(line)
 
-    def _tell_triggers(self, number: Ints) -> None:
-        """Tell where inserted targets come between a TRIGGER and what it refers to."""
-        motions, layout = self.program.motions, self.layout
-        for row in np.flatnonzero((layout.before < motions.line) & (number > 0)).tolist():
-            message = "A TRIGGER now refers to the last piece of its motion, which was divided by inserted targets."
-            self._tell("trigger", message, int(layout.before[row]))
-        for trigger in layout.loose_triggers:
-            if number[np.searchsorted(motions.line, trigger)] > 0:
-                message = "A TRIGGER now refers to a target inserted before its motion: check where it switches."
-                self.issues.append(Issue("warning", "trigger-moved", message, trigger))
+    def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
+        """Return the lines before which targets stand, and the TRIGGERs that are moved there, where these matter."""
+        at: dict[int, int] = {}
+        moved: dict[int, list[tuple[Trigger, str]]] = {}
+        motions = self.program.motions
+        for row, group in groupby(self.layout.triggers, attrgetter("row")):
+            first, beyond = np.searchsorted(self.row, [row, row + 1]).tolist()
+            if beyond - first < 2:
+                continue
+            places = placed(
+                tuple(group), int(motions.line[row]), self.targets.t[first:beyond], float(motions.feed[row])
+            )
+            at |= dict(zip(range(first, beyond), places.at, strict=False))
+            away = {trigger for triggers in places.moved for trigger in triggers}
+            for k, triggers in enumerate(places.moved, first):
+                if triggers:
+                    moved[k] = [(trigger, self._moved(trigger, places.paths.get(trigger))) for trigger in triggers]
+            for trigger, path in places.paths.items():
+                if trigger not in away and trigger.path is not None:
+                    self.edits[0].add(*trigger.path, path)
+            for trigger in places.lost:
+                message = (
+                    "Targets must be inserted into the motion that follows this TRIGGER, and it cannot be kept right. "
+                    "Put it directly before the motion, with numbers for DISTANCE, PATH and DELAY that switch on one "
+                    "piece of it, or raise tolerance_mm so that no targets are needed."
+                )
+                self.issues.append(Issue("error", "trigger", message, trigger.line))
+        return at, moved
+
+    def _moved(self, trigger: Trigger, path: str | None) -> str:
+        """Return the line of a TRIGGER, with its end and another PATH if there is one."""
+        start, stop = int(self.source.starts[trigger.line - 1]), int(self.source.starts[trigger.line])
+        if path is None or trigger.path is None:
+            return self.text[start:stop]
+        return self.text[start : trigger.path[0]] + path + self.text[trigger.path[1] : stop]
 
     def _check_orientation(self) -> None:
         """Refuse corrections of the orientation that the controller would ignore."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.moves import Move, Operand
-from postproc.dialects.krl.positions import CARTESIAN
+from postproc.dialects.krl.positions import CARTESIAN, EXTERNAL
 from postproc.dialects.krl.rows import COLUMNS
 from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.syntax import Aggregate
-from postproc.dialects.krl.wanted import Wanted
+from postproc.dialects.krl.wanted import MOST_DECIMALS, Wanted, printed
 from postproc.program import CIRC, LIN, PTP, Targets
 
 _WORD = re.compile(r"[A-Za-z_]+")
@@ -127,14 +128,19 @@ class Statements:
         return self.texts(k, literal_of(aggregate), copy=copy)
 
     def whole(self, k: int, operand: Operand | None) -> str:
-        """Return the whole target as a new literal; for a PTP with S and T where they are known."""
+        """Return the whole target as a new literal, with the external axes and for a PTP the S and T that are known."""
         texts = self.wanted.texts(k, range(6))
-        if self.targets.kind[k] == PTP and operand is not None:
-            own = operand.position
+        if operand is None:
+            return written(texts)
+        own = operand.position
+        if self.targets.kind[k] == PTP:
             for name, value, before in (("S", self.targets.status, own.status), ("T", self.targets.turn, own.turn)):
                 bits = int(value[k]) if value[k] >= 0 else before
                 if bits >= 0:
                     texts[name] = str(bits)
+        for name, place in zip(EXTERNAL, own.external, strict=False):
+            if not math.isnan(place):
+                texts[name] = printed(place, MOST_DECIMALS, 0)
         return written(texts)
 
     def end(self, row: int, k: int) -> str:

@@ -6,6 +6,8 @@ import re
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from postproc.cell import Cell
 from postproc.dialects.krl.names import MAX_LENGTH, NAME
 from postproc.dialects.krl.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
@@ -180,14 +182,20 @@ class Variables:
         if isinstance(value, Reference):
             return self._lookup(source, value)
         if isinstance(value, Chain):
-            pose = None
-            for operand in value.operands:
-                part = self.position(source, operand)
-                if part is None or part.axis:
-                    return Unknown(0)
-                pose = part.pose() if pose is None else pose @ part.pose()
-            return from_pose(pose) if pose is not None else Unknown(0)
+            return self._product(source, value)
         return Unknown(0)
+
+    def _product(self, source: Source, chain: Chain) -> Known:
+        """Return the position that a chain of frames gives: S, T and external axes are those of its last operand."""
+        pose, part = np.eye(4), None
+        for operand in chain.operands:
+            part = self.position(source, operand)
+            if part is None or part.axis:
+                return Unknown(0)
+            pose = pose @ part.pose()
+        if part is None:
+            return Unknown(0)
+        return replace(from_pose(pose), status=part.status, turn=part.turn, external=part.external)
 
     def key_of(self, source: Source, reference: Reference) -> str | None:
         """Return the key of a variable, its index resolved; None if the index is not known."""
