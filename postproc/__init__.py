@@ -1,10 +1,12 @@
 """Deflection compensation for robot milling: G-code or KRL with cutting forces in, corrected KRL and a report out.
 
 >>> import postproc
->>> cell = postproc.load_cell("samples/cell_kr270.toml")                        # doctest: +SKIP
->>> robot = postproc.load_robot(cell.robot)                                     # doctest: +SKIP
->>> program = postproc.read_program("samples/pocket.nc", robot, cell)           # doctest: +SKIP
->>> result = postproc.process(program, robot, cell)                             # doctest: +SKIP
+>>> cell = postproc.load_cell("samples/cell_kr270.toml")
+>>> robot = postproc.load_robot(cell.robot)
+>>> program = postproc.read_program("samples/pocket.nc", robot, cell)
+>>> result = postproc.process(program, robot, cell)
+>>> result.documents[0].name
+'pocket.src'
 
 Everything named in `__all__` is loaded on first use: importing the package costs nothing.
 """

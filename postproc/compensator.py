@@ -21,6 +21,8 @@ class Compensator:
     >>> law = Compensator(stiffness=1.2e5, free_length=0.458, L=0.18472, ax=0.68593, ay=0.1233)
     >>> float(law.length(np.array(0.0)).round(4))
     0.8793
+    >>> [round(float(of(np.array(-1.0)))) for of in (law.energy, law.gradient, law.stiffness_about_joint)]
+    [6470, 5959, -872]
     """
 
     stiffness: float

@@ -52,6 +52,9 @@ def xyzabc_from_pose(pose: Array) -> Array:
 
     At B = ±90°, where A and C are not unique, A is 0 and the three still compose to the given rotation: C is taken
     from what remains after A and B, not from entries that vanish there.
+
+    >>> xyzabc_from_pose(pose_from_xyzabc([10, 20, 30, 40, 90, 15])).round(6).tolist()
+    [10.0, 20.0, 30.0, 0.0, 90.0, -25.0]
     """
     r = pose[..., :3, :3]
     at_pole = np.hypot(r[..., 1, 0], r[..., 0, 0]) < _POLE
@@ -67,7 +70,11 @@ def xyzabc_from_pose(pose: Array) -> Array:
 
 
 def inverse(pose: Array) -> Array:
-    """Return the inverse of rigid poses (..., 4, 4)."""
+    """Return the inverse of rigid poses (..., 4, 4).
+
+    >>> (xyzabc_from_pose(inverse(pose_from_xyzabc([0, 0, 1000, 0, 90, 0]))).round(6) + 0.0).tolist()
+    [1000.0, 0.0, 0.0, 0.0, -90.0, 0.0]
+    """
     out = np.zeros_like(pose)
     rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
     out[..., :3, :3] = rotation
@@ -77,7 +84,11 @@ def inverse(pose: Array) -> Array:
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3); angle ≤ π."""
+    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3); angle ≤ π.
+
+    >>> rotation_vector(rotation_from_vector(np.array([0.0, 0.5, 0.0]))).round(9).tolist()
+    [0.0, 0.5, 0.0]
+    """
     small = np.stack(
         [
             rotation[..., 2, 1] - rotation[..., 1, 2],
@@ -120,7 +131,11 @@ def largest(values: Array) -> Array:
 
 
 def hat(vector: Array) -> Array:
-    """Return the skew matrices (..., 3, 3) of vectors (..., 3): the product with b is the cross product with b."""
+    """Return the skew matrices (..., 3, 3) of vectors (..., 3): the product with b is the cross product with b.
+
+    >>> (hat(np.array([1.0, 0.0, 0.0])) @ [0.0, 1.0, 0.0]).tolist()
+    [0.0, 0.0, 1.0]
+    """
     out = np.zeros((*vector.shape, 3))
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
@@ -165,5 +180,9 @@ def displaced(pose: Array, twist: Array) -> Array:
 def interpolated(pose_from: Array, pose_to: Array, t: Array) -> Array:
     """Return poses on the straight run from one pose to another, t in [0, 1]: position linear, orientation
     by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``).
+
+    >>> ends = pose_from_xyzabc([[0, 0, 0, 0, 0, 0], [100, 0, 0, 90, 0, 0]])
+    >>> (xyzabc_from_pose(interpolated(*ends, np.array(0.5))).round(6) + 0.0).tolist()
+    [50.0, 0.0, 0.0, 45.0, 0.0, 0.0]
     """
     return displaced(pose_from, twist_between(pose_from, pose_to) * np.asarray(t)[..., None])

@@ -35,6 +35,13 @@ def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
     θ = c(τ(θ)) becomes Δt = J (I − C·H)⁻¹ c(τ₀), C = c′(τ₀). Where all springs are linear, c(τ₀) = C·JᵀF and this is
     Eq. (1), the paper's linear model. Like `deflect` it counts, in τ₀, the payload, and the own weight of a robot whose
     geometry is that of a weightless one.
+
+    >>> from postproc import robot
+    >>> arm, tool = robot.load(robot.find("kuka_kr270")), np.eye(4)
+    >>> pose = np.radians([[0.0, -70.0, 110.0, 0.0, 50.0, 0.0]])
+    >>> twist = linear_deflection(arm, pose, tool, np.array([[0.0, 0.0, -1000.0, 0.0, 0.0, 0.0]]))
+    >>> (twist[0, :3] * 1e3).round(3).tolist()  # 1 kN downwards at the flange: mm
+    [-0.255, 0.0, -0.731]
     """
     jacobian, theta, _, tangent = _at_reference(robot, q, tool, wrench)
     return np.asarray((jacobian @ np.linalg.solve(tangent, theta[:, :, None]))[..., 0])
