@@ -102,7 +102,7 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
         fields = {field.encode_name: field for field in kind.fields}
         where = f" in [{at}]" if at else ""
         for name in data:
-            if name not in fields:
+            if name not in fields and kind.forbid_unknown_fields:
                 yield f"unknown key {name!r}{where}", f"Valid keys: {', '.join(fields)}."
         missing = [name for name, field in fields.items() if field.required and name not in data]
         if missing:
