@@ -14,7 +14,7 @@ from postproc.batch.inputs import Job, dialect_of, is_input, read_documents
 from postproc.batch.interrupts import Interrupted, held_back
 from postproc.batch.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.cell import Cell
-from postproc.errors import InputError, PostprocError, ProgramError
+from postproc.errors import InputError, PostprocError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
 from postproc.pipeline import Result
@@ -81,7 +81,7 @@ def read_program(path: str | Path, robot: RobotModel, cell: Cell, dialect: str |
     documents = read_documents(path, dialect)
     try:
         return pipeline.read(documents, robot, cell, path.stem, dialect)
-    except ProgramError as cause:
+    except InputError as cause:
         raise cause.with_file(path.name, str(path)) from cause
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from postproc.dialects import gcode
-from postproc.errors import ForceError, ProgramError
+from postproc.errors import MOST, ForceError, InputError, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, ForceNote
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
 
@@ -207,6 +207,24 @@ def test_arc_ends_are_as_programmed_even_where_the_radii_differ_by_rounding() ->
     assert motions.centre[1, 0] == pytest.approx(5e-3, abs=1e-15)
 
 
+def test_an_offset_of_zero_across_the_plane_is_read_over() -> None:
+    plain = read(HEAD + "G2 X10 I5 F100\nG3 X0 R6\nG18 X5 I2.5\nM30\n")
+    for zero in ("K0", "K-0.000", "k.0"):
+        text = HEAD + f"G2 X10 I5 {zero} F100\nG3 X0 R6 {zero}\nG18 X5 I2.5 {zero.lower().replace('k', 'J')}\nM30\n"
+        np.testing.assert_array_equal(read(text).motions.centre, plain.motions.centre)
+        np.testing.assert_array_equal(read(text).motions.sweep, plain.motions.sweep)
+    assert fault(HEAD + "G2 X10 K0 F9\nM30\n").problem == "arc without I, J, K or R"
+    assert "across its plane" in fault(HEAD + "G2 X10 I5 K.001 F9\nM30\n").problem
+
+
+def test_other_axes_that_stay_at_zero_are_read_over() -> None:
+    program = read("G21 G90\nG0 X0 Y0 Z10 A0.\nG1 Z0 U0 F100 B-0.0\nG2 X10 I5 A0.000 C+0\nA0\nM30\n")
+    plain = read("G21 G90\nG0 X0 Y0 Z10\nG1 Z0 F100\nG2 X10 I5\n\nM30\n")
+    np.testing.assert_array_equal(program.motions.target, plain.motions.target)
+    told = {i.subject: (i.level, i.source_line) for i in group_issues(program.issues) if i.kind == "other-axis"}
+    assert told == {"A": ("info", 2), "U": ("info", 3), "B": ("info", 3), "C": ("info", 4)}
+
+
 # ---- work offsets
 
 
@@ -272,6 +290,24 @@ def test_the_end_of_the_program_switches_off_what_still_runs() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("tail", "line", "count"),
+    [
+        ("M30\nG0 X5\n", 4, 1),
+        ("M2\n\n(next)\n%\nO1001\nG1 X5 (y)\n", 7, 2),
+        ("%\n%\n nonsense\n", 5, 1),
+        ("M30\n%\n", None, 0),
+        ("M30 ; end\n\n (made by hand)\r\n % \n", None, 0),
+        ("G0 X1 M30", None, 0),
+    ],
+)
+def test_code_after_the_end_is_told_and_not_executed(tail: str, line: int | None, count: int) -> None:
+    program = read(HEAD + tail)
+    told = [(issue.level, issue.source_line, issue.count) for issue in program.issues if issue.kind == "after-end"]
+    assert told == ([("warning", line, count)] if line else [])
+    assert len(program.motions) == 1 + ("X1" in tail)
+
+
 def test_nothing_after_the_end_of_the_program_is_read() -> None:
     for end in ("M30", "M2", "M02", "%", "G0 Z20 M30"):
         program = read(HEAD + f"{end}\nG41 nonsense ( \n(FORCE FX=)\n#1=2\n")
@@ -297,7 +333,7 @@ def test_message_comments_are_plain_comments_and_semicolons_and_brackets_may_hol
 
 
 @pytest.mark.parametrize(
-    ("block", "blend"), [("G61", 0.0), ("G61.1", 0.0), ("G64", 5e-4), ("G64 P.02", 2e-5), ("G64 P9 Q1", 5e-4)]
+    ("block", "blend"), [("G61", 0.0), ("G61.1", 0.0), ("G64", 5e-4), ("G64 P.02", 4e-5), ("G64 P9 Q1", 5e-4)]
 )
 def test_exact_stop_and_blending_modes_set_the_approximation_distance(block: str, blend: float) -> None:
     motions = read(HEAD + f"G1 X1 F100\nG61\n{block}\nX2\nM30\n").motions
@@ -306,7 +342,7 @@ def test_exact_stop_and_blending_modes_set_the_approximation_distance(block: str
 
 
 def test_blending_tolerance_is_in_the_units_of_the_program() -> None:
-    assert read("G20 G64 P.001\nG0 X0 Y0 Z1\nM30\n").motions.blend[0] == pytest.approx(25.4e-6)
+    assert read("G20 G64 P.001\nG0 X0 Y0 Z1\nM30\n").motions.blend[0] == pytest.approx(50.8e-6)
 
 
 # ---- issues
@@ -415,6 +451,9 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
         ("G1 X5 F-3", "negative feed"),
         ("G2 X10 F9", "without I, J, K or R"),
         ("G2 X10 I5 R5 F9", "with R and with I, J or K"),
+        ("O5 O6", "O words"),
+        ("G0 X1 O5", "an O word amid other words"),
+        ("X1O5Y2", "an O word amid other words"),
         ("G2 X10 K5 F9", "offset across its plane"),
         ("G18 G2 X10 J5 F9", "offset across its plane"),
         ("G19 G2 Y10 I5 F9", "offset across its plane"),
@@ -454,7 +493,6 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
         ("O100 sub", "O words"),
         ("o<cut> call", "O words"),
         ("M98 P1000", "M98 is not supported"),
-        ("M104 S200", "M104 is not known"),
         ("M101", "M101 is not known"),
         ("G57", "work offset G57 is not in the cell"),
         ("G12.3", "G12.3 is not known"),
@@ -466,9 +504,9 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
         ("L" + "9" * 400, "plausible range"),
         ("S-1", "negative spindle speed"),
         ("H1", "H word without a code"),
-        ("G0 A90", "A word without a code"),
+        ("G0 A.001", "A word without a code"),
         ("G0 U1", "U word without a code"),
-        ("G1 X1 E2 F9", "E word without a code"),
+        ("G1 X1E2F9", "E word without a code"),
         ("(a (b) c)", "bracket"),
         ("(not closed", "bracket"),
         ("G0 X1 )", "bracket"),
@@ -551,8 +589,127 @@ def test_a_cutting_move_too_early_gives_advice() -> None:
     assert "never all programmed" in str(fault("G0 X10 Y10\nM30\n").advice)
 
 
+def problems(text: str) -> list[tuple[int | None, str]]:
+    with pytest.raises(InputError) as caught:
+        read(text)
+    return [(error.line, error.problem) for error in (caught.value, *caught.value.others)]
+
+
+def test_all_errors_of_a_program_are_told_in_order_of_lines() -> None:
+    text = HEAD + (
+        "G1 X1 F100\nM101\n(FORCE FX=1 FX=2)\nG1 X[1+2]\n(not closed\nG0 X1 Y2 Z3\nG2 X9 I1\nG57\nX5 X6\nM30\n"
+    )
+    assert problems(text) == [
+        (4, "M101 is not known"),
+        (5, "force comment cannot be read"),
+        (6, "parameters and expressions are not supported"),
+        (7, "a bracket that belongs to no comment"),
+        (9, "radii of the arc disagree: 1.0000 mm at the start, 7.0000 mm at the end"),
+        (10, "work offset G57 is not in the cell"),
+        (11, "2 X words in one block"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G81 X1 Y1 Z-1 R1 F10\nX2 Y2\nX3\nG80\nG1 X5\n",  # what the cycle's modes mean is not known
+        "G28 X1\nG1 F9 X2\nG2 X10 I4\n",  # where the tool stands is not known
+        "G1 X#1 F#2\nY5\nX9\n",  # whether there is a feed is not known
+        "G2 X[3] I#5 F1\nI5\n",
+        "G91 G0 X--1\nG90 G2 X10 Y0 I5 F9\n",
+    ],
+)
+def test_an_error_causes_no_others(text: str) -> None:
+    assert [line for line, _ in problems(HEAD + text + "M30\n")] == [3]
+
+
+def test_what_is_understood_of_a_bad_block_holds_for_the_next_ones() -> None:
+    text = HEAD + "G41 D1 G1 G91 X5 F100\nX1\nG90 X0 Y0\nG18 M101\nG2 X10 I5\nX20 J5\nM30 M102\nG41 nonsense\n"
+    assert problems(text) == [
+        (3, "G41 is not supported"),
+        (6, "M101 is not known"),
+        (8, "arc with an offset across its plane"),
+        (9, "M102 is not known"),
+    ]
+
+
+def test_a_mistake_that_goes_on_is_told_once() -> None:
+    assert problems(HEAD + "G1 X1\nX2\nX3\nM30\n") == [(3, "cutting move without a feed")]
+    assert problems("G91\nG0 X1\nX2\nM30\n") == [(2, "incremental move before the position is known")]
+
+
+def test_the_first_errors_of_a_hopeless_file_are_enough() -> None:
+    found = problems(HEAD + "M101\n" * 100_000)
+    assert [line for line, _ in found] == list(range(3, 3 + MOST + 1))
+
+
 def test_the_first_error_of_a_program_is_reported_whatever_its_kind() -> None:
     assert fault(HEAD + "G1 X5\nG41\n").line == 3
     assert fault(HEAD + "G41\nG1 X5\n").line == 3
     assert fault("G41\nG1 X5\n").line == 1
     assert fault(HEAD + "G2 X10 I1 F9\nG1 F0 X1\nG41\n").line == 3
+
+
+# ---- programs of other kinds
+
+FOREIGN = {
+    "Heidenhain": [
+        "0 BEGIN PGM PART MM\n1 BLK FORM 0.1 Z X+0 Y+0 Z-20\n2 TOOL CALL 5 Z S8000\n3 L X+10 Y+10 R0 FMAX M3\n",
+        "N10 G0 X1 Y1 Z1\n12 L  Z-5  F500\n13 CC X+0 Y+0\n",
+        "0  BEGIN PGM 1001 MM \r\n1  L  Z+100 R0 FMAX\r\n",
+    ],
+    "Sinumerik": [
+        "N10 G71 G90\nN20 G0 X1 Y1 Z1\n",
+        'MSG("roughing")\nG0 X1 Y1 Z1\n',
+        "G0 X1 Y1 Z5\nG2 X10 Y5 CR=7.5 F100\n",
+        "CYCLE832(0.01,1,1)\nG0 X1 Y1 Z5\n",
+        "G0 G90 X1 Y1 Z5\nSUPA G0 Z0 D0\n",
+        'T="FRAESER_10"\nM6\nG0 X1 Y1 Z5\n',
+        "N10G0X1Y1Z1\nN20G71\n",
+        "G0 X1 Y1 Z1\nR1=5\n",
+        "TRANS X10 Y20\nG0 X1 Y1 Z1\n",
+        "%_N_PART_MPF\n;$PATH=/_N_WKS_DIR\nG0 X1 Y1 Z1\nTRAORI\n",
+        "G0 X1 Y1 Z1\nG1 X=AC(5) F10\n",
+    ],
+    "APT": [
+        "PARTNO/PART\nUNITS/MM\nLOADTL/1\nGOTO/1.0,2.0,3.0\n",
+        "TOOL PATH/MILL,TOOL,D10\nTLDATA/MILL,10,0,75,0,0\nMSYS/0,0,0,1,0,0,0,1,0\nRAPID\nGOTO/1,2,3\n",
+        "$$ made by CATIA\nFEDRAT/ 500.0,MMPM\n",
+    ],
+    "slicer": [
+        ";FLAVOR:Marlin\nM104 S200\nM82\nG28\nG1 X1 Y1 E0.5 F1500\n",
+        "G90\nG0 X1 Y1 Z1\nG1 X5 Y5 E.25 F900\n",
+    ],
+    "KRL": ["&ACCESS RVP\nDEF part( )\nPTP {X 1}\nEND\n", "DEF part()\nLIN XP1\nEND\n"],
+}
+
+
+@pytest.mark.parametrize(("name", "text"), [(name, text) for name, texts in FOREIGN.items() for text in texts])
+def test_programs_for_other_controls_are_named(name: str, text: str) -> None:
+    (error,) = problems(text)
+    assert name in error[1]
+    assert "post-processor for LinuxCNC" in fault(text).advice or name == "KRL"
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        "(MSG, tool) G41",
+        "G41 ; CYCLE832 is not used",
+        "M101 (TRANS X10)",
+        "G12 (TOOL CALL 5)",
+        "G0 X=5",
+        "#1=2",
+        "G5 X1 E",
+    ],
+)
+def test_a_word_in_a_comment_or_a_single_mistake_makes_no_other_control(block: str) -> None:
+    assert "not plain G-code" not in fault(HEAD + block + "\nM30\n").problem
+
+
+def test_a_program_that_can_be_read_is_never_named_after_another_control() -> None:
+    assert (
+        len(read("(MSG BEGIN PGM TRANS CYCLE832 SUPA)\nG21 G0 X1 Y1 Z1 (CR=5)\nG1 X2 F10 ; GOTO/1,2,3\nM30\n").motions)
+        == 2
+    )

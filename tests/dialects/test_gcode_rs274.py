@@ -253,6 +253,7 @@ ACCEPTED_HERE_ONLY = {
     "cancelling mirroring": "G50.1\nG0 X1 Y1 Z1\nM2",
     "cancelling rotation": "G69\nG0 X1 Y1 Z1\nM2",
     "G94 keeps the feed": "G0 X1 Y1 Z1 F10\nG94\nG1 X2\nM2",
+    "an offset of zero across the plane": "G0 X0 Y0 Z0\nG2 X1 I.5 K0 F10\nM2",
     "five M codes in a block": "G0 X1 Y1 Z1\nM3 M6 M8 M48 M0 T1 S1\nM2",
 }
 REFUSED_HERE_ONLY = {
@@ -294,6 +295,17 @@ def test_what_is_refused_on_purpose_is_accepted_by_rs274(text: str) -> None:
     with pytest.raises(ProgramError):
         read(text)
     assert accepts(text)
+
+
+@pytest.mark.parametrize("tail", ["M2\nG1 nonsense (", "%\nG0 X9\n%\nG1 (", "M30 (end)\nG0 X9\nM2"])
+def test_rs274_too_reads_nothing_after_the_end(tail: str) -> None:
+    text = "%\nG21 G90 G0 X1 Y2 Z3\n" + tail
+    assert_same_moves(read(text), canonical(text), 1.0)
+
+
+def test_other_axes_at_zero_are_nothing_to_rs274_too() -> None:
+    text = "G21 G90 G0 X1 Y2 Z3 A0\nG1 X5 B0 F100\nG2 X7 I1 C0\nM2\n"
+    assert_same_moves(read(text), canonical(text), 1.0)
 
 
 def test_the_comparison_can_fail() -> None:

@@ -14,16 +14,16 @@ motion to X20 Y20 Z5, on the line of the second.
 
 Where this reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening
 one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number,
-more than four M codes in a block, G94 without a new F, and G15, G50.1, G69. Where it accepts less: a cutting or
-relative move or a change of the work offset before X, Y and Z have been programmed (rs274 begins at zero; a robot
-stands anywhere; only a G1 with all three may come first), parameters and expressions, signs like ``--1``, decimals in
-N, an arc in the block of a G4, numbers of 10⁷ and more, a program that moves nothing, and every code that `codes`
-refuses. Each of these is a test.
+more than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, and G15, G50.1, G69.
+Where it accepts less: a cutting or relative move or a change of the work offset before X, Y and Z have been programmed
+(rs274 begins at zero; a robot stands anywhere; only a G1 with all three may come first), parameters and expressions,
+signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that moves nothing,
+and every code that `codes` refuses. Each of these is a test.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -32,10 +32,11 @@ from postproc.cell import Cell
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.codes import WORK_OFFSETS
+from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.path import Path, Setting, read_path
 from postproc.dialects.text import decode, line_spans, line_starts
-from postproc.errors import Issue, ProgramError
+from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, Array, inverse
 from postproc.program import Document, Event, EventKind, ForceNote, Program, parse_force_note
 
@@ -55,10 +56,10 @@ def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str)
     :param start_flange_in_root: (4, 4) pose of the flange in the robot root where the program starts [m].
     :param name: name of the program.
     :returns: poses and lengths in metres, feeds in m/s, as `Motions` says.
-    :raises ProgramError: with file, line, text and advice: a code is not supported or not known, a word cannot be
-        read, an arc is impossible, a cutting move has no feed or comes before X, Y and Z have been programmed in
-        rapid moves, the program is cut off, or it moves nothing.
-    :raises ForceError: a force comment cannot be read.
+    :raises InputError: `ProgramError` with file, line, text and advice: a code is not supported or not known, a word
+        cannot be read, an arc is impossible, a cutting move has no feed or comes before X, Y and Z have been programmed
+        in rapid moves, the program is cut off, it moves nothing, or it is for another control; `ForceError`: a force
+        comment cannot be read. All that is wrong is raised together, see `errors.together`.
     """
     return _read(document, cell, start_flange_in_root, name, bulk=True)
 
@@ -78,16 +79,18 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         approximation=approximation,
     )
     path = read_path(columns, modes, setting)
-    if isinstance(path, Fault):
-        starts, stops = line_spans(document.text)
-        text = document.text[starts[path.row] : stops[path.row]]
-        raise ProgramError(path.problem, file=document.name, line=path.row + 1, text=text, advice=path.advice)
+    notes, comments, wrong = _comments(source, modes.rows, document.name)
+    faults = path if isinstance(path, list) else []
+    if not modes.complete:
+        advice = "Check that the file was transferred completely."
+        faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
+    if faults or wrong or isinstance(path, list):
+        raise together([*_errors(document, faults), *wrong])
     if not len(path.motions):
         advice = "Check that this is the right file, and that it is complete."
         if len(path.held_back):
             advice = "There are rapid moves, but X, Y and Z are never all programmed."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
-    notes, comments = _comments(source, modes.rows, document.name)
     return Program(
         name=name,
         dialect="gcode",
@@ -98,23 +101,54 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         notes=notes,
         events=_events(path, modes, comments),
         still=path.still + 1,
-        issues=(*_issues(path, modes), *modes.issues),
+        issues=(*_issues(path, modes), *modes.issues, *_after_the_end(source, modes.rows)),
     )
 
 
-def _comments(source: words.Source, rows: int, file: str) -> tuple[tuple[ForceNote, ...], list[tuple[int, str]]]:
-    """Return the force comments, and the others as (row, text), of the first `rows` lines."""
+def _errors(document: Document, faults: Sequence[Fault]) -> list[InputError]:
+    """Return faults as errors; where they show that this is a program of another kind, that alone."""
+    starts, stops = line_spans(document.text)
+    texts = [document.text[starts[fault.row] : stops[fault.row]] for fault in faults]
+    kind = recognised(texts)
+    if kind is not None:
+        at, other = kind
+        problem = f"this is not plain G-code, but a {other.name} program"
+        line, text = faults[at].row + 1, texts[at]
+        return [ProgramError(problem, file=document.name, line=line, text=text, advice=other.advice)]
+    return [
+        ProgramError(fault.problem, file=document.name, line=fault.row + 1, text=text, advice=fault.advice)
+        for fault, text in zip(faults, texts, strict=True)
+    ]
+
+
+def _after_the_end(source: words.Source, rows: int) -> Iterator[Issue]:
+    """Tell of code after the end of the program, which is not executed (rs274 does not even read it)."""
+    if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
+        codes = [row for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
+        message = f"There is code after the end of the program (line {rows}): it is not executed."
+        yield Issue("warning", "after-end", message, codes[0] + 1, count=len(codes))
+
+
+def _comments(
+    source: words.Source, rows: int, file: str
+) -> tuple[tuple[ForceNote, ...], list[tuple[int, str]], list[InputError]]:
+    """Return the force comments, the others as (row, text), and what is wrong, of the first `rows` lines."""
     notes: list[ForceNote] = []
     comments: list[tuple[int, str]] = []
+    wrong: list[InputError] = []
     for line, text in zip(source.comment_lines.tolist(), source.comments, strict=True):
         if line > rows:
             break
-        note = parse_force_note(text, line, file)
+        try:
+            note = parse_force_note(text, line, file)
+        except ForceError as cause:
+            wrong.append(cause)
+            continue
         if note is None:
             comments.append((line - 1, text.strip()))
         else:
             notes.append(note)
-    return tuple(notes), comments
+    return tuple(notes), comments, wrong
 
 
 def _events(path: Path, modes: Modes, comments: list[tuple[int, str]]) -> tuple[Event, ...]:

@@ -6,14 +6,18 @@ What LinuxCNC accepts (its `interp_arc.cc`; verified against `rs274` to nine dig
   never by more than a hundred times the first value;
 - a radius below 0.00127 mm (0.00005 inch) is none; an R may be too short to reach the end by that much;
 - an arc that ends where it began is a full circle with I, J, K, and an error with R.
+
+An offset of zero across the plane (K0 in G17, as FreeCAD writes it), which LinuxCNC refuses, is read over.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from postproc.errors import MOST
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 
@@ -72,6 +76,15 @@ class ArcWords:
         return np.array([PLANE_AXES[17.0], PLANE_AXES[18.0], PLANE_AXES[19.0]])[self.plane.astype(np.int64) - 17]
 
 
+class ArcFault(NamedTuple):
+    """What is wrong with arc n; `placed`: only if it starts where it is thought to start."""
+
+    n: int
+    problem: str
+    advice: str | None
+    placed: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Arcs:
     """A arcs, lengths in mm, in the program frame; see `postproc.program.Motions`.
@@ -79,13 +92,13 @@ class Arcs:
     :param centre: (A, 3) at the height of the start.
     :param normal: (A, 3) unit axis.
     :param sweep: (A,) angle about `normal` [rad], > 0.
-    :param faults: (n, problem, advice): the first arc n of each kind of mistake; other values of it are meaningless.
+    :param faults: what is wrong with single arcs; other values of these are meaningless.
     """
 
     centre: Array
     normal: Array
     sweep: Array
-    faults: tuple[tuple[int, str, str | None], ...]
+    faults: tuple[ArcFault, ...]
 
 
 def read_arcs(words: ArcWords) -> Arcs:
@@ -94,7 +107,7 @@ def read_arcs(words: ArcWords) -> Arcs:
         s1, s2, height = words.in_plane(words.start)
         e1, e2, _ = words.in_plane(words.end)
         o1, o2, across = words.in_plane(words.offset)
-        by_radius = np.isnan(o1) & np.isnan(o2) & np.isnan(across)
+        by_radius = np.isnan(o1) & np.isnan(o2) & (np.nan_to_num(across) == 0.0)
         c1, c2 = (
             np.where(words.absolute, 0.0, s1) + np.nan_to_num(o1),
             np.where(words.absolute, 0.0, s2) + np.nan_to_num(o2),
@@ -125,23 +138,28 @@ def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWo
 
 def _faults(
     words: ArcWords, by_radius: Bools, full: Bools, r_start: Array, r_end: Array, half: Array
-) -> tuple[tuple[int, str, str | None], ...]:
-    faults: list[tuple[int, str, str | None]] = []
+) -> tuple[ArcFault, ...]:
+    """Return the first fault of each arc, for each kind of mistake of a few arcs."""
+    faults: dict[int, ArcFault] = {}
 
-    def check(wrong: Bools, problem: str, advice: str | None = None) -> None:
-        if wrong.any():
-            n = int(np.argmax(wrong))
+    def check(wrong: Bools, problem: str, advice: str | None = None, *, placed: bool = False) -> None:
+        for n in np.flatnonzero(wrong)[: MOST + 1].tolist():
             values = {"r1": r_start[n], "r2": r_end[n], "reach": half[n], "radius": abs(words.radius[n])}
-            faults.append((n, problem.format(**values), advice))
+            faults.setdefault(n, ArcFault(n, problem.format(**values), advice, placed))
 
     has_radius = ~np.isnan(words.radius)
     o1, o2, across = words.in_plane(words.offset)
     g1, g2, _ = words.in_plane(words.given.astype(float))
     difference, larger = np.abs(r_start - r_end), np.maximum(r_start, r_end)
     tolerance = np.where(words.units == 20.0, CENTRE_TOLERANCE[20.0], CENTRE_TOLERANCE[21.0])
+    full_circle = "Give a full circle by I, J, K."
+    check(
+        np.nan_to_num(across) != 0.0,
+        "arc with an offset across its plane",
+        "G17 takes I and J, G18 I and K, G19 J and K.",
+    )
     check(by_radius & ~has_radius, "arc without I, J, K or R")
     check(~by_radius & has_radius, "arc with R and with I, J or K", "Give one or the other.")
-    check(~np.isnan(across), "arc with an offset across its plane", "G17 takes I and J, G18 I and K, G19 J and K.")
     check(
         ~by_radius & words.absolute & (np.isnan(o1) | np.isnan(o2)),
         "arc with an incomplete absolute centre",
@@ -149,20 +167,18 @@ def _faults(
     )
     check(np.abs(np.rint(words.turns) - words.turns) > 1e-3, "P of an arc is not a whole number")
     check(np.rint(words.turns) < 1.0, "P of an arc is below 1")
-    check(
-        by_radius & (g1 + g2 == 0.0),
-        "arc with R but without an end point in its plane",
-        "Give a full circle by I, J, K.",
-    )
-    check(by_radius & full, "arc with R that ends where it begins", "Give a full circle by I, J, K.")
+    check(by_radius & (g1 + g2 == 0.0), "arc with R but without an end point in its plane", full_circle)
+    check(by_radius & full, "arc with R that ends where it begins", full_circle, placed=True)
     check(
         by_radius & (half - np.abs(words.radius) > RADIUS_TOLERANCE_MM),
         "R too small to reach the end point: {radius:.4f} mm where {reach:.4f} mm is the least",
+        placed=True,
     )
-    check(np.minimum(r_start, r_end) < RADIUS_TOLERANCE_MM, "arc with radius zero")
+    check(np.minimum(r_start, r_end) < RADIUS_TOLERANCE_MM, "arc with radius zero", placed=True)
     check(
         ~by_radius & ((difference > _CAP * tolerance) | ((difference > tolerance) & (difference > _RELATIVE * larger))),
         "radii of the arc disagree: {r1:.4f} mm at the start, {r2:.4f} mm at the end",
         "Check the centre, G90.1/G91.1 and the plane (G17, G18, G19).",
+        placed=True,
     )
-    return tuple(faults)
+    return tuple(faults.values())

@@ -19,12 +19,19 @@ _PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O\d+{MARK}*")
 _O_WORD = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O")
 
 
+_O_ADVICE = "Let the CAM system write one program without subprograms and loops; an O number stands alone in its line."
+
+
 class Fault(NamedTuple):
-    """Why a program cannot be read: row of the line, what is wrong there, what to do."""
+    """Why a line cannot be read: its row, what is wrong there, what to do.
+
+    `lost` is the block, where it is not known what it changes: positions, modes and feed may be others from there on.
+    """
 
     row: int
     problem: str
     advice: str | None = None
+    lost: str = ""
 
 
 class BlockError(Exception):
@@ -38,21 +45,17 @@ def words_of(code: str) -> list[tuple[str, float]]:
     :raises BlockError: something is not a word, a word is double or out of range, or two codes exclude each other.
     """
     from pygcode.block import Block
-    from pygcode.exceptions import GCodeParameterError, GCodeWordStrError
 
     if _PROGRAM_NUMBER.fullmatch(code):
         return []
     if _O_WORD.match(code):
-        raise BlockError(
-            "O words that call, define or repeat are not supported",
-            "Let the CAM system write one program without subprograms and loops; an O number stands alone in its line.",
-        )
+        raise BlockError("O words that call, define or repeat are not supported", _O_ADVICE)
     own = _split(code)
     try:
         block = Block(" ".join(letter + number for letter, number in own))
     except AssertionError as cause:
         raise BlockError(_conflict(own), "Write one block for each.") from cause
-    except (GCodeWordStrError, GCodeParameterError) as cause:
+    except Exception as cause:  # pygcode has many kinds, and not all of them on purpose
         raise BlockError(f"not a valid block: {cause}", None) from cause
     words = [(word.letter, float(word.value)) for word in block.words]
     for found, (letter, number) in zip(words, own, strict=False):
@@ -77,6 +80,8 @@ def _split(code: str) -> list[tuple[str, str]]:
             raise BlockError(*_not_a_word(code[position:].lstrip(MARK)))
         if match[1] in "LNT" and len(match[2]) > 15:
             raise BlockError(f"{match[0].lstrip(MARK)[:20]}… is out of any plausible range", None)
+        if match[1] == "O":
+            raise BlockError("an O word amid other words", _O_ADVICE)
         own.append((match[1], _plain(match[1], match[2])))
         position = match.end()
     for letter, count in Counter(letter for letter, _ in own).items():

@@ -33,6 +33,9 @@ rotation, G92), that select what always holds (feed per minute, spindle in rpm),
 _IGNORED_M = (48.0, 49.0)
 """Override switches of the operator's panel."""
 
+OTHER_AXES = "ABCUVW"
+"""Axes that a three-axis mill may have beside X, Y, Z, and a robot has not."""
+
 ACCEPTED_G = frozenset((*GROUP_OF, *MOTION, CANCEL_CYCLE, DWELL, TOOL_LENGTH, BLENDING, *EXACT, *_IGNORED_G))
 ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 

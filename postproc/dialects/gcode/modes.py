@@ -7,12 +7,15 @@ Decisions, where controls differ:
   CAM file has one. G43.1, G43.2 and G44 would shift the tip: they are refused.
 - **/** (block delete): the block is read, as with the switch in its off position, the default of rs274; an issue says
   so.
-- **G61, G61.1** switch approximate positioning off, **G64** on again; ``G64 P`` limits its distance to P.
+- **G61, G61.1** switch approximate positioning off, **G64** on again. ``G64 P`` allows the path to leave a corner by P:
+  the approximation distance is then at most 2·P, by which no corner is rounded by more than P (the parabola that the
+  controller drives leaves the corner by half the distance, times the sine of half the turn).
 - **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first.
 - **G4 P** is in seconds, as in LinuxCNC. More than a minute gives a warning: some controls count milliseconds.
 - **M2, M30** end the program; spindle and coolant that still run are switched off there, as LinuxCNC does.
 - A new S while the spindle runs is an event like M3 with that speed.
 - **F** belongs to the units of its own block, also when G20 or G21 stands in the same block.
+- **A0, U0** (and B, C, V, W) keep an axis that the robot has not at zero: they are read over, and an issue says so.
 - **%**: the first one opens the program (text after it is ignored), the next one ends it; a program that begins with
   % and has no end is incomplete. A closing % without an opening one is accepted.
 """
@@ -27,7 +30,7 @@ from typing import NamedTuple
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.blocks import BlockError, Fault, words_of
 from postproc.dialects.gcode.words import COLUMNS, MARK, Source
-from postproc.errors import Issue, Level
+from postproc.errors import MOST, Issue, Level
 from postproc.frames import M_PER_MM, Array
 from postproc.program import EventKind, Ints
 
@@ -51,13 +54,15 @@ class Happening(NamedTuple):
 class Modes:
     """What the blocks that are not plain say besides coordinates.
 
-    :param rows: number of lines that belong to the program (up to M2, M30, the closing ``%``, or a fault).
+    :param rows: number of lines that belong to the program (up to M2, M30 or the closing ``%``); lines after the first
+        few faults are none of them.
     :param changes: for each modal group of `codes.GROUPS` its changes (row, code), in order.
     :param blends: changes (row, approximation distance [m]), in order.
     :param dwells: rows with G4.
     :param happenings: events in order.
     :param issues: what the user should know.
-    :param fault: why the program cannot be read from row `rows` on; None if it was read to its end.
+    :param faults: blocks that cannot be read, in order.
+    :param complete: False if an end that must be there is missing.
     """
 
     rows: int
@@ -66,7 +71,8 @@ class Modes:
     dwells: Sequence[int]
     happenings: Sequence[Happening]
     issues: Sequence[Issue]
-    fault: Fault | None
+    faults: Sequence[Fault]
+    complete: bool = True
 
 
 def read_modes(
@@ -83,24 +89,22 @@ def read_modes(
     opening = _OPENING.match(source.code)
     tape = -1 if opening is None else opening[0].count(b"\n") - 1
     reader = _Reader(columns, offsets, approximation, tape)
-    rows, fault = len(source), None
+    faults: list[Fault] = []
+    rows = len(source)
     for row in odd.tolist():
+        code = source.line(row)
         try:
-            reader.read(row, source.line(row))
+            reader.read(row, code)
         except BlockError as cause:
-            rows, fault = row, Fault(row, *cause.args)
-            break
-        if reader.ended:
+            faults.append(Fault(row, cause.args[0], cause.args[1], code))
+        if reader.ended or len(faults) > MOST:
             rows = row + 1
             break
-    else:
-        if tape >= 0:
-            advice = "Check that the file was transferred completely."
-            fault = Fault(rows - 1, "the program begins with % but ends without %, M2 or M30", advice)
-        else:
-            message = "The program ends without M2, M30 or %: check that the file is complete."
-            reader.issues.append(Issue("warning", "program-end", message, rows))
-    return Modes(rows, reader.changes, reader.blends, reader.dwells, reader.happenings, reader.issues, fault)
+    complete = reader.ended or tape < 0 or len(faults) > MOST
+    if not reader.ended and complete:
+        message = "The program ends without M2, M30 or %: check that the file is complete."
+        reader.issues.append(Issue("warning", "program-end", message, rows))
+    return Modes(rows, reader.changes, reader.blends, reader.dwells, reader.happenings, reader.issues, faults, complete)
 
 
 class _Reader:
@@ -131,39 +135,56 @@ class _Reader:
         g = [value for letter, value in words if letter == "G"]
         m = [value for letter, value in words if letter == "M"]
         values = {letter: value for letter, value in words if letter not in "GM"}
-        self._modes(row, g)
-        self._dwell_and_blending(row, g, values)
+        refused: BlockError | None = None
+        for step in (self._modes, self._dwell, self._blending, self._machine, self._coordinates):
+            try:
+                step(row, g, m, values)
+            except BlockError as cause:  # what is understood of the block is taken over: the next blocks build on it
+                refused = refused or cause
+        if refused is not None:
+            raise refused
+
+    def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.TOOL_LENGTH in g:
             values.pop("H", None)
             message = "G43 has no effect: $TOOL holds the tool length, and X Y Z are those of the tool tip."
             self._tell("info", "tool-length", message, row)
-        self._machine(row, m, values)
-        for letter, value in values.items():
-            if letter not in COLUMNS:
-                raise BlockError(f"{letter} word without a code that uses it", codes.WORD_ADVICE.get(letter))
-            self.columns[letter][row] = value
-        if values.get("F", 0.0) < 0.0:
+        for letter in codes.OTHER_AXES:
+            if values.get(letter) == 0.0:
+                del values[letter]
+                message = f"{letter}0 is read over: the robot has no axis {letter}."
+                self._tell("info", "other-axis", message, row, letter)
+        backwards = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
+        for letter in COLUMNS:
+            if letter in values:
+                self.columns[letter][row] = values.pop(letter)
+        for letter in values:
+            raise BlockError(f"{letter} word without a code that uses it", codes.WORD_ADVICE.get(letter))
+        if backwards:
             raise BlockError("negative feed", None)
 
-    def _tell(self, level: Level, kind: str, message: str, row: int) -> None:
-        self.issues.append(Issue(level, kind, message, row + 1))
+    def _tell(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+        self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
-    def _modes(self, row: int, g: Sequence[float]) -> None:
+    def _modes(self, row: int, g: Sequence[float], *_: object) -> None:
+        refused: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
-            if group is not None:
-                if group == "offset" and code != codes.WORK_OFFSETS[0] and f"G{code:g}" not in self.offsets:
-                    advice = f"Give its place in $BASE in the cell: [work_offsets.G{code:g}]."
-                    raise BlockError(f"work offset G{code:g} is not in the cell", advice)
+            if group == "offset" and code != codes.WORK_OFFSETS[0] and f"G{code:g}" not in self.offsets:
+                advice = f"Give its place in $BASE in the cell: [work_offsets.G{code:g}]."
+                refused = refused or (f"work offset G{code:g} is not in the cell", advice)
+            elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOTION or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOTION)):
                 self.columns["G"][row] = code
             elif code not in codes.ACCEPTED_G:
-                raise BlockError(*codes.refusal("G", code))
+                refused = refused or codes.refusal("G", code)
+        if refused is not None:
+            raise BlockError(*refused)
 
-    def _dwell_and_blending(self, row: int, g: Sequence[float], values: dict[str, float]) -> None:
+    def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.DWELL in g:
             if not values.get("P", -1.0) >= 0.0:
                 raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
@@ -175,20 +196,19 @@ class _Reader:
             if seconds > _LONG_DWELL_S:
                 message = f"Dwell of {seconds:g} s: P counts seconds here, on some controls milliseconds."
                 self._tell("warning", "dwell", message, row)
+
+    def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.BLENDING in g:
             limit = values.pop("P", None)
             values.pop("Q", None)
             distance = self.approximation
             if limit is not None:
-                distance = min(distance, max(limit, 0.0) * self.mm_per_unit * M_PER_MM)
+                distance = min(distance, 2.0 * max(limit, 0.0) * self.mm_per_unit * M_PER_MM)
             self.blends.append((row, distance))
         elif set(g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
 
-    def _machine(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
-        for code in m:
-            if code not in codes.ACCEPTED_M:
-                raise BlockError(*codes.refusal("M", code))
+    def _machine(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
         self.tool = values.pop("T", self.tool)
         if codes.CHANGE in m:
             self._event(row, "tool_change", self.tool)
@@ -209,6 +229,9 @@ class _Reader:
                     self.happenings.append(Happening(row, True, "spindle_off"))
                 if self.coolant:
                     self.happenings.append(Happening(row, True, "coolant_off"))
+        for code in m:
+            if code not in codes.ACCEPTED_M:
+                raise BlockError(*codes.refusal("M", code))
 
     def _spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
         if speed is not None:

@@ -15,9 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from postproc.dialects.gcode import codes
-from postproc.dialects.gcode.arcs import SAME_MM, ArcWords, read_arcs
+from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, ArcWords, read_arcs
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes
+from postproc.errors import MOST
 from postproc.frames import M_PER_MM, Array, inverse
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions
 
@@ -89,15 +90,13 @@ def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) ->
     return np.repeat(np.array(values, dtype=float), np.diff(at))
 
 
-def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> Path | Fault:
-    """Return the motions of a program, or the first reason why it cannot be read.
+def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> Path | list[Fault]:
+    """Return the motions of a program, or the reasons why it cannot be read, in order of lines.
 
     :param columns: words of all lines, see `postproc.dialects.gcode.words.read_plain`.
     :param modes: the other blocks.
     :param setting: what the cell says.
     """
-    if modes.rows == 0 and modes.fault is not None:
-        return modes.fault
     rows = _rows(columns, modes)
     before, after = _positions(rows, setting)
     complete = _complete_from(rows)
@@ -118,12 +117,9 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
             absolute=rows.absolute_centre[circular],
         )
     )
-    faults = [*_faults(rows, complete, modes.dwells)]
-    faults += [Fault(int(circular[n]), problem, advice) for n, problem, advice in arcs.faults]
-    if modes.fault is not None:
-        faults.append(modes.fault)
+    faults = _faults(rows, complete, modes, circular, arcs.faults)
     if faults:
-        return min(faults, key=lambda fault: fault.row)
+        return faults
 
     distance = np.linalg.norm(after[move] - before[move], axis=1)
     stays = (distance <= SAME_MM) & (rows.motion[move] < 2.0)
@@ -244,35 +240,74 @@ def _complete_from(rows: _Rows) -> int:
     return int(first.max())
 
 
-def _faults(rows: _Rows, complete: int, dwells: Sequence[int]) -> list[Fault]:
-    faults: list[Fault] = []
+def _faults(rows: _Rows, complete: int, modes: Modes, circular_rows: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
+    """Return what is wrong, in order of lines, one fault for each line.
 
-    def check(wrong: Bools, problem: str, advice: str | None = None) -> None:
-        if wrong.any():
-            faults.append(Fault(int(np.argmax(wrong)), problem, advice))
+    After a block that could not be read, nothing is said that may only be wrong because of it.
+    """
+    doubt = _Doubt(rows, modes.faults)
+    faults = {fault.row: fault for fault in modes.faults}
+
+    def check(wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
+        for row in np.flatnonzero(wrong)[: 1 if first else MOST + 1].tolist():
+            faults.setdefault(row, Fault(row, problem, advice))
 
     count = len(rows.motion)
     line = np.arange(count)
     axes = ~np.isnan(rows.xyz).all(axis=1)
     straight, circular = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     dwelling = np.zeros(count, dtype=bool)
-    dwelling[[row for row in dwells if row < count]] = True
-    check(axes & (rows.motion == codes.CANCEL_CYCLE), "coordinates without G0, G1, G2 or G3", "Say which motion it is.")
+    dwelling[[row for row in modes.dwells if row < count]] = True
+    cancelled = axes & (rows.motion == codes.CANCEL_CYCLE) & ~doubt.motion
+    check(cancelled, "coordinates without G0, G1, G2 or G3", "Say which motion it is.", first=True)
     stray = ~(np.isnan(rows.ijk).all(axis=1) & np.isnan(rows.radius) & np.isnan(rows.turns))
-    check(stray & ~(rows.moving & circular), "I, J, K, R or P without an arc that uses it")
+    check(stray & ~(rows.moving & circular) & ~doubt.motion, "I, J, K, R or P without an arc that uses it")
     check(dwelling & rows.moving & circular, "G4 in one block with an arc", "Write one block for each.")
-    check(
-        (rows.named | rows.moving) & (straight | circular) & ~(rows.feed > 0.0),
-        "cutting move without a feed",
-        "Give F.",
-    )
+    no_feed = (rows.named | rows.moving) & (straight | circular) & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
+    check(no_feed, "cutting move without a feed", "Give F.", first=True)
     advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may stand anywhere before."
-    check(axes & rows.incremental & (line <= complete), "incremental move before the position is known", advice)
-    early = axes & (line <= complete)
-    first = int(np.argmax(axes))
-    cutting = early & straight & (first < complete)  # a first one with X, Y and Z needs nothing from before
-    check(cutting, "cutting move before the position is known", advice)
-    check(rows.moving & circular & (line <= complete), "arc before the position is known", advice)
-    elsewhere = early & (rows.offset != rows.offset[first])
-    check(elsewhere, "change of the work offset before the position is known", advice)
-    return faults
+    early = axes & (line <= complete) & ~doubt.position
+    problem = "incremental move before the position is known"
+    check(early & rows.incremental, problem, advice, first=True)
+    begin = int(np.argmax(axes))
+    cutting = early & straight & (begin < complete) & ~doubt.motion  # a first one with X, Y and Z needs nothing before
+    check(cutting, "cutting move before the position is known", advice, first=True)
+    turning = rows.moving & circular & (line <= complete) & ~doubt.motion & ~doubt.position
+    check(turning, "arc before the position is known", advice, first=True)
+    elsewhere = early & (rows.offset != rows.offset[begin])
+    check(elsewhere, "change of the work offset before the position is known", advice, first=True)
+    for fault in arcs:
+        row = int(circular_rows[fault.n])
+        if not (doubt.motion[row] or (fault.placed and doubt.position[row])):
+            faults.setdefault(row, Fault(row, fault.problem, fault.advice))
+    return [faults[row] for row in sorted(faults)]
+
+
+class _Doubt:
+    """Where blocks that could not be read leave open what holds; each (L,), True from such a block on.
+
+    :ivar motion: which of G0…G3, until it is named again.
+    :ivar position: where the tool stands, until X, Y and Z are given again.
+    :ivar feed: whether there is one.
+    """
+
+    def __init__(self, rows: _Rows, faults: Sequence[Fault]) -> None:
+        count = len(rows.motion)
+        line = np.arange(count)
+
+        def latest(at: Array | Bools) -> Ints:
+            return np.asarray(np.maximum.accumulate(np.where(at, line, -1)), dtype=np.int64)
+
+        def lost(letters: str) -> Ints:
+            at = np.zeros(count, dtype=bool)
+            at[[fault.row for fault in faults if set(letters) & set(fault.lost)]] = True
+            return latest(at)
+
+        given = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]
+        before = np.minimum.reduce(given)
+        before = (
+            np.concatenate([[-1], before[:-1]]) if count else before
+        )  # the line itself needs to know where it starts
+        self.motion = (lost("G") >= 0) & (latest(rows.named) <= lost("G"))
+        self.position = (lost("GXYZIJK") >= 0) & (before <= lost("GXYZIJK"))
+        self.feed = lost("F") >= 0

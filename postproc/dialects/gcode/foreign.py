@@ -1,0 +1,80 @@
+"""Programs that are not G-code of this kind: which control they are for, told by the lines that cannot be read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+_POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fanuc (ISO) without cycles and macros"
+_ASIDE = re.compile(r'\([^()"]*\)|;.*')
+
+
+class Foreign(NamedTuple):
+    """A kind of program that is not read: its name, by what a line of it is known, and what to do."""
+
+    name: str
+    line: re.Pattern[str]
+    advice: str
+
+
+FOREIGN = (
+    Foreign(
+        "Heidenhain Klartext",
+        re.compile(
+            r"\s*(\d+\s+)?(BEGIN PGM|END PGM|BLK FORM|TOOL (CALL|DEF)|CYCL (DEF|CALL)|CALL (PGM|LBL)|LBL \d|PLANE )"
+            r"|\s*\d+\s+(L|LN|LP|CC?|CP|CR|CT|CTP|RND|CHF|APPR|DEP|FN|FL|FC|STOP)\b",
+            re.IGNORECASE,
+        ),
+        f"{_POST}, or for KUKA KRL, instead of Heidenhain.",
+    ),
+    Foreign(
+        "APT cutter-location (CLSF)",
+        re.compile(
+            r"\s*(PARTNO|LOADTL|MULTAX|PPRINT|END-OF-PATH|TLDATA|CATMAT|\$\$|RAPID\s*$"
+            r"|(GOTO|GODLTA|FEDRAT|SPINDL|FROM|CUTTER|TOOL PATH|MSYS|PAINT|LOAD|COOLNT|CIRCLE|UNITS|INTOL|OUTTOL)\s*/)",
+            re.IGNORECASE,
+        ),
+        f"It has not been post-processed yet. {_POST}, or for KUKA KRL.",
+    ),
+    Foreign(
+        "KUKA KRL",
+        re.compile(
+            r"\s*(&(ACCESS|REL|PARAM|COMMENT)\b|(GLOBAL\s+)?DEF(FCT|DAT)?\s+\w+|S?(LIN|PTP|CIRC)(_REL)?\s+[{\w]|BAS\s*\(#)",
+            re.IGNORECASE,
+        ),
+        "Give it the extension .src, or say --dialect krl.",
+    ),
+    Foreign(
+        "slicer (3-D printing)",
+        re.compile(
+            r".*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])M(82|83|10[4679]|140|190)(?!\d))",
+            re.IGNORECASE,
+        ),
+        f"It extrudes and does not cut. {_POST}, from a milling program.",
+    ),
+    Foreign(
+        "Siemens Sinumerik",
+        re.compile(
+            r".*(?<![A-Z])(CYCLE\d{2,4}|POCKET[1-4]|SLOT[12]|HOLES[12]|MCALL|SUPA|TRAORI|TRAFOOF|A?TRANS|A?ROT|A?MIRROR"
+            r"|A?SCALE|STOPRE|EXTCALL|WORKPIECE|COMP(ON|OF|CAD|CURV|SURF)|FFW(ON|OF)|ORI(WKS|MKS|AXES|VECT)|CFC|CFTCP|CFIN"
+            r"|CUT[23]D|BRISK|SOFT|GROUP_(BEGIN|END)|REPEATB?|DEF (REAL|INT|STRING|BOOL)|G(70|71|153|500|505)(?![\d.])"
+            r"|MSG(?![A-Z])|(CR|AP|RP|TURN|R\d+|[ABC]3|[IJK]1)\s*=|[XYZIJKABC]\s*=\s*(R\d|[AID]C(?![A-Z]))|T\s*=\s*\"|%_N_)",
+            re.IGNORECASE,
+        ),
+        f"{_POST}, or for KUKA KRL, instead of Siemens (Sinumerik 840D, 828D).",
+    ),
+)
+"""Programs that this reader meets and does not read."""
+
+
+def recognised(lines: Sequence[str]) -> tuple[int, Foreign] | None:
+    """Return which of the lines that could not be read first tells the kind of program, and that kind.
+
+    :param lines: with their comments, in order.
+    """
+    for index, line in enumerate(lines):
+        for kind in FOREIGN:
+            if kind.line.match(_ASIDE.sub("", line)):
+                return index, kind
+    return None
