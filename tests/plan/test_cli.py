@@ -1,12 +1,10 @@
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
-import os
+import math
 import signal
-import subprocess
-import sys
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -161,18 +159,19 @@ def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_p
     assert "k1 is not observable" in page
 
 
-@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
-def test_ctrl_c_writes_the_best_plan_so_far(tmp_path):
-    setting.experiment(tmp_path)
-    command = [
-        *(sys.executable, "-c", "from postproc.cli import main; main()", "plan"),
-        *("--experiment", str(tmp_path / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")),
-        *("--program", str(SAMPLES / "pocket.nc"), "--configurations", "40", "-o", str(tmp_path / "plan.csv")),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    time.sleep(7)
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=30)
-    assert process.returncode == 0, output
-    assert "interrupted: this is the best plan so far" in output
-    assert len((tmp_path / "plan.csv").read_text().splitlines()) == 41
+def test_ctrl_c_writes_the_best_plan_so_far(tmp_path, monkeypatch):
+    @contextlib.contextmanager
+    def stopping():
+        def tell(stage, share, best):
+            if stage == "searching" and math.isfinite(best):
+                signal.raise_signal(signal.SIGINT)
+
+        yield tell
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("postproc.cli.plan._shown", stopping)
+    result = run(tmp_path, "--poses", "tests.csv", *QUICK)
+    assert result.exit_code == 0, result.output
+    assert "interrupted: this is the best plan so far" in result.output
+    assert len((tmp_path / "out" / "plan.csv").read_text().splitlines()) == 7
+    assert json.loads((tmp_path / "out" / "plan.json").read_text())["interrupted"] is True
