@@ -29,6 +29,7 @@ _ROUNDS = 5
 """How often targets are inserted where the simulation of the written program leaves the tolerance."""
 _FEW = 16
 """Of so many neighbouring targets one is solved first, for a guess."""
+_NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
 
@@ -89,7 +90,7 @@ def process(
     :param cell: the cell.
     :param rows: forces from a CSV file, which win over comments.
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
-        nothing.
+        nothing: it tells what the program does as it stands, at the places where ``"convert"`` would have its targets.
     :param linearize_arcs: write arcs as lines.
     :returns: a result; with an issue of level error it holds no documents.
     :raises ForceError: forces that cannot be given to the motions.
@@ -101,7 +102,10 @@ def process(
             sampled = _sample(program, place, rows, mode, linearize_arcs, also)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
-        targets, row = _targets(program, place, sampled, mode, linearize_arcs)
+        targets, row = _targets(program, place, sampled, linearize_arcs)
+        if mode == "predict":
+            sampled = replace(sampled, command=_as_it_stands(program, place, sampled.sample, sampled.joints))
+            targets = replace(targets, pose=sampled.sample.pose[row])
         issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated = None, None
         if mode != "predict" and not _blocked(issues):
@@ -116,12 +120,21 @@ def process(
             break
         # between its targets the written path leaves the tolerance: look there too, and insert what is needed
         also = simulated.missed if also is None else _joined(also, simulated.missed)
-    before, deflection = _uncorrected(program, place, sampled, row)
-    after, between = before, float(before.max(initial=0.0))
+    everywhere = row if mode != "predict" else np.arange(len(sampled.sample))
+    try:
+        before, deflection = _uncorrected(program, place, sampled, everywhere)
+    except NotConvergedError as cause:
+        motion = sampled.sample.motion[everywhere[list(cause.rows)]]
+        return _nothing(program, robot, mode, _at_rows("not-converged", _NO_BALANCE, program, motion))
+    between = float(before.max(initial=0.0))
+    if mode == "predict":
+        before, deflection = before[row], deflection[row]
+    after = before
     documents: tuple[Document, ...] = ()
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
     if mode == "predict" and program.dialect == "krl":
-        printed = krl.numbers(program)[targets.motion]
+        ends = targets.t == 1.0
+        printed[ends] = krl.numbers(program)[targets.motion[ends]]
     if text is not None and simulated is not None:
         issues += simulated.issues
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
@@ -189,16 +202,21 @@ def _sample(
     except UnreachableError as cause:
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
         raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
-    if mode != "convert":
-        command = replace(uncorrected(place.robot, joints.q, place.tool(program, motion)), pose=sample.pose)
-        return _Sampled(path, load, sample, wrench, joints, command)
+    if mode == "nominal":
+        return _Sampled(path, load, sample, wrench, joints, _as_it_stands(program, place, sample, joints))
     movable = np.isnan(m.joints[motion, 0])
     try:
         command = _compensated(program, place, sample, wrench, joints, movable)
     except NotConvergedError as cause:
-        message = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
-        raise _BlockedError(_at_rows("not-converged", message, program, motion[list(cause.rows)])) from None
+        if mode == "convert":
+            raise _BlockedError(_at_rows("not-converged", _NO_BALANCE, program, motion[list(cause.rows)])) from None
+        command = _as_it_stands(program, place, sample, joints)  # what cannot be corrected can still be predicted
     return _Sampled(path, load, sample, wrench, joints, command)
+
+
+def _as_it_stands(program: Program, place: InRoot, sample: Toolpath, joints: JointPath) -> Compensation:
+    """Return the commands of the program as it is."""
+    return replace(uncorrected(place.robot, joints.q, place.tool(program, sample.motion)), pose=sample.pose)
 
 
 def _at_rows(kind: str, message: str, program: Program, motion: Ints) -> Issue:
@@ -242,15 +260,13 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     ]
 
 
-def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> tuple[Bools, Bools]:
+def _unchanged(program: Program, sampled: _Sampled) -> tuple[Bools, Bools]:
     """Return which motions are one target whatever lies between (M,), and which end as their text says (M,).
 
-    For a prediction that is all; in KRL it is those that need no correction. Where a motion starts matters to straight
-    lines, which may then have to be divided, and to circles, which are other circles then; a PTP ends where it ends.
+    In KRL that is those that need no correction. Where a motion starts matters to straight lines, which may then have
+    to be divided, and to circles, which are other circles then; a PTP ends where it ends.
     """
     m = program.motions
-    if mode == "predict":
-        return np.ones(len(m), dtype=bool), np.ones(len(m), dtype=bool)
     if program.dialect == "gcode":
         return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
     sample = sampled.sample
@@ -267,12 +283,10 @@ def _unchanged(program: Program, sampled: _Sampled, mode: Mode) -> tuple[Bools, 
     return np.where(m.kind == LIN, ~any_moved, kept), kept
 
 
-def _targets(
-    program: Program, place: InRoot, sampled: _Sampled, mode: Mode, linearize_arcs: bool
-) -> tuple[Targets, Ints]:
+def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs: bool) -> tuple[Targets, Ints]:
     """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
-    whole, kept = _unchanged(program, sampled, mode)
+    whole, kept = _unchanged(program, sampled)
     ends, position = np.flatnonzero(sample.ends), sampled.command.pose[:, :3, 3]
     starts = toolpath.starts(program, lambda motion: sampled.command.pose[ends[motion]], place.start_flange)
     start = np.roll(position[ends], 1, axis=0)
@@ -336,7 +350,10 @@ def _tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array) 
     some_tool = tool if tool.ndim == 2 else tool[few]
     # the springs give way a little differently here than at the target; along the path the difference changes slowly:
     # solved for a few, it makes a guess for all that one evaluation confirms
-    more = elastostatics.deflect(robot, q[few], some_tool, wrench[few], guess[few]).theta - guess[few]
+    try:
+        more = elastostatics.deflect(robot, q[few], some_tool, wrench[few], guess[few]).theta - guess[few]
+    except NotConvergedError as cause:
+        raise NotConvergedError(str(cause), few[list(cause.rows)].tolist()) from None
     every = np.arange(len(q))
     guess = guess + np.stack([np.interp(every, few, column) for column in more.T], axis=1)
     nowhere = np.broadcast_to(np.eye(4), (len(q), 4, 4))  # where the tip rests is not asked for

@@ -15,8 +15,8 @@ from postproc.report import charts
 from postproc.report.charts import Curve
 from postproc.report.drawn import drawn_path
 from postproc.report.style import CSS
-from postproc.report.summary import Summary, summary
-from postproc.report.text import millimetres, number, percent, times
+from postproc.report.summary import Summary, nothing_to_correct, summary
+from postproc.report.text import millimetres, number, percent, targets, times
 
 _JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 _NARROW = 5.0
@@ -50,7 +50,7 @@ def page(result: Result, tolerance: float | None = None) -> bytes:
         "</div>",
         _issues(content),
     ]
-    if len(result):
+    if len(result) and nothing_to_correct(content) is None:
         position, row = drawn_path(result)
         body += [_along(result, position, row), _seen_from_above(result, position, row)]
     body += [_joints(result), _notes(content)]
@@ -62,9 +62,7 @@ def page(result: Result, tolerance: float | None = None) -> bytes:
 
 
 def _subtitle(content: Summary) -> str:
-    inserted = content["inserted_targets"]
-    more = f", {inserted} of them inserted" if inserted else ""
-    return f"{escape(content['robot'])} · {_MODES[content['mode']]} · {content['targets']} targets{more}"
+    return f"{escape(content['robot'])} · {_MODES[content['mode']]} · {targets(content)}"
 
 
 def _tiles(content: Summary) -> str:
@@ -79,6 +77,9 @@ def _tiles(content: Summary) -> str:
 
 
 def _distances(content: Summary) -> str:
+    nothing = nothing_to_correct(content)
+    if nothing is not None:
+        return f'<section><h2>Deviation of the tool tip</h2><p class="good">{nothing}</p></section>'
     predict = content["mode"] == "predict"
     head = ("Deviation", "predicted, mm") if predict else ("Deviation", "before, mm", "after, mm", "improvement")
     rows = []
@@ -86,7 +87,7 @@ def _distances(content: Summary) -> str:
         before, after = content["before"][key], content["after"][key]
         cells = [label, millimetres(before)]
         if not predict:
-            cells += [millimetres(after), times(before / after if after > 0.0 else None)]
+            cells += [millimetres(after), times(before, after)]
         rows.append(cells)
     return f"<section><h2>Deviation of the tool tip at cutting targets</h2>{_table(head, rows)}</section>"
 

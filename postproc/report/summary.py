@@ -10,6 +10,11 @@ from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.pipeline import Mode, Result, Statistics, statistics
 
+ROUNDING_MM = 1e-4
+"""What rounding the written numbers (X, Y, Z to 1e-4 mm) may leave at a target: below it a factor says nothing."""
+_NOTHING_MM = 1e-6
+"""A deviation below this everywhere is none: what is left of it is noise of the arithmetic."""
+
 
 class Distances(TypedDict):
     """Distances of the predicted tool tip from nominal over cutting targets."""
@@ -21,7 +26,7 @@ class Distances(TypedDict):
 
 
 class Ratios(TypedDict):
-    """Before divided by after; None where nothing remains."""
+    """Before divided by after; None where what remains is but the rounding of the text."""
 
     max: float | None
     rms: float | None
@@ -84,8 +89,11 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         inserted_targets=result.inserted,
         before=_distances(before),
         after=_distances(after),
-        improvement={"max": _ratio(before.largest, after.largest), "rms": _ratio(before.rms, after.rms)},
-        compensated_percent=None if before.rms == 0.0 else _finite(100.0 * (1.0 - after.rms / before.rms)),
+        improvement={
+            "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
+            "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
+        },
+        compensated_percent=_compensated(before.rms * MM_PER_M, after.rms * MM_PER_M),
         between_max_mm=_finite(result.between * MM_PER_M),
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
         tolerance_held=None if tolerance is None else reached <= tolerance,
@@ -128,8 +136,21 @@ def _distances(values: Statistics) -> Distances:
     }
 
 
-def _ratio(before: float, after: float) -> float | None:
-    return _finite(before / after) if after > 0.0 else None
+def improvement(before_mm: float, after_mm: float) -> float | None:
+    """Return before divided by after; None where what remains is but the rounding of the text, or unknown."""
+    return _finite(before_mm / after_mm) if after_mm >= ROUNDING_MM else None
+
+
+def nothing_to_correct(content: Summary) -> str | None:
+    """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
+    if not (content["targets"] and content["before"]["max_mm"] < _NOTHING_MM):
+        return None
+    why = "no cutting move carries a force" if content["max_force_N"] == 0.0 else "the forces do not move the tool"
+    return f"Nothing to correct: {why}, the arm stands as programmed."
+
+
+def _compensated(before_mm: float, after_mm: float) -> float | None:
+    return _finite(100.0 * (1.0 - after_mm / before_mm)) if before_mm >= ROUNDING_MM else None
 
 
 def _finite(value: float) -> float | None:

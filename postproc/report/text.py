@@ -4,31 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from postproc.report.summary import IssueEntry, Summary
+from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
 
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
 
 def of_one(content: Summary) -> str:
     """Return the summary of one program: the paper's Table 3, then what else there is to know."""
-    lines = [f"{content['program']}  on {content['robot']}: {_targets(content)}", ""]
-    if content["mode"] == "predict":
+    lines = [f"{content['program']}  on {content['robot']}: {targets(content)}", ""]
+    nothing = nothing_to_correct(content)
+    if nothing is not None:
+        lines.append(f"  {nothing}")
+    elif content["mode"] == "predict":
         lines.append(f"  {'deviation [mm]':<16}{'predicted':>12}")
         lines += [f"  {label:<16}{millimetres(content['before'][key]):>12}" for label, key in _ROWS]  # type: ignore[literal-required]
     else:
         lines.append(f"  {'deviation [mm]':<16}{'before':>12}{'after':>12}{'improvement':>14}")
         for label, key in _ROWS:
             before, after = content["before"][key], content["after"][key]  # type: ignore[literal-required]
-            factor = times(before / after if after > 0.0 else None)
+            factor = times(before, after)
             lines.append(f"  {label:<16}{millimetres(before):>12}{millimetres(after):>12}{factor:>14}")
     lines += ["", *_facts(content)]
     lines += [issue_line(issue, content["program"]) for issue in content["issues"]]
     return "\n".join(lines)
 
 
-def _targets(content: Summary) -> str:
+def targets(content: Summary) -> str:
+    """Return how many targets a program has, and how many of them are not its own."""
     inserted = content["inserted_targets"]
-    return f"{content['targets']} targets" + (f", {inserted} of them inserted" if inserted else "")
+    what = "places looked at" if content["mode"] == "predict" and inserted else "targets"
+    own = "between its targets" if content["mode"] == "predict" else "inserted"
+    return f"{content['targets']} {what}" + (f", {inserted} of them {own}" if inserted else "")
 
 
 def _facts(content: Summary) -> list[str]:
@@ -40,7 +46,9 @@ def _facts(content: Summary) -> list[str]:
         held = {None: "", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
         stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
         facts.append(f"between targets at most {millimetres(content['between_max_mm'])} mm{stated}")
-    elif content["tolerance_held"] is False:
+    elif content["between_max_mm"] is not None:
+        facts.append(f"anywhere on the path at most {millimetres(content['between_max_mm'])} mm")
+    if content["mode"] == "predict" and content["tolerance_held"] is False:
         facts.append(f"tolerance {content['tolerance_mm']:g} mm EXCEEDED")
     limits = content["limits"]
     facts.append(
@@ -108,13 +116,16 @@ def millimetres(value: float) -> str:
     return f"{value:.4f}" if value >= 0.001 or value == 0.0 else f"{value:.6f}"
 
 
-def times(ratio: float | None) -> str:
-    """Return an improvement factor as text.
+def times(before_mm: float, after_mm: float) -> str:
+    """Return an improvement factor as text; none is told of what is but the rounding of the text.
 
-    >>> times(11.13), times(3421.0), times(None)
-    ('11.1', '3421', '-')
+    >>> times(5.6, 0.5), times(5.6, 0.0016), times(0.5, 0.00005), times(0.00005, 0.00005)
+    ('11.2', '3500', 'to rounding', '-')
     """
-    return "-" if ratio is None else f"{ratio:.1f}" if ratio < 1000.0 else f"{ratio:.0f}"
+    if before_mm < ROUNDING_MM:
+        return "-"
+    ratio = improvement(before_mm, after_mm)
+    return "to rounding" if ratio is None else f"{ratio:.1f}" if ratio < 1000.0 else f"{ratio:.0f}"
 
 
 def percent(value: float | None) -> str:

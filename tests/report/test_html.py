@@ -133,3 +133,12 @@ def test_arcs_are_drawn_as_arcs_and_counted_by_their_length():
     length = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()
     assert length == pytest.approx(2.0 * np.hypot(np.pi * 0.01, 0.002), rel=2e-3)
     _checked(result)
+
+
+def test_no_noise_is_plotted_where_there_was_nothing_to_correct() -> None:
+    noise = np.random.default_rng(1).uniform(0.0, 1e-13, 100)
+    quiet = fabricated.with_changes(fabricated.result(), before=noise, after=noise, wrench=np.zeros((100, 6)))
+    text = page(quiet, 1e-5).decode()
+    assert "Nothing to correct" in text
+    assert "<svg" not in text
+    assert "<svg" in page(fabricated.result(), 1e-5).decode()

@@ -49,6 +49,9 @@ def test_improvement_is_null_where_nothing_remains_and_share_is_null_where_nothi
     assert summary(fabricated.with_changes(base, after=np.zeros(100)))["improvement"] == {"max": None, "rms": None}
     nothing = fabricated.with_changes(base, before=np.zeros(100), after=np.zeros(100))
     assert summary(nothing)["compensated_percent"] is None
+    rounding = fabricated.with_changes(base, after=np.full(100, 0.9e-7))
+    assert summary(rounding)["improvement"] == {"max": None, "rms": None}
+    assert summary(fabricated.with_changes(base, after=np.full(100, 1.1e-7)))["improvement"]["rms"] > 1000
 
 
 def test_text_is_valid_json_whatever_is_unknown():

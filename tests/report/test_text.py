@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import numpy as np
+import pytest
+
 from postproc.report import of_many, of_one, summary
 from tests import fabricated
 
@@ -26,6 +29,37 @@ def test_a_prediction_has_one_column():
     text = of_one(summary(fabricated.result(mode="predict")))
     assert "predicted" in text
     assert "improvement" not in text
+
+
+def test_a_prediction_tells_of_the_places_between_targets():
+    base = fabricated.result(10, mode="predict")
+    t = base.t.copy()
+    t[[2, 5]] = 0.5
+    text = of_one(summary(fabricated.with_changes(base, t=t)))
+    assert "10 places looked at, 2 of them between its targets" in text
+    assert "anywhere on the path at most 1.5000 mm" in text
+
+
+def test_what_is_left_by_rounding_alone_is_no_improvement():
+    base = fabricated.result()
+    text = of_one(summary(fabricated.with_changes(base, after=np.full(100, 3e-13)), 1e-5))
+    assert text.count("to rounding") == 4
+    text = of_one(summary(fabricated.with_changes(base, before=base.before * 1e-5), 1e-5))
+    assert "to rounding" not in text
+    assert "  max                 0.000015    0.000200             -\n" in text
+    assert "compensated" not in text
+
+
+@pytest.mark.parametrize("mode", ["convert", "predict"])
+def test_where_there_was_nothing_to_correct_no_noise_is_printed(mode):
+    noise = np.random.default_rng(1).uniform(0.0, 1e-13, 100)
+    result = fabricated.with_changes(
+        fabricated.result(mode=mode), before=noise, after=noise * 0.9, between=1e-13, wrench=np.zeros((100, 6))
+    )
+    text = of_one(summary(result, 1e-5))
+    assert "Nothing to correct: no cutting move carries a force, the arm stands as programmed." in text
+    assert "improvement" not in text
+    assert "compensated" not in text
 
 
 def test_an_exceeded_tolerance_is_said_aloud():
