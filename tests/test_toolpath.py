@@ -30,23 +30,49 @@ def test_tangent_is_the_derivative_of_the_position():
     np.testing.assert_allclose(toolpath.tangent(made, path, motion, t), slope, atol=1e-8)
 
 
-def test_every_end_is_sampled_and_nothing_is_further_apart_than_20_mm_or_5_degrees_of_arc():
-    made = program(ARC)
+def _still(made, **changes):
+    """A displacement that changes nowhere."""
+    count = len(made.motions)
+    ramp_end = changes.pop("ramp_end", np.ones(count))
+    values = {name: np.full(count, changes.pop(name, 0.0)) for name in ("ramp", "turning", "size")}
+    assert not changes
+    return toolpath.Swing(np.asarray(ramp_end), **values)
+
+
+def _places(made, swing):
     path = toolpath.segments(made, np.eye(4))
-    kinks = np.array([1.0, 1.0, 0.005])
-    motion, t = toolpath.places(made, path, 1e-5, kinks)
+    return toolpath.places(made, path, 1e-5, swing, toolpath.pieces(made, path, 1e-5, swing))
+
+
+def test_every_end_is_sampled_and_nothing_is_further_apart_than_20_mm():
+    made = program([*ARC, ("CIRC", 0, 0, 10, 0, 125, 10, 180.0, (0, 0, 1))])
+    motion, t = _places(made, _still(made, ramp_end=[1.0, 1.0, 0.005, 1.0]))
     assert (np.lexsort((t, motion)) == np.arange(len(t))).all()
-    np.testing.assert_array_equal(motion[t == 1.0], [0, 1, 2])
-    assert np.count_nonzero(motion == 1) >= 18
-    on_line = t[motion == 2]
-    assert 0.005 in on_line
-    assert np.diff(np.concatenate([[0], on_line])).max() * 0.2 <= 0.020 + 1e-12
+    np.testing.assert_array_equal(motion[t == 1.0], [0, 1, 2, 3])
+    assert 0.005 in t[motion == 2]
+    for row, length in ((1, 0.025 * np.pi), (2, 0.2), (3, 0.125 * np.pi)):
+        assert np.diff(np.concatenate([[0], t[motion == row]])).max() * length <= 0.020 + 1e-12
+
+
+def test_an_arc_is_one_piece_of_two_samples_unless_it_is_large_or_the_displacement_turns_or_grows():
+    made = program([("PTP", 5, 0, 0), ("CIRC", 0, 5, 0, 0, 0, 0, 90.0, (0, 0, 1))])
+    np.testing.assert_array_equal(_places(made, _still(made, size=1e-4))[1], [1.0, 0.5, 1.0])
+    path = toolpath.segments(made, np.eye(4))
+    for change in ({"turning": 1e-4}, {"ramp": 1e-4}, {"size": 0.1}):
+        found = toolpath.pieces(made, path, 1e-5, _still(made, **change))
+        assert found.uncertain.all()
+        np.testing.assert_array_equal(found.number, [2])
+    kink = _still(made, ramp=1e-4, ramp_end=[1.0, 0.25])
+    found = toolpath.pieces(made, path, 1e-5, kink)
+    np.testing.assert_array_equal(found.begin, [0.0, 0.25])
+    motion, t = toolpath.places(made, path, 1e-5, kink, found.settled(np.array([3, 2])))
+    np.testing.assert_allclose(t[motion == 1], [*(np.arange(1, 7) / 24), *(0.25 + 0.1875 * np.arange(1, 5))])
+    np.testing.assert_array_equal(found.finer(np.array([1, 1]), np.array([0.2, 0.25])).number, [3, 1])
 
 
 def test_dense_programs_get_no_extra_samples():
     made = program([("PTP", 0, 0, 0), *[("LIN", 0.5 * i, 0, 0) for i in range(1, 200)]])
-    path = toolpath.segments(made, np.eye(4))
-    motion, _ = toolpath.places(made, path, 1e-5, np.ones(200))
+    motion, _ = _places(made, _still(made))
     assert len(motion) == 200
 
 

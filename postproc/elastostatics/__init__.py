@@ -10,7 +10,7 @@ already holds the state of rest (`RobotModel.subtract_reference`). Wrenches are 
 moment [N·m] on the tool, root axes.
 """
 
-from postproc.elastostatics.equilibrium import Deflection, deflect, springs_at
+from postproc.elastostatics.equilibrium import Deflection, deflect, softness, springs_at
 from postproc.elastostatics.springs import coordinates, fading, fading_slope, joint_stiffness, spring_deflection
 from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
 from postproc.elastostatics.uncertainty import position_bound, sensitivity
@@ -26,6 +26,7 @@ __all__ = [
     "linear_deflection",
     "position_bound",
     "sensitivity",
+    "softness",
     "spring_deflection",
     "springs_at",
     "tangent_compliance",

@@ -24,7 +24,7 @@ from postproc.elastostatics.springs import (
     spring_deflection,
 )
 from postproc.errors import NotConvergedError
-from postproc.frames import Array, displaced, largest, twist_between
+from postproc.frames import Array, displaced, largest, norm, twist_between
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
@@ -56,6 +56,17 @@ class Deflection:
     def twist(self) -> Array:
         """(N, 6) displacement of the tool frame from rest: position [m], rotation vector [rad], root axes."""
         return twist_between(self.rest, self.pose)
+
+
+def softness(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
+    """Return how far the tool gives way at most, at a configuration, per force [m/N] and per moment [m/(N·m)].
+
+    :param q: (6,) joint angles [rad].
+    :param tool: (4, 4) tool in the flange frame [m].
+    """
+    loaded = deflect(robot, np.tile(q, (7, 1)), tool, np.eye(7, 6)).pose[:, :3, 3]
+    moved = norm(loaded[:6] - loaded[6])
+    return float(moved[:3].max()), float(moved[3:].max())
 
 
 def deflect(

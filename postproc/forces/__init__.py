@@ -1,6 +1,6 @@
 """Cutting forces: one wrench for each sample of a tool path."""
 
 from postproc.forces.per_motion import MotionForces, per_motion, read_force_csv
-from postproc.forces.wrench import kinks, wrench
+from postproc.forces.wrench import swing, wrench
 
-__all__ = ["MotionForces", "kinks", "per_motion", "read_force_csv", "wrench"]
+__all__ = ["MotionForces", "per_motion", "read_force_csv", "swing", "wrench"]

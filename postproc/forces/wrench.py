@@ -6,9 +6,9 @@ import numpy as np
 
 from postproc.forces.feed import feed_axes
 from postproc.forces.per_motion import FEED, TOOL, MotionForces
-from postproc.frames import Array, largest
-from postproc.program import Ints, Program
-from postproc.toolpath import Segments, Toolpath, at
+from postproc.frames import Array, largest, norm
+from postproc.program import CIRC, Ints, Program
+from postproc.toolpath import Segments, Swing, Toolpath, at
 
 
 def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolpath, axis: str, ramp: float) -> Array:
@@ -30,14 +30,25 @@ def wrench(program: Program, path: Segments, forces: MotionForces, sample: Toolp
     return np.asarray(previous + share * (own - previous))
 
 
-def kinks(program: Program, path: Segments, forces: MotionForces, axis: str, ramp: float) -> Array:
-    """Return where on each motion (M,) its force ramp ends: t in (0, 1); 1 where it has none or is all ramp."""
+def swing(
+    program: Program, path: Segments, forces: MotionForces, axis: str, ramp: float, softness: tuple[float, float]
+) -> Swing:
+    """Return how the displacement by the force changes along the motions, roughly.
+
+    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
+    """
     rows = np.arange(len(program.motions))
-    before = _at_start(program, path, forces, rows, axis)
-    begin = _in_base(program, path, forces, rows, np.full(len(rows), 1e-9), axis)
-    changes = largest(begin - before) > 1e-9
-    long = path.length > ramp
-    return np.where(changes & long, ramp / np.where(long, path.length, 1.0), 1.0)
+    turning = (program.motions.kind == CIRC) & (forces.frame == FEED)
+    end = np.minimum(1.0, ramp / np.maximum(path.length, ramp))
+    there = np.where(turning, end, 1e-9)  # a force that turns has turned until the end of the ramp
+    change = _in_base(program, path, forces, rows, there, axis) - _at_start(program, path, forces, rows, axis)
+    end[largest(change) < 1e-9] = 1.0
+    across = forces.wrench * turning[:, None] * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
+
+    def displacement(wrench: Array) -> Array:
+        return np.asarray(softness[0] * norm(wrench[:, :3]) + softness[1] * norm(wrench[:, 3:]))
+
+    return Swing(end, displacement(change), displacement(across), displacement(forces.wrench))
 
 
 def _at_start(program: Program, path: Segments, forces: MotionForces, motion: Ints, axis: str) -> Array:

@@ -21,7 +21,7 @@ from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
 from postproc.robot import RobotModel
-from postproc.toolpath import Segments, Toolpath
+from postproc.toolpath import Pieces, Segments, Toolpath
 
 _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
@@ -68,6 +68,7 @@ class _Sampled:
 
     path: Segments
     load: MotionForces
+    arcs: Pieces
     sample: Toolpath
     wrench: Array
     joints: JointPath
@@ -96,10 +97,14 @@ def process(
     :raises ForceError: forces that cannot be given to the motions.
     """
     place = InRoot.of(robot, cell)
+    arcs: Pieces | None = None
     also: tuple[Ints, Array] | None = None
     for _ in range(_ROUNDS):
         try:
-            sampled = _sample(program, place, rows, mode, linearize_arcs, also)
+            sampled = _sample(program, place, rows, mode, linearize_arcs, arcs, also)
+            if sampled.arcs.uncertain.any():
+                arcs = _divided(program, place, sampled)
+                sampled = _sample(program, place, rows, mode, linearize_arcs, arcs, also)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
         targets, row = _targets(program, place, sampled, linearize_arcs)
@@ -119,7 +124,11 @@ def process(
         if mode != "convert" or simulated is None or len(simulated.missed[0]) == 0:
             break
         # between its targets the written path leaves the tolerance: look there too, and insert what is needed
-        also = simulated.missed if also is None else _joined(also, simulated.missed)
+        motion, t = simulated.missed
+        on_arc = (program.motions.kind[motion] == CIRC) & (not linearize_arcs)
+        arcs = sampled.arcs.finer(motion[on_arc], t[on_arc])
+        more = motion[~on_arc], t[~on_arc]
+        also = more if also is None else _joined(also, more)
     everywhere = row if mode != "predict" else np.arange(len(sampled.sample))
     try:
         before, deflection = _uncorrected(program, place, sampled, everywhere)
@@ -180,12 +189,16 @@ def _sample(
     rows: ForceRows | None,
     mode: Mode,
     linearize_arcs: bool,
+    arcs: Pieces | None,
     also: tuple[Ints, Array] | None,
 ) -> _Sampled:
     path = toolpath.segments(program, place.start_flange)
     load = forces.per_motion(program, path, rows, place.axis)
-    kinks = forces.kinks(program, path, load, place.axis, place.ramp)
-    motion, t = toolpath.places(program, path, place.tolerance, kinks, linearize_arcs=linearize_arcs, also=also)
+    softness = elastostatics.softness(place.robot, place.cell.start_joints, program.tools[0])
+    swing = forces.swing(program, path, load, place.axis, place.ramp, softness)
+    if arcs is None:
+        arcs = toolpath.pieces(program, path, place.tolerance, swing, linearize_arcs=linearize_arcs)
+    motion, t = toolpath.places(program, path, place.tolerance, swing, arcs, also)
     sample = toolpath.at(program, path, motion, t)
     wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
     m = program.motions
@@ -203,7 +216,7 @@ def _sample(
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
         raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
     if mode == "nominal":
-        return _Sampled(path, load, sample, wrench, joints, _as_it_stands(program, place, sample, joints))
+        return _Sampled(path, load, arcs, sample, wrench, joints, _as_it_stands(program, place, sample, joints))
     movable = np.isnan(m.joints[motion, 0])
     try:
         command = _compensated(program, place, sample, wrench, joints, movable)
@@ -211,7 +224,7 @@ def _sample(
         if mode == "convert":
             raise _BlockedError(_at_rows("not-converged", _NO_BALANCE, program, motion[list(cause.rows)])) from None
         command = _as_it_stands(program, place, sample, joints)  # what cannot be corrected can still be predicted
-    return _Sampled(path, load, sample, wrench, joints, command)
+    return _Sampled(path, load, arcs, sample, wrench, joints, command)
 
 
 def _as_it_stands(program: Program, place: InRoot, sample: Toolpath, joints: JointPath) -> Compensation:
@@ -283,16 +296,29 @@ def _unchanged(program: Program, sampled: _Sampled) -> tuple[Bools, Bools]:
     return np.where(m.kind == LIN, ~any_moved, kept), kept
 
 
+def _starts(program: Program, place: InRoot, sampled: _Sampled) -> Array:
+    """Return the commanded positions (M, 3) where the motions start, in their `$BASE` [m]."""
+    ends = np.flatnonzero(sampled.sample.ends)
+    starts = toolpath.starts(program, lambda motion: sampled.command.pose[ends[motion]], place.start_flange)
+    start = np.roll(sampled.command.pose[ends, :3, 3], 1, axis=0)
+    start[starts.changed] = starts.pose[:, :3, 3]
+    return start
+
+
+def _divided(program: Program, place: InRoot, sampled: _Sampled) -> Pieces:
+    """Return how many pieces of arcs are needed, by what larger ones miss."""
+    position, start = sampled.command.pose[:, :3, 3], _starts(program, place, sampled)
+    return select.pieces_needed(sampled.arcs, sampled.sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance)
+
+
 def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs: bool) -> tuple[Targets, Ints]:
     """Choose what to write; return the targets and the row of each among the samples."""
     m, sample = program.motions, sampled.sample
     whole, kept = _unchanged(program, sampled)
-    ends, position = np.flatnonzero(sample.ends), sampled.command.pose[:, :3, 3]
-    starts = toolpath.starts(program, lambda motion: sampled.command.pose[ends[motion]], place.start_flange)
-    start = np.roll(position[ends], 1, axis=0)
-    start[starts.changed] = starts.pose[:, :3, 3]
+    position, start = sampled.command.pose[:, :3, 3], _starts(program, place, sampled)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    selected = select.choose(kind, m.sweep, sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance, whole)
+    limit = _SHARE_OF_TOLERANCE * place.tolerance
+    selected = select.choose(kind, sample, sampled.arcs, position, start, limit, whole)
     movable = np.isnan(m.joints[sample.motion[selected.row], 0])
     row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
     motion = sample.motion[row]

@@ -1,7 +1,8 @@
 """Which of the computed places become targets in the program: as few as hold the tolerance.
 
 Every motion keeps its end. On straight runs a place is inserted where the line between corrected targets would miss it
-by more than the limit; arcs are split into circles through three corrected points until these fit.
+by most, as long as it is missed by more than the limit. Arcs are written as circles through the corrected start, middle
+and end of their pieces (`toolpath.Pieces`).
 """
 
 from __future__ import annotations
@@ -12,10 +13,8 @@ import numpy as np
 
 from postproc.frames import Array, norm
 from postproc.program import CIRC, LIN, Bools, Ints
-from postproc.toolpath import Toolpath
+from postproc.toolpath import Pieces, Toolpath
 
-_LARGEST_ARC = np.pi * 2.0 / 3.0
-"""Arcs are written in pieces of at most 120°: three points then define the circle well."""
 _FLAT = 1e-6
 """Sagitta [m] below which a piece of an arc is written as a line."""
 
@@ -35,135 +34,121 @@ class Selection:
 
 
 def choose(
-    kind: Ints,
-    sweep: Array,
-    sample: Toolpath,
-    command: Array,
-    start: Array,
-    limit: float,
-    whole: Bools,
+    kind: Ints, sample: Toolpath, arcs: Pieces, command: Array, start: Array, limit: float, whole: Bools
 ) -> Selection:
     """Choose targets.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
-    :param sweep: (M,) angle of each arc [rad], NaN elsewhere.
     :param sample: N places on the path.
+    :param arcs: the pieces of its arcs.
     :param command: (N, 3) commanded positions there, `$BASE` [m].
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     :param limit: what may be missed [m].
     :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
     """
-    ends = np.flatnonzero(sample.ends)
-    chosen, via = [ends], [np.full(len(ends), -1)]
-    kinds = [kind[sample.motion[ends]]]
-    inner = np.bincount(sample.motion, minlength=len(kind)) > 1
-    for wanted in (LIN, CIRC):
-        motions = np.flatnonzero(inner & (kind == wanted) & ~whole)
-        if len(motions) == 0:
-            continue
-        nodes = _Nodes.of(motions, sample, command, start)
-        right, middle = _split(nodes, sweep, limit, arcs=wanted == CIRC)
-        rows = nodes.row[right]
-        if wanted == CIRC:
-            at_end = np.searchsorted(ends, rows)
-            is_end = sample.t[rows] == 1.0
-            arc_kind = np.where(middle >= 0, CIRC, LIN)
-            arc_via = np.where(middle >= 0, nodes.row[middle], -1)
-            kinds[0][at_end[is_end]], via[0][at_end[is_end]] = arc_kind[is_end], arc_via[is_end]
-            chosen.append(rows[~is_end])
-            kinds.append(arc_kind[~is_end])
-            via.append(arc_via[~is_end])
-        else:
-            rows = rows[sample.t[rows] < 1.0]
-            chosen.append(rows)
-            kinds.append(np.full(len(rows), LIN))
-            via.append(np.full(len(rows), -1))
-    row = np.concatenate(chosen)
-    order = np.argsort(row)
-    return Selection(row[order], np.concatenate(kinds)[order], np.concatenate(via)[order])
+    chosen, kinds, via = sample.ends.copy(), kind[sample.motion], np.full(len(sample), -1)
+    count = np.bincount(sample.motion, minlength=len(kind))
+    lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
+    if len(lines):
+        nodes = _Nodes.of(lines, sample, command, start)
+        chosen[nodes.row[_divided(nodes, limit)]] = True
+    circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
+    if len(circles):
+        before, middle, end = _ends(arcs, circles, sample, command, start)
+        curved = ~_is_flat(before, command[middle], command[end])
+        chosen[end], kinds[end], via[end] = True, np.where(curved, CIRC, LIN), np.where(curved, middle, -1)
+    row = np.flatnonzero(chosen)
+    return Selection(row, kinds[row], via[row])
+
+
+def pieces_needed(arcs: Pieces, sample: Toolpath, command: Array, start: Array, limit: float) -> Pieces:
+    """Return how many pieces of arcs are needed, by what circles through twice as large ones miss.
+
+    :param command: (N, 3) commanded positions of the samples, `$BASE` [m].
+    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
+    :param limit: what may be missed [m].
+    """
+    stretch = np.flatnonzero(arcs.uncertain)
+    begin, middle_row, end_row = _ends(arcs, stretch, sample, command, start)
+    before, quarter, middle = begin[::2], middle_row[::2], end_row[::2]
+    three_quarters, end = middle_row[1::2], end_row[1::2]
+    centre, radial, across, angle = circle_through(before, command[middle], command[end])
+    missed = np.zeros(len(end))
+    for share, row in ((0.25, quarter), (0.75, three_quarters)):
+        turned = (angle * share)[:, None]
+        spot = centre + np.cos(turned) * radial + np.sin(turned) * across
+        missed = np.maximum(missed, norm(command[row] - spot))
+    pairs = arcs.number[stretch] // 2
+    number = arcs.number.copy()
+    worst = np.maximum.reduceat(missed, np.cumsum(pairs) - pairs)
+    number[stretch] = np.ceil(pairs * np.sqrt(worst / limit)).astype(np.int64)
+    return arcs.settled(number)
+
+
+def _ends(arcs: Pieces, stretch: Ints, sample: Toolpath, command: Array, start: Array) -> tuple[Array, Ints, Ints]:
+    """Return where pieces start (n, 3), and the samples (n,) at their middle and end, for all pieces of stretches."""
+    size = arcs.number * arcs.each
+    first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
+    number, each = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
+    inside = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    row = np.repeat(first[stretch], number) + inside * each
+    before = command[row - 1]
+    fresh = (inside == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
+    before[fresh] = start[sample.motion[row[fresh]]]
+    return before, row + each // 2 - 1, row + each - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nodes:
-    """Samples of some motions with the start of each motion put before them (`row` −1 there)."""
+    """Samples of some motions with the start of each motion put before them (`row` −1 there).
+
+    :param first: (n,) the first node of each motion.
+    """
 
     row: Ints
-    motion: Ints
     t: Array
     position: Array
+    first: Ints
 
     @classmethod
     def of(cls, motions: Ints, sample: Toolpath, command: Array, start: Array) -> _Nodes:
-        rows = np.flatnonzero(np.isin(sample.motion, motions))
-        motion = np.concatenate([motions, sample.motion[rows]])
-        t = np.concatenate([np.zeros(len(motions)), sample.t[rows]])
-        order = np.lexsort((t, motion))
-        row = np.concatenate([np.full(len(motions), -1), rows])[order]
-        position = np.concatenate([start[motions], command[rows]])[order]
-        return cls(row, motion[order], t[order], position)
+        count = np.bincount(sample.motion, minlength=len(start))
+        size = count[motions] + 1
+        first = np.cumsum(size) - size
+        row = np.arange(size.sum()) + np.repeat((np.cumsum(count) - count)[motions] - first - 1, size)
+        t, position = sample.t[row], command[row]
+        row[first], t[first], position[first] = -1, 0.0, start[motions]
+        return cls(row, t, position, first)
 
 
-def _split(nodes: _Nodes, sweep: Array, limit: float, *, arcs: bool) -> tuple[Ints, Ints]:
-    """Split each motion's nodes until every piece fits; return right and middle node of each piece."""
-    left = np.flatnonzero(nodes.t == 0.0)
-    right = np.flatnonzero(nodes.t == 1.0)
-    done: list[tuple[Ints, Ints]] = []
+def _divided(nodes: _Nodes, limit: float) -> Ints:
+    """Divide each motion where it is missed most until every line fits; return the nodes at the ends of the lines."""
+    left, right = nodes.first, np.append(nodes.first[1:], len(nodes.row)) - 1
+    done: list[Ints] = []
     while len(left):
         count = right - left - 1
         piece = np.repeat(np.arange(len(left)), count)
-        node = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count) + left[piece] + 1
-        middle = np.full(len(left), -1)
-        if arcs:
-            span = 0.5 * (nodes.t[left] + nodes.t[right])
-            nearest = np.lexsort((np.abs(nodes.t[node] - span[piece]), piece))
-            first = nearest[np.cumsum(count[count > 0]) - count[count > 0]]
-            middle[piece[first]] = node[first]
-            middle[_is_flat(nodes, left, middle, right)] = -1
-        miss = _miss(nodes, left, right, middle, piece, node) if len(node) else np.zeros(0)
-        worst = np.zeros(len(left))
-        split_at = middle.copy()
-        if len(node):
-            order = np.lexsort((miss, piece))
-            last = order[np.cumsum(count[count > 0]) - 1]
-            worst[piece[last]] = miss[last]
-            split_at[piece[last]] = node[last]
-        again = (worst > limit) & (count > 0)
-        if arcs:
-            wide = sweep[nodes.motion[left]] * (nodes.t[right] - nodes.t[left]) > _LARGEST_ARC + 1e-6
-            split_at = np.where(wide & (middle >= 0), middle, split_at)
-            again |= wide & (split_at >= 0)
-        done.append((right[~again], middle[~again]))
-        cut = split_at[again]
+        node = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count - left - 1, count)
+        share = (nodes.t[node] - nodes.t[left][piece]) / (nodes.t[right] - nodes.t[left])[piece]
+        a, b = nodes.position[left], nodes.position[right]
+        miss = norm(nodes.position[node] - a[piece] - share[:, None] * (b - a)[piece])
+        order = np.lexsort((miss, piece))
+        last = order[np.cumsum(count[count > 0]) - 1]
+        worst, cut = np.zeros(len(left)), np.full(len(left), -1)
+        worst[piece[last]], cut[piece[last]] = miss[last], node[last]
+        again = worst > limit
+        done.append(right[~again])
+        cut = cut[again]
         left, right = np.concatenate([left[again], cut]), np.concatenate([cut, right[again]])
-    return np.concatenate([part[0] for part in done]), np.concatenate([part[1] for part in done])
+    return np.concatenate(done)
 
 
-def _is_flat(nodes: _Nodes, left: Ints, middle: Ints, right: Ints) -> Bools:
-    """Return which pieces deviate from their chord by less than a micrometre: they are lines, not circles."""
-    a, b, c = (nodes.position[index] for index in (left, middle, right))
+def _is_flat(a: Array, b: Array, c: Array) -> Bools:
+    """Return which arcs from a through b to c deviate from their chord by less than a micrometre: they are lines."""
     chord = c - a
     length = norm(chord)
     height = norm(np.cross(chord, b - a)) / np.where(length > 0.0, length, 1.0)
-    return np.asarray((middle >= 0) & (length > 0.0) & (height < _FLAT))
-
-
-def _miss(nodes: _Nodes, left: Ints, right: Ints, middle: Ints, piece: Ints, node: Ints) -> Array:
-    """Return how far each inner node lies from the line or circle that its piece would be written as [m]."""
-    share = (nodes.t[node] - nodes.t[left[piece]]) / (nodes.t[right] - nodes.t[left])[piece]
-    a, b = nodes.position[left], nodes.position[right]
-    straight = a[piece] + share[:, None] * (b - a)[piece]
-    off = nodes.position[node] - straight
-    curved = np.flatnonzero(middle >= 0)
-    if len(curved):
-        centre, radial, across, angle = circle_through(a[curved], nodes.position[middle[curved]], b[curved])
-        place = np.full(len(left), -1)
-        place[curved] = np.arange(len(curved))
-        on_arc = np.flatnonzero(place[piece] >= 0)
-        which = place[piece[on_arc]]
-        turned = (angle[which] * share[on_arc])[:, None]
-        spot = centre[which] + np.cos(turned) * radial[which] + np.sin(turned) * across[which]
-        off[on_arc] = nodes.position[node[on_arc]] - spot
-    return norm(off)
+    return np.asarray((length > 0.0) & (height < _FLAT))
 
 
 def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:

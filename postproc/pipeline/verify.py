@@ -36,9 +36,11 @@ _SPACING = 0.010
 _TURNED = 0.02
 _STEEP = 2e-4
 """Change of the correction over a run [m] from which on it is looked at between its ends."""
+_UNEVEN = 0.2
+"""Of the tolerance, by how much the written path may be displaced unevenly along a piece of an arc before it is looked
+at there as often as on such runs; else at its middle and end."""
 _ON_RAMPS = 4
-_ON_ARCS = 8
-"""Places looked at on such runs, and on pieces of arcs."""
+"""Places looked at on such runs."""
 _REACHED = 1e-9
 """How near joint angles must come to a commanded pose [m, rad]."""
 
@@ -102,8 +104,17 @@ def simulate(
     written_path = toolpath.segments(written, place.start_flange)
     correction = targets.pose[:, :3, 3] - ends
     changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
-    index, share = _probes(program, targets, m, row, written_path, changed)
     begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
+    curved = np.flatnonzero((program.motions.kind[targets.motion] == CIRC) | (m.kind[row] == CIRC))
+    uneven = np.zeros(len(targets))
+    for quarter in (0.25, 0.75):
+        t = begin[curved] + quarter * (targets.t - begin)[curved]
+        nominal = toolpath.at(program, path, targets.motion[curved], t)
+        read = toolpath.at(written, written_path, row[curved], np.full(len(curved), quarter))
+        apart = norm(read.pose[:, :3, 3] - nominal.pose[:, :3, 3] - correction[curved])
+        uneven[curved] = np.maximum(uneven[curved], apart)
+    steep = (changed > _STEEP) | (uneven > _UNEVEN * place.tolerance)
+    index, share = _probes(m, row, written_path, curved, steep)
     t = begin[index] + share * (targets.t - begin)[index]
     t = np.where(share == 1.0, targets.t[index], t)
     motion, on = targets.motion[index], row[index]
@@ -182,23 +193,20 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     return None
 
 
-def _probes(
-    program: Program, targets: Targets, m: Motions, row: Ints, path: Segments, changed: Array
-) -> tuple[Ints, Array]:
+def _probes(m: Motions, row: Ints, path: Segments, curved: Ints, steep: Bools) -> tuple[Ints, Array]:
     """Return where to look: target index (n,) and share (n,) in (0, 1] of the run that ends at that target.
 
     A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
-    are long or turn, pieces of arcs, and runs over which the correction changes much are looked at between.
+    are long or turn, and pieces of arcs, are looked at between.
 
-    :param changed: (K,) change of the correction over the run that ends at each target [m].
+    :param curved: targets on arcs.
+    :param steep: (K,) where the correction changes so much over the run that it needs a closer look.
     """
     length, turn = path.length[row], path.turn[row]
     number = np.ones(len(row), dtype=np.int64)
+    number[curved] = 2
     wide = (length > _LONG) | (turn > _TURNED)
     number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
-    curved = (program.motions.kind[targets.motion] == CIRC) | (m.kind[row] == CIRC)
-    number[curved] = np.maximum(number[curved], _ON_ARCS)
-    steep = changed > _STEEP
     number[steep] = np.maximum(number[steep], _ON_RAMPS)
     number[m.kind[row] == PTP] = 1
     index = np.repeat(np.arange(len(row)), number)

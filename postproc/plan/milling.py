@@ -13,7 +13,7 @@ import numpy as np
 
 from postproc import files, forces, kinematics, toolpath
 from postproc.cell import Cell
-from postproc.elastostatics import linear_deflection
+from postproc.elastostatics import linear_deflection, softness
 from postproc.forces.per_motion import ForceRows
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.kinematics import UnreachableError
@@ -87,8 +87,10 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, rows: ForceRow
     path = toolpath.segments(program, start)
     load = forces.per_motion(program, path, rows, cell.tool.axis)
     ramp = cell.output.force_ramp_mm * M_PER_MM
-    kinks = forces.kinks(program, path, load, cell.tool.axis, ramp)
-    motion, t = toolpath.places(program, path, cell.tolerance, kinks)
+    soft = softness(robot, cell.start_joints, program.tools[0])
+    swing = forces.swing(program, path, load, cell.tool.axis, ramp, soft)
+    arcs = toolpath.pieces(program, path, cell.tolerance, swing)
+    motion, t = toolpath.places(program, path, cell.tolerance, swing, arcs)
     sample = toolpath.at(program, path, motion, t)
     wrench = forces.wrench(program, path, load, sample, cell.tool.axis, ramp)
     m = program.motions

@@ -1,0 +1,183 @@
+"""Poses anywhere on the motions of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.chunks import in_chunks
+from postproc.frames import Array, interpolated, inverse, norm, twist_between
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
+
+    :param start: tool frames where the motions start.
+    :param length: (M,) path length of the TCP; 0 for PTP.
+    :param turn: (M,) angle between the orientations at start and end [rad].
+    :param arcs: the geometry of the arcs among them.
+    """
+
+    start: Starts
+    length: Array
+    turn: Array
+    arcs: Arcs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arcs:
+    """The geometry of A arcs: at angle φ = sweep·t the TCP is at
+
+        centre + (1 + growth·t)·(cos φ·radial + sin φ·across) + climb·t.
+
+    :param motion: (A,) row of `Motions`, ascending.
+    :param centre: (A, 3) on the axis, at the height of the start [m].
+    :param radial: (A, 3) from there to the start [m].
+    :param across: (A, 3) the same turned by 90° about the axis [m].
+    :param climb: (A, 3) rise of a helix, along the axis [m].
+    :param growth: (A,) of the radius: those programmed at start and end may differ by the tolerance of the control.
+    :param sweep: (A,) angle [rad], > 0.
+    """
+
+    motion: Ints
+    centre: Array
+    radial: Array
+    across: Array
+    climb: Array
+    growth: Array
+    sweep: Array
+
+    def position(self, motion: Ints, t: Array) -> Array:
+        """Return the positions (n, 3) at places (motion, t)."""
+        arc = np.searchsorted(self.motion, motion)
+        angle, scale = self.sweep[arc] * t, 1.0 + self.growth[arc] * t
+        cos, sin = (scale * np.cos(angle))[:, None], (scale * np.sin(angle))[:, None]
+        spot: Array = self.centre[arc] + cos * self.radial[arc] + sin * self.across[arc] + t[:, None] * self.climb[arc]
+        return spot
+
+    def velocity(self, motion: Ints, t: Array) -> Array:
+        """Return the derivatives (n, 3) of the positions by t."""
+        arc = np.searchsorted(self.motion, motion)
+        angle, scale, growth = self.sweep[arc] * t, 1.0 + self.growth[arc] * t, self.growth[arc]
+        cos, sin, turning = np.cos(angle), np.sin(angle), self.sweep[arc] * scale
+        along, out = growth * cos - turning * sin, growth * sin + turning * cos
+        return np.asarray(along[:, None] * self.radial[arc] + out[:, None] * self.across[arc] + self.climb[arc])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Toolpath:
+    """N samples of the nominal path.
+
+    :param motion: (N,) row of `Motions`.
+    :param t: (N,) place on the motion, in (0, 1].
+    :param pose: (N, 4, 4) tool frame in the motion's `$BASE` [m].
+    :param distance: (N,) travelled from the start of the motion [m].
+    """
+
+    motion: Ints
+    t: Array
+    pose: Array
+    distance: Array
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    @property
+    def ends(self) -> Bools:
+        """(N,) True at the ends of motions."""
+        return np.asarray(self.t == 1.0)
+
+
+def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array) -> Array:
+    """Return flange poses in the robot root (N, 4, 4) for tool frames in `$BASE` of the given motions."""
+    moved = program.motions
+    if len(program.bases) == len(program.tools) == 1:
+        return np.asarray(program.bases[0] @ pose_tcp_in_base @ inverse(program.tools[0]))
+    return np.asarray(program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]])
+
+
+def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array) -> Array:
+    """Return where a point (3,) of the flange frame stands in the robot root (N, 3) [m]; poses as `flange_from_tcp`."""
+    m = program.motions
+    in_tool = inverse(program.tools) @ np.append(point, 1.0)
+    if len(program.bases) == len(program.tools) == 1:
+        return np.asarray((pose_tcp_in_base @ in_tool[0]) @ program.bases[0, :3].T)
+    in_base = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
+    return np.asarray((program.bases[m.base[motion], :3] @ in_base)[..., 0])
+
+
+def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:
+    """Return where motions start: `end` returns their ends (n, 4, 4); the robot stands at a flange (4, 4) first."""
+    m = program.motions
+    return Starts.of((m.base, m.tool, program.bases, program.tools), end, start_flange_in_root)
+
+
+def segments(program: Program, start_flange_in_root: Array) -> Segments:
+    """Return where each motion starts and how long it is.
+
+    :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+    """
+    m = program.motions
+    start = starts(program, m.target.__getitem__, start_flange_in_root)
+
+    def chord(rows: Ints) -> tuple[Array, Array]:
+        between = twist_between(start.at(rows), m.target[rows])
+        return norm(between[:, :3]), norm(between[:, 3:])
+
+    length, turn = in_chunks(chord, np.arange(len(m)))
+    arcs = _arcs(program, start)
+    length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
+    length[m.kind == PTP] = 0.0
+    return Segments(start, length, turn, arcs)
+
+
+def _arcs(program: Program, start: Starts) -> Arcs:
+    m = program.motions
+    motion = np.flatnonzero(m.kind == CIRC)
+    begin, end, normal = start.at(motion)[:, :3, 3], m.target[motion, :3, 3], m.normal[motion]
+    height = np.einsum("ni,ni->n", begin - m.centre[motion], normal)[:, None] * normal
+    climb = np.einsum("ni,ni->n", end - begin, normal)[:, None] * normal
+    centre = m.centre[motion] + height
+    radial = begin - centre
+    growth = norm(end - centre - climb) / norm(radial) - 1.0
+    return Arcs(motion, centre, radial, np.cross(normal, radial), climb, growth, m.sweep[motion])
+
+
+def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
+    """Return the nominal path at places (motion, t).
+
+    LIN: position linear, orientation by one rotation. CIRC: rotation about the arc's axis with a linear rise, the
+    orientation as for LIN. PTP: only its end (t = 1) is known here.
+    """
+    m = program.motions
+    pose = m.target[motion]
+    kind = m.kind[motion]
+    inner = (t < 1.0) & (kind != PTP)
+    turns = path.turn[motion] > 0.0
+    linear = np.flatnonzero(inner & (turns | (kind == LIN)))
+    if len(linear):
+        rows = motion[linear]
+        pose[linear] = interpolated(path.start.at(rows), m.target[rows], t[linear])
+    arcs = np.flatnonzero(inner & (kind == CIRC))
+    if len(arcs):
+        pose[arcs, :3, 3] = path.arcs.position(motion[arcs], t[arcs])
+    return Toolpath(motion, t, pose, path.length[motion] * t)
+
+
+def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
+    """Return the unit direction of travel (n, 3), `$BASE`, at places (motion, t); zero without travel, and for PTP."""
+    m = program.motions
+    out = np.zeros((len(motion), 3))
+    kind = m.kind[motion]
+    long = np.flatnonzero((kind == LIN) & (path.length[motion] > 0.0))
+    rows = motion[long]
+    out[long] = (m.target[rows, :3, 3] - path.start.at(rows)[:, :3, 3]) / path.length[rows, None]
+    arcs = np.flatnonzero(kind == CIRC)
+    if len(arcs):
+        velocity = path.arcs.velocity(motion[arcs], t[arcs])
+        out[arcs] = velocity / norm(velocity)[:, None]
+    return out
