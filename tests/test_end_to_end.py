@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import forces, pipeline, report, robot
+from postproc import pipeline, report, robot
 from postproc.dialects.text import decode
 from tests.oracle import cell_sim
-from tests.oracle.arm import Arm, abc
+from tests.oracle.arm import Arm
 
 SAMPLES = Path(__file__).parent.parent / "samples"
 MICROMETRE = 1e-6
@@ -192,9 +192,11 @@ def test_a_force_wrong_by_one_percent_is_seen_by_the_oracle():
     assert max(off) > 2e-3
 
 
-def test_the_simulated_base_is_the_cells():
-    assert abc(1500, -200, 700)[0, 3] == 1.5
-    assert forces.read_force_csv(SAMPLES / "freeform.forces.csv").wrench.any()
+def test_the_written_program_sets_base_and_tool_of_the_cell():
+    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode")
+    sim = simulator("cell_kr270.toml")
+    assert (sim.base, sim.tool) == ((1500, -200, 700, 0, 0, 0), (0, 0, 350, 0, 0, 0))
+    assert {(move["base"], move["tool"]) for move in written(result) if "frame" in move} == {(sim.base, sim.tool)}
 
 
 CORNER = """G21 G90 G17
