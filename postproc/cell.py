@@ -81,6 +81,18 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     tool_change: list[str] = []
 
 
+class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How KRL is read.
+
+    :param search: folders, relative to the cell, where called programs are looked for after the program's own folder.
+    :param initmov: what BAS(#INITMOV,0) gives a program that sets no frames: those of the ``"cell"``, or KUKA's
+        (``"bas"``): BASE(0) and TOOL_DATA[1]. None: the cell's, with a warning.
+    """
+
+    search: list[str] = []
+    initmov: Literal["cell", "bas"] | None = None
+
+
 class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of a `cell.toml`, in the units of the file."""
 
@@ -91,6 +103,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     payload: Payload = Payload()
     output: Output = Output()
     gcode: GCode = GCode()
+    krl: Krl = Krl()
     work_offsets: dict[str, Frame] = {}
     base_data: dict[str, Frame] = {}
     tool_data: dict[str, Tool] = {}

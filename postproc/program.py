@@ -32,12 +32,14 @@ class Document:
     :param text: content with its own line ends (never translated), without the BOM.
     :param encoding: Python codec that was used to decode, e.g. ``utf-8`` or ``cp1252``.
     :param bom: bytes of the byte order mark, or empty.
+    :param folder: where it was read from; empty if from nowhere.
     """
 
     name: str
     text: str
     encoding: str = "utf-8"
     bom: bytes = b""
+    folder: str = ""
 
     def to_bytes(self) -> bytes:
         """Return the content of the file."""

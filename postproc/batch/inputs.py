@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from postproc.dialects.text import decode
@@ -89,7 +89,7 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
     paths = [path]
     if dialect == "krl":
         paths += [other for other in _beside(path) if other.suffix.lower() == ".dat"][:1]
-    return [decode(one.name, _bytes(one)) for one in paths]
+    return [replace(decode(one.name, _bytes(one)), folder=str(one.parent)) for one in paths]
 
 
 def _beside(path: Path) -> list[Path]:

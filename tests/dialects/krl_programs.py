@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from postproc.cell import Cell, Frame, Start, Tool
+from postproc.cell import Cell, Frame, Krl, Start, Tool
 from postproc.dialects import krl
 from postproc.dialects.krl.reader import read as read_documents
 from postproc.dialects.text import decode, line_spans
@@ -17,6 +17,7 @@ CELL = Cell(
     start=Start((0.0, -70.0, 110.0, 0.0, 50.0, 0.0)),
     base_data={"3": Frame(X=1200.0, Y=100.0, Z=650.0, A=30.0)},
     tool_data={"2": Tool(X=20.0, Z=280.0, B=90.0)},
+    krl=Krl(initmov="cell"),
 )
 _AXES = (
     ((0, 0, 750), (0, 0, -1)),

@@ -468,9 +468,12 @@ def test_a_point_that_is_also_used_otherwise_stays_as_it_is():
     assert dat[1] == DATA.splitlines()[1]
 
 
-def test_a_global_point_that_is_corrected_is_warned_about():
-    _, written = rewritten(body(FULL, "LIN XP2"), DATA, raised=[1])
-    assert [(issue.kind, issue.level) for issue in written.issues] == [("global-point", "warning")]
+def test_a_global_point_stays_as_it_is_for_the_programs_that_share_it():
+    (src, dat), written = rewritten(body(FULL, "LIN XP2"), DATA, raised=[1])
+    assert src[4] == "LIN XP2_2"
+    assert dat[2] == DATA.splitlines()[2]
+    assert dat[3].startswith("DECL E6POS XP2_2={X -50.5000,Y 20.0000,Z 251.12345678")
+    assert kinds(written) == ["new-point"]
 
 
 def test_an_incomplete_point_is_completed_in_the_data_file():
@@ -481,9 +484,7 @@ def test_an_incomplete_point_is_completed_in_the_data_file():
     written = krl.rewrite(program, wanted)
     check_commands(program, wanted, written)
     assert (
-        written.documents[1]
-        .text.splitlines()[2]
-        .startswith("DECL GLOBAL E6POS XP2={X -50.5000,Y 20.0000,Z 250.12345678,A ")
+        written.documents[1].text.splitlines()[3].startswith("DECL E6POS XP2_2={X -50.5000,Y 20.0000,Z 250.12345678,A ")
     )
 
 

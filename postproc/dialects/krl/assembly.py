@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc.dialects.krl.geometry import circles, same_orientation
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.moves import Move
+from postproc.dialects.krl.moves import Move, doubtful
 from postproc.dialects.krl.positions import EXTERNAL
 from postproc.dialects.krl.rows import Rows, merged
 from postproc.dialects.krl.sequence import Sequence, arc_points, follow
@@ -75,7 +75,8 @@ def assemble(
     rows, states, state, moves = ordered
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
-    _check_frames(settings, base, tool, moves)
+    _check_settings(settings, rows, states, state, moves)
+    base[base < 0], tool[tool < 0] = 0, 0  # of axis targets
     standing = _external(source, rows, moves)
     frames = base, tool, np.stack(settings.bases), np.stack(settings.tools)
     given = rows.numbers[:, :6]
@@ -116,7 +117,7 @@ def assemble(
         moves=moves,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
-        understood=dict(settings.variables.understood),
+        understood=frozenset(walker.understood),
         triggers=_triggers(source, walker, motions, chain.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
@@ -146,13 +147,17 @@ def _whole(numbers: Array) -> Ints:
     return np.where(np.isnan(numbers), -1.0, numbers).astype(np.int64)
 
 
-def _check_frames(settings: Settings, base: Ints, tool: Ints, moves: Mapping[int, Move]) -> None:
-    """Refuse Cartesian targets in frames that are not known; give axis targets those of the cell instead."""
-    for rows in (base, tool):
-        for row in np.flatnonzero(rows < 0).tolist():
-            if row not in moves or not moves[row].end.position.axis:
-                raise settings.reasons[-1 - int(rows[row])]
-        rows[rows < 0] = 0
+def _check_settings(
+    settings: Settings, rows: Rows, states: list[State], state: Ints, moves: Mapping[int, Move]
+) -> None:
+    """Refuse motions that depend on what is not known: frames, speeds, modes."""
+    for index, used in enumerate(states):
+        if not used.doubts and used.base >= 0 and used.tool >= 0:
+            continue
+        for row in np.flatnonzero(state == index).tolist():
+            axis = row in moves and moves[row].end.position.axis
+            fields = doubtful(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
+            settings.refuse_doubts(used, fields)
 
 
 def _external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> list[Issue]:

@@ -30,7 +30,7 @@ class Layout:
         axis targets.
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
-    :param understood: how often the `.src` names a variable in a way that the reader followed.
+    :param understood: offsets in the `.src` of names whose use the reader followed.
     :param triggers: TRIGGER statements, in order.
     """
 
@@ -45,7 +45,7 @@ class Layout:
     moves: Mapping[int, Move]
     types: Mapping[str, str]
     public: frozenset[str]
-    understood: Mapping[str, int]
+    understood: frozenset[int]
     triggers: tuple[Trigger, ...]
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from postproc.dialects.krl.positions import Position
-from postproc.dialects.krl.settings import RELEVANT, Settings, State
+from postproc.dialects.krl.positions import FARTHEST, Position
+from postproc.dialects.krl.settings import RELEVANT, Settings, State, out_of_reach
+from postproc.dialects.krl.source import Place
 from postproc.dialects.krl.syntax import Reference, operand, parse, split
-from postproc.dialects.krl.variables import Unknown
+from postproc.dialects.krl.variables import NOTHING
 from postproc.program import CIRC, LIN, PTP
 
 KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC}
@@ -16,6 +17,7 @@ _APPROXIMATION = re.compile(r"(?:[ \t]*\bC_(?:DIS|VEL|ORI|PTP|SPL)\b)*[ \t]*$", 
 _ANGLE = re.compile(r"[ \t]*,[ \t]*CA\b[ \t]*=?", re.IGNORECASE)
 _COMMA = re.compile(r"[ \t]*,")
 _REFERENCE_FRAME = re.compile(r"[ \t]*(#BASE|#TOOL)\b", re.IGNORECASE)
+_REFERENCE_FRAME_BEHIND = re.compile(r"\bC_\w+[ \t]*((#BASE|#TOOL)[ \t]*)$", re.IGNORECASE)
 _WITH = re.compile(r"[ \t]*WITH\b", re.IGNORECASE)
 _NO_EFFECT = re.compile(
     r"\$(?:LOAD|ACC|VEL_AXIS|VEL_EXTAX|JERK|GEAR_JERK|COLLMON|TORQMON|CIRC_MODE|SPL_)", re.IGNORECASE
@@ -56,6 +58,7 @@ class Move:
     :param stop: offset behind the code of the line.
     :param approximated: True where `$APO.CDIS` applies.
     :param state: what is in force.
+    :param behind: span of ``#BASE`` or ``#TOOL`` where it stands behind the approximation.
     """
 
     line: int
@@ -69,6 +72,7 @@ class Move:
     stop: int
     approximated: bool
     state: State
+    behind: tuple[int, int] | None = None
 
     @property
     def plain(self) -> bool:
@@ -85,99 +89,117 @@ class MoveReader:
     """
 
     def __init__(self, settings: Settings, home: tuple[float, ...]) -> None:
-        self.settings, self.source, self.variables = settings, settings.source, settings.variables
+        self.settings, self.variables = settings, settings.variables
         self.home = home
         self.home_used = 0
 
-    def read(self, line: int, word: str, start: int, stop: int) -> Move | None:
-        """Return the motion of a statement, or None where it only asks for the present position.
+    def read(self, at: Place, word: str, start: int, stop: int) -> tuple[Move | None, list[int]]:
+        """Return the motion of a statement, or None where it only asks for the present position, and what it names.
 
         :param word: instruction, upper case.
         :param start: offset of the instruction.
         :param stop: offset behind the code of the line.
+        :returns: the motion; offsets of the names whose values it uses.
         :raises ProgramError: it is not understood, or its target is not known before the program runs.
         """
-        source, name = self.source, word.removesuffix("_REL")
+        text, name = at.source.text, word.removesuffix("_REL")
         kind, relative = KINDS[name], "#BASE" if word != name else ""
         if relative and kind == CIRC:
-            raise source.line_error(f"{word} is not supported", line, "Write the circle with absolute points.")
-        via = angle = None
+            raise at.error(f"{word} is not supported", "Write the circle with absolute points.")
+        names: list[int] = []
+        via = angle = behind = None
         position = start + len(word)
         if kind == CIRC:
-            via, position = self._operand(line, position, stop)
-            comma = _COMMA.match(source.text, position, stop)
+            via, position = self._operand(at, position, stop, names)
+            comma = _COMMA.match(text, position, stop)
             if not via or not comma:
-                raise source.line_error(f"{word} needs an auxiliary point and an end point", line)
+                raise at.error(f"{word} needs an auxiliary point and an end point")
             position = comma.end()
-        end, position = self._operand(line, position, stop)
+        end, position = self._operand(at, position, stop, names)
         if end is None:
-            return None
-        if kind == CIRC and (match := _ANGLE.match(source.text, position, stop)):
-            angle, position = self._angle(line, match.end(), stop)
-        if relative and (match := _REFERENCE_FRAME.match(source.text, position, stop)):
-            relative, position = match[1].upper(), match.end()
-        state, approximated = self._tail(line, kind, position, stop)
-        self._check(line, word, kind, end, via)
-        if not end.position.axis:
-            for row in (state.base, state.tool):
-                if row < 0:
-                    raise self.settings.reasons[-1 - row]
+            return None, names
+        if kind == CIRC and (match := _ANGLE.match(text, position, stop)):
+            angle, position = self._angle(at, match.end(), stop)
+        code = stop
+        if relative:
+            if match := _REFERENCE_FRAME.match(text, position, stop):
+                relative, position = match[1].upper(), match.end()
+            elif match := _REFERENCE_FRAME_BEHIND.search(text, position, stop):
+                relative, behind, code = match[2].upper(), match.span(1), match.start(1)
+        state, approximated = self._tail(at, kind, position, code)
+        self._check(at, word, kind, end, via)
+        self.settings.refuse_doubts(state, doubtful(kind, axis=end.position.axis, approximated=approximated))
         keyword = (start, start + len(word))
-        return Move(line, kind, keyword, end, relative, via, angle, position, stop, approximated, state)
+        return (
+            Move(at.line, kind, keyword, end, relative, via, angle, position, code, approximated, state, behind),
+            names,
+        )
 
-    def _operand(self, line: int, start: int, stop: int) -> tuple[Operand | None, int]:
+    def _operand(self, at: Place, start: int, stop: int, names: list[int]) -> tuple[Operand | None, int]:
         """Return a point and the offset behind it; None for the present position."""
-        value, end = parse(self.source, start, stop)
+        source = at.source
+        value, end = parse(source, start, stop)
         name = ""
         if isinstance(value, Reference):
-            self.variables.check_name(self.source, value)
+            self.variables.check_name(source, value)
             if value.name in _HERE:
                 return None, end
             name = value.name
-            self.variables.understood[name] += 1
-        position = self.variables.position(self.source, value)
-        if position is None and name in _HOME and self.variables.evaluate(self.source, value) == Unknown(0):
-            self.home_used = self.home_used or line
+            names.append(value.start)
+        self.variables.rely(source, value)
+        position = self.variables.position(source, value)
+        if position is None and name in _HOME and self.variables.evaluate(source, value) == NOTHING:
+            self.home_used = self.home_used or at.line
             position = Position(self.home, axis=True)
         if position is None:
-            why = self.variables.why_unknown(self.source, value)
-            raise self.source.line_error(f"the target is not known: {why}", line, RUN_TIME_ADVICE)
+            why = self.variables.why_unknown(source, value)
+            raise at.error(f"the target is not known: {why}", RUN_TIME_ADVICE)
+        if position.farthest > FARTHEST:
+            raise out_of_reach(at, position.farthest)
         return Operand(position, value.start, value.stop, name), end
 
-    def _angle(self, line: int, start: int, stop: int) -> tuple[float, int]:
-        value, end = parse(self.source, start, stop)
-        angle = self.variables.number(self.source, value)
-        if angle is None or angle == 0.0:
-            raise self.source.line_error("the circular angle CA is not a number other than 0", line)
+    def _angle(self, at: Place, start: int, stop: int) -> tuple[float, int]:
+        value, end = parse(at.source, start, stop)
+        angle = self.variables.number(at.source, value)
+        if angle is None or not 0.0 < abs(angle) <= FARTHEST:
+            raise at.error("the circular angle CA is not a number of degrees other than 0")
         return angle, end
 
-    def _check(self, line: int, word: str, kind: int, end: Operand, via: Operand | None) -> None:
+    def _check(self, at: Place, word: str, kind: int, end: Operand, via: Operand | None) -> None:
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
-            raise self.source.line_error(f"{word} to axis angles", line, "Write a Cartesian target, or use PTP.")
+            raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
         if kind == CIRC and any(value != value for p in (end, via) if p for value in p.position.values[:3]):
-            raise self.source.line_error(f"{word} needs X, Y and Z of both points", line)
+            raise at.error(f"{word} needs X, Y and Z of both points")
 
-    def _tail(self, line: int, kind: int, start: int, stop: int) -> tuple[State, bool]:
+    def _tail(self, at: Place, kind: int, start: int, stop: int) -> tuple[State, bool]:
         """Return the state, and whether `$APO.CDIS` applies, after reading what follows the points."""
-        text, state = self.source.text, self.settings.state
+        text, state = at.source.text, self.settings.state
         approximation = _APPROXIMATION.search(text, start, stop)
         end = approximation.start() if approximation else stop
         words = text[end:stop].upper()
         if match := _WITH.match(text, start, end):
-            state = self._with(line, state, match.end(), end)
+            state = self._with(at, state, match.end(), end)
         elif text[start:end].strip():
-            raise self.source.line_error(f"{text[start:end].strip()!r} is not understood", line)
+            raise at.error(f"{text[start:end].strip()!r} is not understood")
         return state, "C_DIS" in words or ("C_SPL" in words and kind != PTP)
 
-    def _with(self, line: int, state: State, start: int, stop: int) -> State:
+    def _with(self, at: Place, state: State, start: int, stop: int) -> State:
         """Return the state for this motion alone: ``WITH $VEL=…, $TOOL=…``."""
-        for begin, end in split(self.source, start, stop):
-            target, position = operand(self.source, begin, end)
-            if not isinstance(target, Reference) or self.source.text[position:end].lstrip()[:1] != "=":
-                raise self.source.line_error(f"{self.source.text[begin:end].strip()!r} is not understood", line)
+        for begin, end in split(at.source, start, stop):
+            target, position = operand(at.source, begin, end)
+            if not isinstance(target, Reference) or at.source.text[position:end].lstrip()[:1] != "=":
+                raise at.error(f"{at.source.text[begin:end].strip()!r} is not understood")
             if target.name in RELEVANT:
-                equals = self.source.text.index("=", position)
-                state = self.settings.assigned(state, line, target, parse(self.source, equals + 1, end)[0])
+                equals = at.source.text.index("=", position)
+                state = self.settings.assigned(state, at, target, parse(at.source, equals + 1, end)[0])
             elif not _NO_EFFECT.match(target.name):
-                raise self.source.line_error(f"{target.name} in WITH is not understood", line)
+                raise at.error(f"{target.name} in WITH is not understood")
         return state
+
+
+def doubtful(kind: int, *, axis: bool, approximated: bool) -> list[str]:
+    """Return on which fields of its state a motion depends."""
+    fields = [] if axis else ["base", "tool"]
+    if kind != PTP:
+        fields += ["speed", "orientation", *(["circle"] if kind == CIRC else [])]
+    return [*fields, "cdis"] if approximated else fields

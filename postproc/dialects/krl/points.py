@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -42,7 +42,7 @@ class Points:
     sources: Sequence[Source]
     layout: Layout
     edits: Sequence[Edits]
-    mentions: Counter[str]
+    mentions: Mapping[str, Sequence[int]]
     issues: list[Issue] = field(default_factory=list)
     _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
     _taken: set[str] = field(default_factory=set)
@@ -70,17 +70,16 @@ class Points:
     def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
         """Return whether the numbers of a point can be changed where they stand."""
         name = uses[0].operand.name
-        elsewhere = self.mentions[name] > self.layout.understood.get(name, 0)
-        same = all(use.texts == uses[0].texts for use in uses)
-        return same and not elsewhere and aggregate.source.index < len(self.sources)
+        known = self.layout.understood
+        elsewhere = any(offset not in known for offset in self.mentions.get(name, ()))
+        same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
+        shared = elsewhere or name in self.layout.public  # others must find the value that they found before
+        return same and not shared and aggregate.source.index < len(self.sources)
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
         """Change the numbers of a point where they stand."""
         for piece in edits(literal_of(aggregate), use.texts or {}):
             self.edits[aggregate.source.index].add(*piece)
-        if use.operand.name in self.layout.public:
-            message = f"{use.operand.name} is GLOBAL: its correction also applies to other programs that use it."
-            self.issues.append(Issue("warning", "global-point", message, use.line))
 
     def _separate(self, uses: list[Use], aggregate: Aggregate) -> None:
         """Give each different correction a point of its own; the old one stays for those who use it as it is."""
@@ -95,8 +94,8 @@ class Points:
                 names[declared] = self._declare(text, declared, aggregate)
             self.edits[0].add(use.operand.start, use.operand.stop, names[declared])
             message = (
-                f"{text} is used by several motions with different corrections: this one uses the new point "
-                f"{names[declared]} of the .dat. The text of an inline form still names the old point."
+                f"{text} is also used otherwise: this motion uses the new point {names[declared]} of the .dat. "
+                "The text of an inline form still names the old point."
             )
             self.issues.append(Issue("info", "new-point", message, use.line))
 
@@ -124,12 +123,13 @@ class Points:
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
-def mentions(source: Source, plain_lines: Sequence[int]) -> Counter[str]:
-    """Return how often the code of a `.src` names each variable, upper case, in lines other than plain motions."""
+def mentions(source: Source, plain_lines: Sequence[int]) -> Mapping[str, Sequence[int]]:
+    """Return where the code of a `.src` names each variable, upper case, in lines other than plain motions."""
     plain = set(plain_lines)
-    counter: Counter[str] = Counter()
+    places: defaultdict[str, list[int]] = defaultdict(list)
     for line in range(1, len(source.starts) + 1):
         if line not in plain:
             start, stop = source.code_span(line)
-            counter.update(name.upper() for name in NAME.findall(source.text, start, stop))
-    return counter
+            for match in NAME.finditer(source.text, start, stop):
+                places[match[0].upper()].append(match.start())
+    return places

@@ -20,6 +20,8 @@ _AXIS_COMPONENTS = frozenset({*AXES, *EXTERNAL})
 _CARTESIAN_TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
 _AXIS_TAGS = ("", "E6AXIS", "E3AXIS", "AXIS")
 MAX_STATUS, MAX_TURN = 31, 63
+FARTHEST = 1e6
+"""Largest coordinate [mm, deg] that is read: beyond it, numbers are slips."""
 _NAN = float("nan")
 
 
@@ -46,6 +48,11 @@ class Position:
     def complete(self) -> bool:
         """Whether no component is missing."""
         return not any(value != value for value in self.values)
+
+    @property
+    def farthest(self) -> float:
+        """Its largest coordinate [mm, deg]; missing ones do not count."""
+        return max((abs(value) for value in self.values if value == value), default=0.0)
 
     def pose(self) -> Array:
         """Return the frame as a (4, 4) pose [m]; a missing component is 0."""

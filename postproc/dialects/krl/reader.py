@@ -15,15 +15,19 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.dialects.krl import bulk
-from postproc.dialects.krl.assembly import assemble, in_order
+from postproc.dialects.krl.assembly import InOrder, assemble, in_order
+from postproc.dialects.krl.library import Library
 from postproc.dialects.krl.moves import MoveReader
-from postproc.dialects.krl.rows import merged, none
-from postproc.dialects.krl.settings import Settings
-from postproc.dialects.krl.source import Source, comment_start
+from postproc.dialects.krl.positions import FARTHEST
+from postproc.dialects.krl.routines import Module, Routine, routines
+from postproc.dialects.krl.rows import Rows, merged, none
+from postproc.dialects.krl.settings import Settings, out_of_reach
+from postproc.dialects.krl.source import Place, Source, comment_start
+from postproc.dialects.krl.told import told
 from postproc.dialects.krl.variables import Variables
 from postproc.dialects.krl.walker import Walker
 from postproc.dialects.text import decode
-from postproc.errors import CellError, Issue, ProgramError
+from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.program import FORCE_COMMENT, Bools, Document, ForceNote, Ints, Program, parse_force_note
 
@@ -55,24 +59,28 @@ def read(
     for index, document in enumerate(documents[1:], 1):
         variables.read_data(Source.of(document, index))
     if cell.config_dat is not None:
-        variables.read_data(_config(cell, cell.config_dat), fill=True)
-    settings = Settings(source, variables, cell)
-    moves = MoveReader(settings, tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD))
-    walker = Walker(source, settings, moves, name)
+        variables.read_data(_config(cell, cell.config_dat), fill=True, shared=True)
     plain = bulk.scan(source) if _bulk else [none()]
-    others = np.ones(len(source.starts), dtype=np.bool_)
     lines = np.concatenate([rows.line for rows in plain])
-    others[lines - 1] = False
-    walker.walk((np.flatnonzero(others) + 1).tolist())
-    executed = _executed(source, walker, lines)
+    module, main, faults = _main(source, lines, name)
+    settings = Settings(variables, cell)
+    moves = MoveReader(settings, tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD))
+    walker = Walker(Library(module, _folders(documents[0], cell)), main, settings, moves)
+    try:
+        walker.walk(faults)
+    except RecursionError:
+        raise source.line_error("brackets are nested too deeply", walker.line) from None
+    executed = _executed(walker, lines)
     if not executed.all():
         plain = [merged(plain, np.arange(len(lines))).take(executed)]
     if not executed.any() and not len(walker.moves):
         raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
     ordered = in_order(walker, plain)
     del plain  # what follows needs the memory
+    _check_size(source, ordered.rows)
+    _check_starts(walker, ordered)
     motions, layout, assumptions = assemble(source, walker, ordered, cell.start_joints, forward)
-    issues = [*walker.issues, *assumptions]
+    issues = [*walker.issues, *assumptions, *told(walker, ordered.states, ordered.state, ordered.rows, layout)]
     if moves.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
         issues.append(Issue("info", "home-from-cell", message, moves.home_used))
@@ -101,25 +109,62 @@ def _config(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _executed(source: Source, walker: Walker, line: Ints) -> Bools:
-    """Return which plain motions, by their lines, are those of the main program; refuse those in control structures."""
-    first, last = walker.main
+def _main(source: Source, plain: Ints, name: str) -> tuple[Module, Routine, list[ProgramError]]:
+    """Return the routines, the one to follow (that of the program's name, else the first), and faults of bounds."""
+    others = np.ones(len(source.starts), dtype=np.bool_)
+    others[plain - 1] = False
+    found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain.tolist())
+    module = Module(source, found)
+    main = module.main(name)
+    if main is None and faults:
+        raise together(faults)
+    if main is None:
+        raise ProgramError(
+            "there is no DEF", file=source.document.name, line=1, advice="Check that this is a KRL program."
+        )
+    return module, main, faults
+
+
+def _folders(document: Document, cell: Cell) -> list[Path]:
+    """Return where called programs are looked for: beside the program, then where the cell says."""
+    beside = [Path(document.folder)] if document.folder else []
+    return beside + [Path(cell.folder) / folder for folder in cell.krl.search]
+
+
+def _executed(walker: Walker, line: Ints) -> Bools:
+    """Return which plain motions, by their lines, are those of the main routine; refuse those in control structures."""
+    first, last = walker.main.first, walker.main.last
     inside = np.asarray((line > first) & (line < last))
-    in_subs = np.zeros(len(inside), dtype=np.bool_)
-    found = []
     for opened, closed, word in walker.blocked:
-        rows = slice(*np.searchsorted(line, [opened, closed]))
-        if rows.start == rows.stop:
-            continue
-        if not word.startswith("DEF "):
-            raise walker.misplaced(int(line[rows.start]), word, opened)
-        in_subs[rows] = True
-        found.append(int(line[rows.start]))
-    outside = np.flatnonzero(~inside & ~in_subs)
+        begin, end = np.searchsorted(line, [opened, closed]).tolist()
+        if begin < end:
+            raise walker.misplaced(int(line[begin]), word, opened)
+    in_routines = np.zeros(len(inside), dtype=np.bool_)
+    for routine in walker.library.program.routines.values():
+        in_routines |= (line > routine.first) & (line < routine.last)
+    outside = np.flatnonzero(~in_routines)
     if len(outside):
-        raise source.line_error("the motion stands outside of DEF … END", int(line[outside[0]]))
-    walker.check_calls(found)
+        raise walker.source.line_error("the motion stands outside of DEF … END", int(line[outside[0]]))
     return inside
+
+
+def _check_size(source: Source, rows: Rows) -> None:
+    """Refuse coordinates that no robot reaches."""
+    largest = np.nan_to_num(np.abs(rows.numbers[:, :6])).max(axis=1, initial=0.0)
+    beyond = np.flatnonzero(largest > FARTHEST)
+    if len(beyond):
+        raise out_of_reach(Place(source, int(rows.line[beyond[0]])), float(largest[beyond[0]]))
+
+
+def _check_starts(walker: Walker, ordered: InOrder) -> None:
+    """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
+    for line, reason in walker.moved:
+        row = int(np.searchsorted(ordered.rows.line, line))
+        if row < len(ordered.rows):
+            move = ordered.moves.get(row)
+            position = move.end.position if move is not None and not move.relative else None
+            if position is None or not position.axis or not position.complete:
+                raise reason
 
 
 def _notes(source: Source) -> tuple[ForceNote, ...]:

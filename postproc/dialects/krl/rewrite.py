@@ -12,7 +12,6 @@ What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import groupby
@@ -114,7 +113,7 @@ class _Rewriter:
         moves = self.layout.moves
         named = any(move.end.name or (move.via and move.via.name) for move in moves.values())
         plain = np.delete(self.program.motions.line, list(moves)).tolist()
-        points = Points(self.sources, self.layout, self.edits, mentions(self.source, plain) if named else Counter())
+        points = Points(self.sources, self.layout, self.edits, mentions(self.source, plain) if named else {})
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if row in moves:
@@ -133,6 +132,8 @@ class _Rewriter:
         if changed and (move.relative or straight):
             self.edits[0].add(*self.statements.rewritten(row, k, move))
             if move.relative:
+                if move.behind is not None:
+                    self.edits[0].add(*move.behind, "")
                 self._tell("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
         if changed and move.angle is not None:

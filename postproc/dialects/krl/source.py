@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,21 @@ class Source:
         """Return an error that names the file, a 1-based line, and its text."""
         text = self.text[self.starts[line - 1] : self.stops[line - 1]]
         return ProgramError(problem, file=self.document.name, line=line, text=text, advice=advice)
+
+
+class Place(NamedTuple):
+    """A 1-based line of a file."""
+
+    source: Source
+    line: int
+
+    def __str__(self) -> str:
+        """Say where: ``line 12``, and in which file if that is not the program itself."""
+        return f"line {self.line}" if self.source.index == 0 else f"{self.source.document.name}, line {self.line}"
+
+    def error(self, problem: str, advice: str | None = None) -> ProgramError:
+        """Return an error that names the file, the line, and its text."""
+        return self.source.line_error(problem, self.line, advice)
 
 
 def code_span(text: str, start: int, stop: int) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
@@ -24,17 +24,22 @@ _TAG = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:", re.ASCII)
 _INTEGER_LITERAL = re.compile(r"'(?:[Bb]([01]+)|[Hh]([0-9A-Fa-f]+))'")
 _STRING = re.compile(r'"[^"]*"')
 _ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
-_INDEX = re.compile(r"[ \t]*\[([^\]]*)\]")
+_LONGEST = 64
+"""Characters of the longest INT in binary or hexadecimal notation."""
 _FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
-_OPERATORS = "+-*/<>=&|"
+_LOGIC = re.compile(r"[<>=&|]|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 
 
 class Number(NamedTuple):
-    """A number literal."""
+    """A number.
+
+    `integer` is True where it may be an INT: KRL divides two of these without a remainder.
+    """
 
     value: float
     start: int
     stop: int
+    integer: bool = False
 
 
 class Word(NamedTuple):
@@ -46,13 +51,18 @@ class Word(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case. `element` is its text between the brackets."""
+    """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case.
+
+    `element` is its text between the brackets and `inside` where that stands; `field` is all that follows the first
+    point (``BLOCK[2].Z``).
+    """
 
     name: str
     element: str | None
     field: str | None
     start: int
     stop: int
+    inside: tuple[int, int] = (0, 0)
 
 
 class Call(NamedTuple):
@@ -72,8 +82,18 @@ class Chain(NamedTuple):
     stop: int
 
 
+class Operation(NamedTuple):
+    """Two numbers joined by ``+ - * /``; `left` is None where the operator is a sign."""
+
+    operator: str
+    left: Value | None
+    right: Value
+    start: int
+    stop: int
+
+
 class Opaque(NamedTuple):
-    """What is computed while the program runs."""
+    """What is computed while the program runs: comparisons, logic, text."""
 
     start: int
     stop: int
@@ -99,17 +119,59 @@ class Aggregate:
     computed: bool = False
 
 
-Value = Number | Word | Reference | Call | Chain | Opaque | Aggregate
+Value = Number | Word | Reference | Call | Chain | Operation | Opaque | Aggregate
 
 
 def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
     """Return the value that begins at `start`, and the offset behind it.
 
-    What needs arithmetic or a comparison is `Opaque` and reaches to `stop`.
+    Comparisons and logic are `Opaque` and reach to the next comma or closing bracket.
 
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
+    value, end = _sum(source, start, stop)
+    after = _skip(source.text, end, stop)
+    if after < stop and _LOGIC.match(source.text, after, stop):
+        end = _beyond(source, after, stop)
+        return Opaque(value.start, end), end
+    return value, end
+
+
+def _sum(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    return _joined(source, start, stop, "+-", _product)
+
+
+def _product(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    return _joined(source, start, stop, "*/", _factor)
+
+
+def _joined(
+    source: Source,
+    start: int,
+    stop: int,
+    operators: str,
+    part: Callable[[Source, int, int], tuple[Value, int]],
+) -> tuple[Value, int]:
+    """Return parts joined by operators, from left to right."""
     text = source.text
+    value, end = part(source, start, stop)
+    after = _skip(text, end, stop)
+    while after < stop and text[after] in operators:
+        right, end = part(source, after + 1, stop)
+        value = Operation(text[after], value, right, value.start, end)
+        after = _skip(text, end, stop)
+    return value, end
+
+
+def _factor(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    """Return a value with its sign, or frames joined by ``:``."""
+    text = source.text
+    start = _skip(text, start, stop)
+    if text[start:stop][:1] in ("+", "-") and not _NUMBER.match(text, start, stop):
+        if text[_skip(text, start + 1, stop) : stop][:1] in ("+", "-"):
+            raise source.error("two signs in a row", start)
+        value, end = _factor(source, start + 1, stop)
+        return Operation(text[start], None, value, start, end), end
     value, end = operand(source, start, stop)
     after = _skip(text, end, stop)
     if after < stop and text[after] == ":":
@@ -119,9 +181,21 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
             operands.append(value)
             after = _skip(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
-    if after < stop and text[after] in _OPERATORS:
-        return Opaque(value.start, stop), stop
     return value, end
+
+
+def _beyond(source: Source, start: int, stop: int) -> int:
+    """Return where a value that is not looked into ends: at a comma or a closing bracket that is not its own."""
+    text, offset = source.text, start
+    while offset < stop and text[offset] not in ",)]}":
+        if text[offset] in _PAIRS:
+            offset = matching(source, offset, stop)
+        elif text[offset] == '"':
+            offset = text.find('"', offset + 1, stop)
+            if offset < 0:
+                return stop
+        offset += 1
+    return offset
 
 
 def _skip(text: str, start: int, stop: int) -> int:
@@ -142,16 +216,29 @@ def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
         return aggregate, aggregate.stop
     if match := NAME.match(text, start, stop):
         return _variable(source, match, stop)
+    if first == "(":
+        return _in_brackets(source, start, stop)
     if match := _NUMBER.match(text, start, stop):
-        return Number(_finite(source, match), start, match.end()), match.end()
+        return Number(_finite(source, match), start, match.end(), match[0].lstrip("+-").isdigit()), match.end()
     if match := _INTEGER_LITERAL.match(text, start, stop):
+        if match.end() - start > _LONGEST:
+            raise source.error(f"{match[0][:20]}… is not an INT", start)
         value = float(int(match[1], 2) if match[1] else int(match[2], 16))
-        return Number(value, start, match.end()), match.end()
+        return Number(value, start, match.end(), True), match.end()
     if match := _STRING.match(text, start, stop):
         return Word(match[0], start, match.end()), match.end()
     if match := _ENUM.match(text, start, stop):
         return Word(match[0].upper(), start, match.end()), match.end()
-    return Opaque(start, stop), stop
+    end = _beyond(source, start, stop)
+    return Opaque(start, end), end
+
+
+def _in_brackets(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    close = matching(source, start, stop)
+    value, end = parse(source, start + 1, close)
+    if _skip(source.text, end, close) < close or not isinstance(value, Number | Reference | Operation):
+        return Opaque(start, close + 1), close + 1
+    return value._replace(start=start, stop=close + 1), close + 1
 
 
 def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, int]:
@@ -163,12 +250,25 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, in
         close = matching(source, after, stop)
         inner = split(source, after + 1, close)
         return Call(name[0].upper(), tuple(inner), start, close + 1), close + 1
-    element = field = None
-    if match := _INDEX.match(text, end, stop):
-        element, end = match[1].strip().upper(), match.end()
-    while match := _FIELD.match(text, end, stop):
-        field, end = match[1].upper() if field is None else f"{field}.{match[1].upper()}", match.end()
-    return Reference(name[0].upper(), element, field, start, end), end
+    element, inside = None, (0, 0)
+    path: list[str] = []
+    while True:
+        after = _skip(text, end, stop)
+        if after < stop and text[after] == "[":
+            close = matching(source, after, stop)
+            if path:
+                path[-1] += text[after : close + 1].upper()
+            elif element is None:
+                element, inside = text[after + 1 : close].strip().upper(), (after + 1, close)
+            else:
+                break
+            end = close + 1
+        elif match := _FIELD.match(text, end, stop):
+            path.append(match[1].upper())
+            end = match.end()
+        else:
+            break
+    return Reference(name[0].upper(), element, ".".join(path) or None, start, end, inside), end
 
 
 def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
@@ -187,7 +287,9 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         match = _COMPONENT.match(text, position, stop)
         if match:
             name, more, position = match[1].upper(), match[3] is not None, match.end()
-            value: Value = Number(_finite(source, match, 2), match.start(2), match.end(2))
+            value: Value = Number(
+                _finite(source, match, 2), match.start(2), match.end(2), match[2].lstrip("+-").isdigit()
+            )
         else:
             name, value, more, position = _component(source, start, position, stop)
         if name in items:
@@ -226,7 +328,7 @@ def _not_closed_or(source: Source, opening: int, position: int, stop: int, probl
 def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
     value = float(match[group])
     if not math.isfinite(value):
-        raise source.error(f"{match[group]} is not a finite number", match.start(group))
+        raise source.error(f"{match[group][:40]} is not a finite number", match.start(group))
     return value
 
 

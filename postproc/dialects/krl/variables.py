@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections import Counter, defaultdict
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl.names import MAX_LENGTH, NAME
+from postproc.dialects.krl.declarations import DECLARATION, Declared, declared
+from postproc.dialects.krl.names import MAX_LENGTH
 from postproc.dialects.krl.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
 from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.syntax import (
@@ -18,30 +21,29 @@ from postproc.dialects.krl.syntax import (
     Chain,
     Number,
     Opaque,
+    Operation,
     Reference,
     Value,
     Word,
     parse,
 )
-from postproc.errors import ProgramError
 
-_DECLARATION = re.compile(
-    r"(?:(?:DECL|GLOBAL|CONST|PUBLIC)[ \t]+)*(?:([A-Za-z_]\w*)[ \t]+)?([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)",
-    re.ASCII | re.IGNORECASE,
-)
-_NEXT = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
 _MORE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
-_GLOBAL = re.compile(r"\bGLOBAL\b", re.IGNORECASE)
+_INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
+_FIRST_FIELD = re.compile(r"\w+", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A variable that the program changes while it runs.
+    """A variable whose value is not known before the program runs.
 
-    :param line: 1-based line of the `.src` where it does.
+    :param where: what changes it, as text for a message; empty where it has no value at all.
     """
 
-    line: int
+    where: str = ""
+
+
+NOTHING = Unknown()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +55,28 @@ class _Pending:
     stop: int
 
 
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """Which variable a name means.
+
+    :param local: names of the routine's own → how they are stored.
+    :param own: names of the routine's module, or those of the main program that it does not see.
+    :param prefix: what is put before these.
+    """
+
+    local: Mapping[str, str] = field(default_factory=dict)
+    own: frozenset[str] = frozenset()
+    prefix: str = ""
+
+    def stored(self, name: str) -> str:
+        """Return under which name a variable (upper case) is stored."""
+        local = self.local.get(name)
+        return local if local is not None else self.prefix + name if name in self.own else name
+
+
 Known = Number | Word | Aggregate | Position | Unknown
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
+_REAL = frozenset({*CARTESIAN, *AXES})
 _ZERO = Position((0.0,) * 6)
 
 
@@ -63,7 +85,10 @@ class Variables:
 
     :ivar types: declared type by name, upper case.
     :ivar public: names declared GLOBAL.
-    :ivar understood: how often the `.src` names a variable where the reader knows what for.
+    :ivar scope: which variables the names of the present routine mean.
+    :ivar changing: names that may change at any time, and what changes them.
+    :ivar relied: names of the `.dat` whose initial value a motion, a frame or a speed uses.
+    :ivar changed: names that the program gives another value, and where first.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -71,17 +96,22 @@ class Variables:
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
         self.types: dict[str, str] = {}
         self.public: set[str] = set()
-        self.understood: Counter[str] = Counter()
+        self.scope = Scope()
+        self.changing: dict[str, Unknown] = {}
+        self.relied: set[str] = set()
+        self.changed: dict[str, str] = {}
+        self._initial: set[str] = set()
         for number, base in cell.base_data.items():
-            self.set(f"BASE_DATA[{int(number)}]", from_pose(base.pose()))
+            self.put(f"BASE_DATA[{int(number)}]", from_pose(base.pose()))
         for number, tool in cell.tool_data.items():
-            self.set(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()))
+            self.put(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()))
         for name in ("$NULLFRAME", "$WORLD", "$ROBROOT", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, _ZERO)
 
-    def read_data(self, source: Source, *, fill: bool = False) -> None:
+    def read_data(self, source: Source, *, fill: bool = False, shared: bool = False) -> None:
         """Take the declarations of a `.dat`; with `fill` only those of names that have no value yet.
 
+        :param shared: all of them are GLOBAL, as those of the `$config.dat`.
         :raises ProgramError: DEFDAT or ENDDAT is missing.
         """
         text = source.text
@@ -99,7 +129,7 @@ class Variables:
                 closed = True
                 break
             else:
-                self._declare_data(source, line, start, stop, fill=fill)
+                self._declare_data(source, line, start, stop, fill=fill, shared=shared)
         if not opened or not closed:
             raise source.line_error(
                 f"{'ENDDAT' if opened else 'DEFDAT'} is missing",
@@ -107,83 +137,138 @@ class Variables:
                 "Check that the file is complete and that it is the .dat of this program.",
             )
 
-    def _declare_data(self, source: Source, line: int, start: int, stop: int, *, fill: bool) -> None:
+    def _declare_data(self, source: Source, line: int, start: int, stop: int, *, fill: bool, shared: bool) -> None:
         """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
-        match = _DECLARATION.match(source.text, start, stop)
-        if match and match[4] and not _MORE.search(source.text, match.end(), stop):
-            name = self._note(source, match, fill=fill)
-            if name and not (fill and name in self._values):
-                self.set(name, _Pending(source, match.end(), stop))
-        elif match:
-            self.declare(source, start, source.code_span(line)[1], fill=fill)
-
-    def declare(self, source: Source, start: int, stop: int, *, fill: bool = False) -> None:
-        """Take one declaration or initialisation, also of several names: ``DECL E6POS A={…},B={…}``."""
-        match = _DECLARATION.match(source.text, start, stop)
+        match = DECLARATION.match(source.text, start, stop)
         if not match:
             return
-        name: str | None = self._note(source, match, fill=fill)
-        equals, end, kind = match[4], match.end(), (match[1] or "").upper()
-        while True:
-            if equals:
-                if name and not (fill and name in self._values):
-                    self.set(name, _Pending(source, end, stop))
-                end = _value_stop(source, end, stop)
-            following = _NEXT.match(source.text, end, stop)
-            if not following:
-                return
-            name = _key(following[1], following[2])
-            if kind:
-                self.types[following[1].upper()] = kind
-            equals, end = following[3], following.end()
+        if match[4] and not _MORE.search(source.text, match.end(), stop):
+            names = [next(declared(source, start, match.end()))]
+        else:
+            start, stop = source.code_span(line)
+            names = list(declared(source, start, stop))
+        for one in names:
+            name = self._note(one._replace(public=one.public or shared), fill=fill)
+            if one.value >= 0 and not (fill and name in self._values):
+                self._initial.add(self.scope.stored(one.name))
+                self.put(name, _Pending(source, one.value, stop))
 
-    def _note(self, source: Source, match: re.Match[str], *, fill: bool) -> str | None:
+    def declare(self, source: Source, start: int, stop: int) -> list[Declared]:
+        """Take one declaration of a `.src`, with initial values; return what it declares."""
+        names = list(declared(source, start, stop))
+        for one in names:
+            name = self._note(one)
+            if one.value >= 0:
+                self.put(name, _Pending(source, one.value, stop))
+        return names
+
+    def _note(self, one: Declared, *, fill: bool = False) -> str:
         """Note type and scope of a declared name; return the key of its value."""
-        name = match[2].upper()
-        if match[1] and not (fill and name in self.types):
-            self.types[name] = match[1].upper()
-            if _GLOBAL.search(source.text, match.start(), match.start(2)):
+        name = self.scope.stored(one.name)
+        if one.kind and not (fill and name in self.types):
+            self.types[name] = one.kind
+            if one.public:
                 self.public.add(name)
-        return _key(match[2], match[3])
+        digits = (one.bounds or "").strip("[] \t")
+        return f"{name}[{int(digits)}]" if _INDEX.fullmatch(digits) else name
 
-    def set(self, key: str, value: Known | _Pending) -> None:
-        """Give a variable a value."""
+    def put(self, key: str, value: Known | _Pending) -> None:
+        """Give a variable its first value."""
         if key not in self._values and key.endswith("]"):
             self._elements[key[: key.index("[")]].append(key)
         self._values[key] = value
 
-    def set_field(self, key: str, field: str, value: Known, line: int) -> None:
+    def set(self, key: str, value: Known, where: str) -> None:
+        """Give a variable another value: what its type makes of it.
+
+        :param where: where the program does.
+        """
+        name = key.partition("[")[0]
+        self.changed.setdefault(name, where)
+        self.put(key, self._typed(name, value) if isinstance(value, Number) else value)
+
+    def _typed(self, name: str, number: Number) -> Known:
+        kind = self.types.get(name)
+        if kind == "REAL":
+            return number._replace(integer=False)
+        if kind == "INT" and number.value != int(number.value):
+            return Unknown("where it is rounded")
+        return number._replace(integer=number.value == int(number.value))
+
+    def set_field(self, key: str, field: str, value: Known, where: str) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
-        whole = self._value(key)
-        if isinstance(whole, Aggregate) and isinstance(value, Number | Word):
-            self._values[key] = replace(whole, items={**whole.items, field: value}, computed=True)
-        elif isinstance(whole, Aggregate) and field not in _COMPONENTS:
-            items = {**whole.items, field: Opaque(whole.start, whole.stop)}
-            self._values[key] = replace(whole, items=items, computed=True)
-        elif isinstance(whole, Aggregate | Position):
-            self._values[key] = Unknown(line)
+        whole = self.value(key)
+        self.changed.setdefault(key.partition("[")[0], where)
+        match = _FIRST_FIELD.match(field)
+        first = match[0] if match else field
+        if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
+            values = list(whole.values)
+            values[CARTESIAN.index(field)] = value.value
+            self.put(key, replace(whole, values=tuple(values)))
+        elif not isinstance(whole, Aggregate):
+            self.put(key, Unknown(where))
+        elif first == field and isinstance(value, Number | Word):
+            self.put(key, replace(whole, items={**whole.items, field: value}, computed=True))
+        elif first not in _COMPONENTS:
+            items = {**whole.items, first: Opaque(whole.start, whole.stop)}
+            self.put(key, replace(whole, items=items, computed=True))
+        else:
+            self.put(key, Unknown(where))
 
-    def forget(self, name: str, line: int) -> None:
-        """Note that a variable (all its elements) is changed while the program runs."""
+    def forget(self, name: str, where: str) -> None:
+        """Note that a variable (all its elements) has a value that is not known."""
+        self.changed.setdefault(name, where)
         for key in (name, *self._elements.get(name, ())):
-            self._values[key] = Unknown(line)
+            self._values[key] = Unknown(where)
 
-    def _value(self, key: str) -> Known | None:
+    def value(self, key: str) -> Known | None:
+        """Return the value of a variable or an element, None where it has none."""
+        if self.changing and (name := key.partition("[")[0]) in self.changing:
+            return self.changing[name]
         value = self._values.get(key)
         if isinstance(value, _Pending):
             parsed, _ = parse(value.source, value.start, value.stop)
-            value = self._values[key] = self.evaluate(value.source, parsed)
+            value = self.evaluate(value.source, parsed)
+            if isinstance(value, Number):
+                value = self._typed(key.partition("[")[0], value)
+            self._values[key] = value
         return value
 
-    def evaluate(self, source: Source, value: Value) -> Known:
+    def evaluate(self, source: Source, value: Value | Known) -> Known:
         """Return what a value is now; `Unknown` when that is not known before the program runs."""
-        if isinstance(value, Number | Word | Aggregate):
+        if isinstance(value, Number | Word | Position | Unknown):
             return value
+        if isinstance(value, Aggregate):
+            return self._resolved(value)
         if isinstance(value, Reference):
             return self._lookup(source, value)
+        if isinstance(value, Operation):
+            return self._computed(source, value)
         if isinstance(value, Chain):
             return self._product(source, value)
-        return Unknown(0)
+        return NOTHING
+
+    def _resolved(self, aggregate: Aggregate) -> Aggregate:
+        """Return an aggregate whose components have the values that they have now."""
+        if not any(isinstance(item, Reference | Operation) for item in aggregate.items.values()):
+            return aggregate
+        items = {}
+        for name, item in aggregate.items.items():
+            known = self.evaluate(aggregate.source, item)
+            items[name] = known if isinstance(known, Number | Word | Aggregate) else Opaque(*_span(item))
+        return replace(aggregate, items=items, computed=True)
+
+    def _computed(self, source: Source, operation: Operation) -> Known:
+        """Return a sum, difference, product or quotient; two INTs are divided only where nothing remains."""
+        left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(source, operation.left)
+        right = self.evaluate(source, operation.right)
+        if not isinstance(left, Number) or not isinstance(right, Number):
+            return next((side for side in (left, right) if isinstance(side, Unknown)), NOTHING)
+        a, b, integer = left.value, right.value, left.integer and right.integer
+        if operation.operator == "/" and (b == 0.0 or (integer and a % b != 0.0)):
+            return NOTHING
+        value = {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else 0.0}[operation.operator]
+        return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
 
     def _product(self, source: Source, chain: Chain) -> Known:
         """Return the position that a chain of frames gives: S, T and external axes are those of its last operand."""
@@ -191,35 +276,41 @@ class Variables:
         for operand in chain.operands:
             part = self.position(source, operand)
             if part is None or part.axis:
-                return Unknown(0)
+                return NOTHING
             pose = pose @ part.pose()
         if part is None:
-            return Unknown(0)
+            return NOTHING
         return replace(from_pose(pose), status=part.status, turn=part.turn, external=part.external)
 
     def key_of(self, source: Source, reference: Reference) -> str | None:
         """Return the key of a variable, its index resolved; None if the index is not known."""
+        name = self.scope.stored(reference.name)
         if reference.element is None:
-            return reference.name
-        index = reference.element
-        if not index.isdigit():
-            value = self._value(index) if NAME.fullmatch(index) else None
-            if not isinstance(value, Number) or value.value != int(value.value):
-                return None
-            index = str(int(value.value))
-        return f"{reference.name}[{int(index)}]"
+            return name
+        if _INDEX.fullmatch(reference.element):
+            return f"{name}[{int(reference.element)}]"
+        start, stop = reference.inside
+        if not source.text[start:stop].strip():
+            return None
+        value, end = parse(source, start, stop)
+        index = self.number(source, value)
+        if index is None or index != int(index) or source.text[end:stop].strip():
+            return None
+        return f"{name}[{int(index)}]"
 
     def _lookup(self, source: Source, reference: Reference) -> Known:
         key = self.key_of(source, reference)
-        value = self._value(key) if key is not None else None
+        value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.element is not None:
-            value = self._value(reference.name)  # the whole array was changed
-        if reference.field is not None:
+            value = self.value(self.scope.stored(reference.name))  # the whole array was changed
+        if reference.field is not None and not isinstance(value, Unknown):
             item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
             value = self.evaluate(source, item) if item is not None else None
-        return value if value is not None else Unknown(0)
+            if isinstance(value, Number) and reference.field in _REAL:
+                value = value._replace(integer=False)
+        return value if value is not None else NOTHING
 
-    def position(self, source: Source, value: Value) -> Position | None:
+    def position(self, source: Source, value: Value | Known) -> Position | None:
         """Return the position that a value gives, or None when it is not known before the program runs.
 
         :raises ProgramError: it is known but not a valid position.
@@ -229,29 +320,61 @@ class Variables:
             return from_aggregate(known)
         return known if isinstance(known, Position) else None
 
-    def number(self, source: Source, value: Value) -> float | None:
+    def number(self, source: Source, value: Value | Known) -> float | None:
         """Return a number, or None when it is not known before the program runs."""
         known = self.evaluate(source, value)
         return known.value if isinstance(known, Number) else None
 
-    def why_unknown(self, source: Source, value: Value) -> str:
+    def rely(self, source: Source, value: Value | Known) -> None:
+        """Note that what a motion does depends on a value, as far as that is the initial one of a `.dat`."""
+        if isinstance(value, Reference):
+            key = self.key_of(source, value)
+            name = self.scope.stored(value.name)
+            if key is not None and name in self._initial and name not in self.changed:
+                self.relied.add(name)
+            if value.element is not None and value.inside[0] < value.inside[1]:
+                self.rely(source, parse(source, *value.inside)[0])
+        elif isinstance(value, Chain):
+            for operand in value.operands:
+                self.rely(source, operand)
+        elif isinstance(value, Operation):
+            for side in (value.left, value.right):
+                if side is not None:
+                    self.rely(source, side)
+        elif isinstance(value, Aggregate):
+            for item in value.items.values():
+                self.rely(value.source, item)
+
+    def why_unknown(self, source: Source, value: Value | Known) -> str:
         """Return why a value is not known, for a message."""
+        if isinstance(value, Position | Unknown):
+            return "it is computed while the program runs"
         if isinstance(value, Chain):
             for operand in value.operands:
                 if self.position(source, operand) is None:
                     return self.why_unknown(source, operand)
-        text = source.text[value.start : value.stop].strip()
-        if isinstance(value, Opaque | Call) or (isinstance(value, Reference) and value.name.startswith("$")):
+        text = source.text[value.start : value.stop].strip()[:80]
+        if isinstance(value, Operation):
+            for side in (value.left, value.right):
+                if side is not None and isinstance(self.evaluate(source, side), Unknown):
+                    return self.why_unknown(source, side)
+        if isinstance(value, Opaque | Call | Operation) or (isinstance(value, Reference) and value.name[0] == "$"):
             return f"{text} is computed while the program runs"
         if isinstance(value, Reference):
             if self.key_of(source, value) is None:
-                return f"the index of {text} is not known before the program runs"
+                start, stop = value.inside
+                why = (
+                    f": {self.why_unknown(source, parse(source, start, stop)[0])}"
+                    if source.text[start:stop].strip()
+                    else ""
+                )
+                return f"the index of {text} is not known before the program runs{why}"
             known = self._lookup(source, value)
-            if isinstance(known, Unknown) and known.line:
-                return f"{text} is changed while the program runs (line {known.line})"
+            if isinstance(known, Unknown) and known.where:
+                return f"{text} is changed while the program runs ({known.where})"
             if isinstance(known, Unknown):
                 return f"{text} has no value in the program, its .dat or the $config.dat"
-        return f"{text} is not a position"
+        return f"{text} is not what is needed here"
 
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""
@@ -259,16 +382,5 @@ class Variables:
             raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
 
 
-def _key(name: str, index: str | None) -> str | None:
-    if not index:
-        return name.upper()
-    digits = index.strip("[] \t")
-    return f"{name.upper()}[{int(digits)}]" if digits.isdigit() else name.upper()
-
-
-def _value_stop(source: Source, start: int, stop: int) -> int:
-    """Return where an initial value ends; the end of the line where it cannot be read."""
-    try:
-        return parse(source, start, stop)[1]
-    except ProgramError:
-        return stop
+def _span(value: Value) -> tuple[int, int]:
+    return value.start, value.stop

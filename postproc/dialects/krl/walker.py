@@ -1,299 +1,145 @@
-"""The statements of a `.src` in order: which of them move the robot, and what is in force when they do."""
+"""The statements of a program in the order in which they run: which move the robot, and what is in force when they do.
+
+A routine that is called is run too, statement by statement, so that what it sets is known exactly. Where it is not
+certain that something runs, or how often (branches, loops, parts of expressions), all that it may write is no longer
+known; what interrupts, triggers and cyclic statements write may change at any time from their declaration on.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
-from postproc.dialects.krl.moves import KINDS, MoveReader
-from postproc.dialects.krl.names import NAME, OPENING, TYPES, WITHOUT_MOTION, fault_of, words
-from postproc.dialects.krl.rows import Collector
-from postproc.dialects.krl.settings import RELEVANT, Settings
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import Call, Reference, operand, parse
-from postproc.dialects.krl.variables import Unknown
-from postproc.errors import Issue, ProgramError
-
-_DEF = re.compile(r"(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)", re.I | re.A)
-_MOTION = frozenset(KINDS) | {f"{word}_REL" for word in KINDS}
-_CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
-_SPLINES = frozenset({"SPLINE", "PTP_SPLINE", "SPL", "SPL_REL"})
-_ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
-_DO = re.compile(r"\bDO\b[ \t]*", re.I)
-_CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.A)
-_EFFECT = re.compile(r"\$(?:BASE|TOOL|VEL|APO|ORI_TYPE|CIRC_TYPE|IPO_MODE)\b|\bBAS[ \t]*\(", re.I)
-_UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
-"""A declaration without DECL: type and name."""
-_EQUALS = re.compile(r"[ \t]*=(?!=)")
-_LABEL = re.compile(r"[ \t]*:[ \t]*$")
-_KNOWN_CALLS = words(
-    "IR_STOPM PULSE CWRITE CREAD COPEN CCLOSE CIOCTL SREAD SWRITE CAST_TO CAST_FROM CLEAR STRCLEAR STRCOPY STRADD "
-    "DELETE_BACKWARD_BUFFER VARSTATE ERR_CLEAR ERR_RAISE"
+from postproc.dialects.krl.declarations import declared_names
+from postproc.dialects.krl.effects import ACTION, CYCLIC, Analysis, Effects
+from postproc.dialects.krl.library import Library
+from postproc.dialects.krl.moves import MoveReader
+from postproc.dialects.krl.names import DECLARING, NAME, OPENING, PURE, STANDARD, TYPES, WITHOUT_MOTION, fault_of
+from postproc.dialects.krl.routines import (
+    MOTION_WORDS,
+    SPLINES,
+    Module,
+    Routine,
+    assignment,
+    calls,
+    declares,
+    reference_of,
+    sole_call,
+    word_at,
 )
+from postproc.dialects.krl.rows import Collector
+from postproc.dialects.krl.settings import FIELDS, RELEVANT, Settings, State
+from postproc.dialects.krl.source import Place
+from postproc.dialects.krl.syntax import Aggregate, Call, Reference, Value, operand, parse
+from postproc.dialects.krl.variables import NOTHING, Known, Scope, Unknown
+from postproc.errors import MOST, Issue, ProgramError, together
+
+_CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
+_ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
+_CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
+_FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
+_SIGNAL = re.compile(r"SIGNAL[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
+_LABEL = re.compile(r"[ \t]*:[ \t]*$")
+_MOST_STATEMENTS = 200_000
+"""So many statements of called routines are run; those of later calls count as uncertain."""
+_DEEPEST = 20
 _LOOP_ADVICE = "Motions in loops, branches and interrupts cannot be corrected one by one; write them out in order."
+_SETTING_ADVICE = "Set $BASE, $TOOL and speeds outside of loops, branches and interrupts."
+
+
+@dataclass(slots=True, eq=False)
+class _Frame:
+    """A routine that runs.
+
+    :ivar open: control structures that are open: word and line.
+    :ivar returned: line of a RETURN; 0 before.
+    :ivar result: what a function returns.
+    """
+
+    module: Module
+    routine: Routine
+    scope: Scope
+    open: list[tuple[str, int]] = field(default_factory=list)
+    returned: int = 0
+    result: Known = NOTHING
 
 
 class Walker:
     """Follows a program through the lines that the bulk path did not read.
 
-    :ivar moves: motions of the main program, in order.
-    :ivar main: first and last line of the main program.
-    :ivar blocked: (first line, last line, word): control structures and other subprograms, where no motion of the main
-        program may stand.
+    :ivar moves: motions of the main routine, in order.
+    :ivar blocked: (first line, last line, word): control structures of the main routine, where no motion may stand.
     :ivar still: lines of motions to where the robot is already.
-    :ivar triggers: lines of TRIGGER statements of the main program.
+    :ivar triggers: lines of TRIGGER statements of the main routine.
+    :ivar moved: (line, reason): behind such a line it is not known where the robot stands.
+    :ivar understood: offsets of names in the main routine whose use is followed.
+    :ivar absent: called programs that are in no file: name and line of each call.
+    :ivar reached: routines of the program itself that it calls.
     :ivar issues: what the user should know.
     """
 
-    def __init__(self, source: Source, settings: Settings, moves: MoveReader, name: str) -> None:
-        self.source, self.settings, self.variables = source, settings, settings.variables
-        self.reader, self.name = moves, name
+    def __init__(self, library: Library, main: Routine, settings: Settings, reader: MoveReader) -> None:
+        self.library, self.main, self.settings, self.reader = library, main, settings, reader
+        self.source, self.variables = main.source, settings.variables
         self.moves = Collector()
         self.still: list[int] = []
         self.blocked: list[tuple[int, int, str]] = []
         self.triggers: list[int] = []
+        self.moved: list[tuple[int, ProgramError]] = []
+        self.understood: set[int] = set()
+        self.absent: list[tuple[str, int]] = []
+        self.reached: set[Routine] = set()
         self.issues: list[Issue] = []
-        self.main = (0, 0)
-        self._scope: str | None = None
-        self._scope_line = 0
-        self._main = ""
-        self._open: list[tuple[str, int]] = []
-        self._calls: list[tuple[int, str, bool]] = []
-        self._subs: dict[str, dict[str, int]] = {}
-        self._returned = 0
+        self.analysis = Analysis(library, self._scope)
+        self.line = 0
+        self._frame = _Frame(library.program, main, Scope())
+        self._stack: list[Routine] = [main]
+        self._steps = self._calls = 0
+        self._resumable = False
+        self._modules: dict[Module, Scope] = {}
+        self._refused: set[int] = set()
 
-    def walk(self, lines: list[int]) -> None:
-        """Follow the given 1-based lines.
+    # --- the main routine ---------------------------------------------------------------------------------------
 
-        :raises ProgramError: something that changes motion is not understood; the program is not complete.
+    def walk(self, faults: Sequence[ProgramError]) -> None:
+        """Follow the main routine.
+
+        :param faults: what is wrong with the bounds of routines.
+        :raises ProgramError: something that changes motion is not understood; all such lines together.
         """
-        text = self.source.text
-        starts, stops = self.source.starts.tolist(), self.source.stops.tolist()
-        self._main = self._main_name(lines)
-        for line in lines:
-            start, stop = starts[line - 1], stops[line - 1]
-            while start < stop and text[start] in " \t\r":
-                start += 1
-            if start == stop or text[start] in ";&":
-                continue
-            start, stop = self.source.code_span(line)
-            if start < stop:
-                self._statement(line, start, stop)
-        if self._scope is not None:
-            raise self.source.line_error(
-                f"DEF {self._scope} has no END", self._scope_line, "Check that the file was transferred completely."
-            )
-        if not self._main:
-            raise ProgramError(
-                "there is no DEF", file=self.source.document.name, line=1, advice="Check that this is a KRL program."
-            )
-
-    def _main_name(self, lines: list[int]) -> str:
-        """Return the name of the DEF to follow: that of the program, else the first one."""
-        first = ""
-        for line in lines:
-            start, stop = int(self.source.starts[line - 1]), int(self.source.stops[line - 1])
-            match = _DEF.match(self.source.text[start:stop].lstrip())
-            if match:
-                first = first or match[1].upper()
-                if match[1].upper() == self.name.upper():
-                    return match[1].upper()
-        return first
-
-    def _statement(self, line: int, start: int, stop: int) -> None:
-        text = self.source.text
-        match = NAME.match(text, start, stop)
-        word = match[0].upper() if match else ""
-        if word in ("DEF", "DEFFCT", "GLOBAL") and (definition := _DEF.match(text, start, stop)):
-            self._begin(line, definition[1])
-        elif word in ("END", "ENDFCT") and self._scope is not None:
-            self._end(line)
-        elif word == "GLOBAL":
-            rest = text[start + len(word) : stop].lstrip()
-            self._statement(line, stop - len(rest), stop)
-        elif self._scope is None:
-            if word in _MOTION:
-                raise self.source.line_error(f"{word} stands outside of DEF … END", line)
-        elif self._scope != self._main:
-            self._in_subprogram(line, word, start, stop)
-        elif word in _MOTION:
-            self._motion(line, word, start, stop)
-        elif not self._control(line, word):
-            self._other(line, word, start, stop)
-
-    def _begin(self, line: int, name: str) -> None:
-        if self._scope is not None:
-            raise self.source.line_error(f"DEF {self._scope} (line {self._scope_line}) has no END", line)
-        self._scope, self._scope_line = name.upper(), line
-        if self._scope == self._main:
-            fault = fault_of(name)
-            if fault:
-                raise self.source.line_error(f"{name} is not a valid name: {fault}", line)
-        else:
-            self._subs[self._scope] = {}
-
-    def _end(self, line: int) -> None:
-        if self._scope == self._main:
-            if self._open:
-                word, opened = self._open[-1]
-                raise self.source.line_error(f"{word} is not closed", opened, "Check that the file is complete.")
-            self.main = (self._scope_line, line)
-            if self._returned:
-                self.blocked.append((self._returned, line, "RETURN"))
-        else:
-            self.blocked.append((self._scope_line, line, f"DEF {self._scope}"))
-        self._scope = None
-
-    def _in_subprogram(self, line: int, word: str, start: int, stop: int) -> None:
-        sub = self._subs[self._scope or ""]
-        code = self.source.text[start:stop]
-        if word in _MOTION or word in _SPLINES:
-            sub.setdefault("motion", line)
-        elif _EFFECT.search(code):
-            sub.setdefault("effect", line)
-        for name in _CALL.findall(code):
-            sub.setdefault(f"call {name.upper()}", line)
-
-    def _motion(self, line: int, word: str, start: int, stop: int) -> None:
-        if self._open:
-            opener, opened = self._open[-1]
-            raise self.misplaced(line, opener, opened)
-        if self._returned:
-            raise self.misplaced(line, "RETURN", self._returned)
-        move = self.reader.read(line, word, start, stop)
-        if move is None:
-            self.still.append(line)
-        else:
-            self.moves.add(move)
+        fault = fault_of(self.main.name)
+        if fault:
+            raise self.source.line_error(f"{self.main.name} is not a valid name: {fault}", self.main.first)
+        for module in self.library.submit():
+            for routine in module.routines.values():
+                self._may_change(self.analysis.of(module, routine), f"the submit program {module.name}")
+        errors = list(faults)
+        broken: set[str] = set()
+        for line in self.main.lines:
+            self.line = line
+            try:
+                self._statement(Place(self.source, line))
+            except ProgramError as cause:
+                names = [name.upper() for name in NAME.findall(self.source.text, *self.source.code_span(line))]
+                if broken.isdisjoint(names):
+                    errors.append(cause)
+                broken.update(name for name in names[:1] if name not in FIELDS and name not in MOTION_WORDS)
+                if len(errors) > MOST:
+                    break
+        if self._frame.open and not errors:
+            word, opened = self._frame.open[-1]
+            errors.append(self.source.line_error(f"{word} is not closed", opened, "Check that the file is complete."))
+        if errors:
+            raise together({(error.line, error.problem): error for error in reversed(errors)}.values())
+        if self._frame.returned:
+            self.blocked.append((self._frame.returned, self.main.last, "RETURN"))
 
     def misplaced(self, line: int, opener: str, opened: int) -> ProgramError:
         """Return the error for a motion inside a control structure or behind RETURN."""
         if opener == "RETURN":
             return self.source.line_error(f"the motion is never reached: RETURN in line {opened}", line)
         return self.source.line_error(f"motion inside {opener} (line {opened})", line, _LOOP_ADVICE)
-
-    def _control(self, line: int, word: str) -> bool:
-        """Follow control structures; return whether the statement was one."""
-        if word in OPENING or word == "REPEAT":
-            self._open.append((word, line))
-        elif word in _CLOSING:
-            if not self._open or self._open[-1][0] != _CLOSING[word]:
-                raise self.source.line_error(f"{word} without {_CLOSING[word]}", line)
-            opener, opened = self._open.pop()
-            if not self._open:
-                self.blocked.append((opened, line, opener))
-        elif word == "GOTO":
-            raise self.source.line_error("GOTO changes the order of motions", line, _LOOP_ADVICE)
-        elif word == "RETURN":
-            if not self._open:
-                self._returned = self._returned or line
-        elif word in _SPLINES:
-            raise self.source.line_error(
-                f"{word}: spline blocks are not supported", line, "Write the path with LIN, CIRC, SLIN or SCIRC."
-            )
-        elif word in _ASYNCHRONOUS:
-            raise self.source.line_error(f"{word} moves external axes", line, "Only fixed external axes are supported.")
-        else:
-            return False
-        if word in ("FOR", "IF", "WHILE", "UNTIL", "SWITCH"):
-            self._condition(line, word)
-        return True
-
-    def _condition(self, line: int, word: str) -> None:
-        start, stop = self.source.code_span(line)
-        code = self.source.text[start:stop]
-        self._note_calls(line, code, statement=False)
-        if word == "FOR" and (match := NAME.search(code, 3)):
-            self.variables.forget(match[0].upper(), line)
-
-    def _other(self, line: int, word: str, start: int, stop: int) -> None:
-        """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
-        text = self.source.text
-        if word == "BAS":
-            self._bas(line, start, stop)
-        elif word in ("INTERRUPT", "TRIGGER"):
-            if word == "TRIGGER":
-                self.triggers.append(line)
-            action = _DO.search(text, start, stop)
-            if action and _EFFECT.search(text, action.end(), stop):
-                raise self.source.line_error(f"{word} changes what motions depend on", line, _LOOP_ADVICE)
-            if action:
-                self._note_calls(line, text[action.end() : stop], statement=True)
-        elif word == "DECL" or word in TYPES:
-            self._declare(start, stop)
-        elif word in WITHOUT_MOTION:
-            self._note_calls(line, text[start:stop], statement=False)
-        else:
-            self._assignment_or_call(line, start, stop)
-
-    def _declare(self, start: int, stop: int) -> None:
-        names = NAME.findall(self.source.text, start, stop)
-        self.variables.declare(self.source, start, stop)
-        for name in dict.fromkeys(name.upper() for name in names):
-            self.variables.understood[name] += 1
-
-    def _bas(self, line: int, start: int, stop: int) -> None:
-        call, _ = operand(self.source, start, stop)
-        if not isinstance(call, Call) or not call.arguments:
-            raise self.source.line_error("BAS is not understood", line, "Write BAS(#COMMAND,value).")
-        initialise = self.source.text[slice(*call.arguments[0])].strip().upper() == "#INITMOV"
-        if self._open and not initialise:
-            raise self._conditional(line)
-        self.settings.change(line, self.settings.bas(line, call))
-
-    def _conditional(self, line: int) -> ProgramError:
-        word, opened = self._open[-1]
-        return self.source.line_error(
-            f"what motions depend on is changed inside {word} (line {opened})",
-            line,
-            "Set $BASE, $TOOL and speeds outside of loops and branches.",
-        )
-
-    def _assignment_or_call(self, line: int, start: int, stop: int) -> None:
-        text = self.source.text
-        target, position = operand(self.source, start, stop)
-        equals = _EQUALS.match(text, position, stop)
-        if isinstance(target, Reference) and equals:
-            self._assign(line, target, equals.end(), stop)
-        elif isinstance(target, Call) and position == stop:
-            self._note_calls(line, text[start:stop], statement=True)
-            for begin, end in target.arguments:
-                for name in NAME.findall(text, begin, end):
-                    if self.variables.types.get(name.upper(), "") not in ("", "ENUM"):
-                        self.variables.forget(name.upper(), line)
-        elif isinstance(target, Reference) and _LABEL.match(text, position, stop):
-            return
-        elif _UNDECLARED.match(text, start, stop):
-            self._declare(start, stop)
-        else:
-            raise self.source.line_error("the statement is not understood", line, "Check its spelling.")
-
-    def _assign(self, line: int, target: Reference, start: int, stop: int) -> None:
-        self._note_calls(line, self.source.text[start:stop], statement=False)
-        name = target.name
-        if name in RELEVANT:
-            if self._open:
-                raise self._conditional(line)
-            value, _ = parse(self.source, start, stop)
-            self.settings.change(line, self.settings.assigned(self.settings.state, line, target, value))
-            return
-        if name.startswith("$") and name != "$H_POS":
-            return
-        key = self.variables.key_of(self.source, target)
-        if target.field is None:
-            self.variables.understood[name] += 1
-        if self._open or key is None or target.element == "":
-            self.variables.forget(name, line)
-            return
-        value, _ = parse(self.source, start, stop)
-        known = self.variables.evaluate(self.source, value)
-        if known == Unknown(0):
-            if name == "$H_POS":
-                return
-            known = Unknown(line)
-        if target.field is None:
-            self.variables.set(key, known)
-        else:
-            self.variables.set_field(key, target.field, known, line)
 
     def only_comments(self, first: int, last: int) -> bool:
         """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""
@@ -303,48 +149,373 @@ class Walker:
                 return False
         return True
 
-    def _note_calls(self, line: int, code: str, *, statement: bool) -> None:
-        """Note which subprograms are called: whether they move the robot is known at the end of the file."""
-        if "(" in code:
-            for name in _CALL.findall(code):
-                self._calls.append((line, name.upper(), statement))
-                statement = False
+    # --- statements ---------------------------------------------------------------------------------------------
 
-    def check_calls(self, bulk_lines: list[int]) -> None:
-        """Refuse calls of subprograms that move the robot; tell about those that are not in the file.
+    @property
+    def _in_main(self) -> bool:
+        return self._frame.routine is self.main and len(self._stack) == 1
 
-        :param bulk_lines: one line of the bulk path in each subprogram that has any.
-        :raises ProgramError: a subprogram of this file with motions, or one that changes frames or speeds, is called.
-        """
-        for line in bulk_lines:
-            for first, last, word in self.blocked:
-                if first < line < last and word.startswith("DEF "):
-                    self._subs[word[4:]].setdefault("motion", line)
-        reached: set[str] = set()
-        for line, name, statement in self._calls:
-            found = self._reaching(name, set())
-            reached |= found
-            for sub in sorted(found):
-                for what, problem in (("motion", "moves the robot"), ("effect", "changes frames or speeds")):
-                    if what in self._subs[sub]:
-                        raise self.source.line_error(
-                            f"{name} is called, which {problem} (line {self._subs[sub][what]})",
-                            line,
-                            "Put the motions of subprograms in place of their calls.",
-                        )
-            if statement and name not in self._subs and name not in _KNOWN_CALLS:
-                message = f"{name}() is not in this file; it is assumed not to move the robot nor to change frames."
-                self.issues.append(Issue("warning", "external-call", message, line))
-        for sub, found_in in self._subs.items():
-            if "motion" in found_in and sub not in reached:
-                message = f"DEF {sub} has motions but {self._main} does not call it; they are left as they are."
-                self.issues.append(Issue("warning", "uncalled-motions", message, found_in["motion"]))
+    @property
+    def _certain(self) -> bool:
+        return not self._frame.open
 
-    def _reaching(self, name: str, seen: set[str]) -> set[str]:
-        """Return the subprograms of this file that a call reaches."""
-        if name in self._subs and name not in seen:
-            seen.add(name)
-            for key in self._subs[name]:
-                if key.startswith("call "):
-                    self._reaching(key[5:], seen)
-        return seen
+    def _statement(self, at: Place) -> None:
+        text = at.source.text
+        start, stop = at.source.code_span(at.line)
+        word = word_at(text, start, stop)
+        if word == "GLOBAL":
+            rest = text[start + len(word) : stop].lstrip()
+            start, word = stop - len(rest), word_at(rest, 0, len(rest))
+        if word in MOTION_WORDS:
+            if self._in_main:
+                self._motion(at, word, start, stop)
+        elif not self._control(at, word):
+            self._other(at, word, start, stop)
+
+    def _motion(self, at: Place, word: str, start: int, stop: int) -> None:
+        frame = self._frame
+        opener, opened = frame.open[-1] if frame.open else ("RETURN", frame.returned)
+        if opened:
+            if opened not in self._refused:
+                self._refused.add(opened)
+                raise self.misplaced(at.line, opener, opened)
+            return
+        for call in calls(at.source, start, stop):
+            self._call(at, call, certain=False)
+        move, names = self.reader.read(at, word, start, stop)
+        self.understood.update(names)
+        if move is None:
+            self.still.append(at.line)
+        else:
+            self.moves.add(move)
+
+    def _control(self, at: Place, word: str) -> bool:
+        """Follow control structures; return whether the statement was one."""
+        frame = self._frame
+        if word in OPENING or word == "REPEAT":
+            frame.open.append((word, at.line))
+        elif word in _CLOSING:
+            if not frame.open or frame.open[-1][0] != _CLOSING[word]:
+                raise at.error(f"{word} without {_CLOSING[word]}")
+            opener, opened = frame.open.pop()
+            if not frame.open and self._in_main:
+                self.blocked.append((opened, at.line, opener))
+        elif word == "GOTO":
+            raise at.error("GOTO changes the order of motions", _LOOP_ADVICE)
+        elif word == "RETURN":
+            self._return(at)
+        elif word in SPLINES and self._in_main:
+            raise at.error(f"{word}: spline blocks are not supported", "Write the path with LIN, CIRC, SLIN or SCIRC.")
+        elif word in _ASYNCHRONOUS:
+            raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
+        else:
+            return False
+        if word in _CONDITIONS:
+            self._condition(at, word)
+        return True
+
+    def _return(self, at: Place) -> None:
+        if not self._certain:
+            return
+        frame = self._frame
+        start, stop = at.source.code_span(at.line)
+        start += len("RETURN")
+        if at.source.text[start:stop].strip():
+            frame.result = self._value(at, start, stop)
+        frame.returned = frame.returned or at.line
+
+    def _condition(self, at: Place, word: str) -> None:
+        start, stop = at.source.code_span(at.line)
+        for call in calls(at.source, start, stop):
+            self._call(at, call, certain=False)
+        if word == "FOR" and (match := _FOR.match(at.source.text, start, stop)):
+            self.variables.forget(self._stored(match[1]), str(at))
+
+    def _other(self, at: Place, word: str, start: int, stop: int) -> None:
+        """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
+        text = at.source.text
+        if word == "BAS":
+            self._bas(at, start, stop)
+        elif word in ("INTERRUPT", "TRIGGER"):
+            if word == "TRIGGER" and self._in_main:
+                self.triggers.append(at.line)
+            if action := ACTION.search(text, start, stop):
+                self._action(at, word, action.end(), stop)
+        elif match := CYCLIC.match(text, start, stop) or _SIGNAL.match(text, start, stop):
+            self._cyclic(at, match[1])
+        elif word in DECLARING:
+            return
+        elif word == "DECL" or word in TYPES:
+            self._declare(at, start, stop)
+        elif word in WITHOUT_MOTION:
+            for call in calls(at.source, start, stop):
+                self._call(at, call, certain=False)
+        else:
+            self._assignment_or_call(at, start, stop)
+
+    def _declare(self, at: Place, start: int, stop: int) -> None:
+        names = self.variables.declare(at.source, start, stop)
+        if self._in_main:
+            self.understood.update(one.at for one in names)
+
+    def _bas(self, at: Place, start: int, stop: int) -> None:
+        call, _ = operand(at.source, start, stop)
+        if not isinstance(call, Call) or not call.arguments:
+            raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
+        self._set(at, self.settings.bas(at, call))
+
+    def _set(self, at: Place, state: State) -> None:
+        """Put a state into force, or into doubt where it is not certain that it comes into force."""
+        if self._certain:
+            self.settings.change(self.line, state)
+        else:
+            word, opened = self._frame.open[-1]
+            problem = f"what motions depend on is changed inside {word} (line {opened})"
+            self.settings.perhaps(self.line, state, at.error(problem, _SETTING_ADVICE))
+
+    def _assignment_or_call(self, at: Place, start: int, stop: int) -> None:
+        found = assignment(at.source, start, stop)
+        if found is not None:
+            self._assign(at, *found, stop)
+            return
+        target, position = operand(at.source, start, stop)
+        if isinstance(target, Call) and position == stop:
+            for inner in calls(at.source, start + len(target.name), stop):
+                self._call(at, inner, certain=False)
+            self._call(at, target, certain=self._certain)
+        elif isinstance(target, Reference) and _LABEL.match(at.source.text, position, stop):
+            return
+        elif declares(at.source.text, start, stop):
+            self._declare(at, start, stop)
+        else:
+            raise at.error("the statement is not understood", "Check its spelling.")
+
+    def _assign(self, at: Place, target: Reference, start: int, stop: int) -> None:
+        for call in calls(at.source, target.start, target.stop):
+            self._call(at, call, certain=False)
+        value = self._value(at, start, stop)
+        name = target.name
+        if name in RELEVANT:
+            self._set(at, self.settings.assigned(self.settings.state, at, target, self._given(at, start, stop, value)))
+            return
+        if name.startswith("$") and name != "$H_POS":
+            return
+        if target.field is None and self._in_main:
+            self.understood.add(target.start)
+        key = self.variables.key_of(at.source, target)
+        if not self._certain or key is None or target.element == "":
+            self.variables.forget(self._stored(name), str(at))
+        elif target.field is not None:
+            self.variables.set_field(key, target.field, value, str(at))
+        elif value != NOTHING or name != "$H_POS":
+            self.variables.set(key, value, str(at))
+
+    def _given(self, at: Place, start: int, stop: int, value: Known) -> Value | Known:
+        """Return a value for what it is assigned to: as it stands in the text where that says more."""
+        if sole_call(at.source, start, stop) and value != NOTHING:
+            return value
+        return parse(at.source, start, stop)[0]
+
+    def _value(self, at: Place, start: int, stop: int) -> Known:
+        """Return what an expression is now; run the functions in it."""
+        call = sole_call(at.source, start, stop)
+        for inner in calls(at.source, (call.start + len(call.name)) if call else start, stop):
+            self._call(at, inner, certain=False)
+        if call is not None:
+            return self._call(at, call, certain=self._certain)
+        value, end = parse(at.source, start, stop)
+        if at.source.text[end:stop].strip():
+            return Unknown(str(at))
+        known = self.variables.evaluate(at.source, value)
+        if isinstance(known, Aggregate) and not (isinstance(value, Aggregate) and self._in_main):
+            return replace(known, computed=True)  # the text of its numbers belongs to another variable
+        if known == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
+            return Unknown(str(at))
+        return known
+
+    # --- calls --------------------------------------------------------------------------------------------------
+
+    def _call(self, at: Place, call: Call, *, certain: bool) -> Known:
+        """Follow a call; return what a function gives."""
+        found = self.library.find(call.name, self._frame.module)
+        if found is None:
+            self._absent(at, call)
+            return NOTHING
+        effects = self.analysis.of(*found)
+        self._told(effects)
+        self._check_motion(at, call, found, effects)
+        if found[0] is self.library.program:
+            self.reached |= {found[1]}
+        if certain and not effects.jumps and not self._resumable:
+            result = self._run(at, call, *found, effects)
+            if result is not None:
+                return result
+        self._forget_arguments(at, call, found[1])
+        self._perhaps(at, call.name, effects)
+        return NOTHING
+
+    def _absent(self, at: Place, call: Call) -> None:
+        """Follow a call of what is in no file: it writes its arguments at most."""
+        if call.name in PURE:
+            return
+        if call.name not in STANDARD:
+            self.absent.append((call.name, self.line))
+        self._forget_arguments(at, call, None)
+
+    def _told(self, effects: Effects) -> None:
+        self.absent += [(name, self.line) for name in effects.absent]
+
+    def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
+        for index, reference in self._by_reference(at, call, routine):
+            del index
+            if reference.name in FIELDS:
+                problem = f"{reference.name} is given to {call.name}, which may change it"
+                self.settings.doubt(self.line, [FIELDS[reference.name]], at.error(problem, _SETTING_ADVICE))
+            elif reference.name[0] != "$":
+                self.variables.forget(self._stored(reference.name), str(at))
+
+    def _by_reference(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
+        """Return the arguments that a routine may write: variables given for a parameter without ``:IN``."""
+        found = []
+        for index, span in enumerate(call.arguments):
+            by_value = routine is not None and index < len(routine.parameters) and routine.parameters[index].by_value
+            reference = None if by_value else reference_of(at.source, span)
+            if reference is not None:
+                found.append((index, reference))
+        return found
+
+    def _perhaps(self, at: Place, name: str, effects: Effects) -> None:
+        """Forget all that something may write that runs at an unknown time, or unknown times."""
+        for written, place in effects.writes.items():
+            if written in RELEVANT:
+                problem = f"{name} may change {written} ({place})"
+                doubted = [FIELDS[written]] if written in FIELDS else ["base", "tool"]
+                self.settings.doubt(self.line, doubted, at.error(problem, _SETTING_ADVICE))
+            else:
+                self.variables.forget(written, str(place))
+
+    def _check_motion(self, at: Place, call: Call, found: tuple[Module, Routine], effects: Effects) -> None:
+        """Refuse motions in routines of the program itself; behind those of another file the robot is elsewhere."""
+        place = effects.motion
+        if place is None or not self._in_main:
+            return
+        problem = f"{call.name} is called, which moves the robot ({place})"
+        if place.source is self.source:
+            raise at.error(problem, "Put the motions of subprograms in place of their calls.")
+        advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
+        if self._frame.open:
+            raise at.error(f"{problem} inside {self._frame.open[-1][0]}", advice)
+        del found
+        self.moved.append((self.line, at.error(f"{problem}: where the next motion begins is not known", advice)))
+        message = f"{call.name}() moves the robot ({place}): its motions are not corrected here."
+        self.issues.append(Issue("warning", "motions-elsewhere", message, self.line, subject=call.name))
+
+    def _run(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> Known | None:
+        """Run a routine; None if that cannot be done exactly."""
+        if routine in self._stack or len(self._stack) > _DEEPEST or self._steps > _MOST_STATEMENTS:
+            return None
+        written = self._by_reference(at, call, routine)
+        roots = [self._stored(reference.name) for _, reference in written]
+        if len(set(roots)) < len(roots) or any(root in effects.writes or root in RELEVANT for root in roots):
+            return None  # one variable under two names
+        if any(reference.element == "" for _, reference in written) or len(call.arguments) > len(routine.parameters):
+            return None
+        self._calls += 1
+        scope = self._local_scope(module, routine)
+        variables, caller, caller_scope = self.variables, self._frame, self.variables.scope
+        given: dict[int, Known] = {}
+        for index, (start, stop) in enumerate(call.arguments):
+            given[index] = self._value(at, start, stop) if at.source.text[start:stop].strip() else NOTHING
+        for index, parameter in enumerate(routine.parameters):
+            variables.put(scope.stored(parameter.name), given.get(index, NOTHING))
+        frame = self._frame = _Frame(module, routine, scope)
+        self._stack.append(routine)
+        variables.scope = scope
+        try:
+            self._lines(frame)
+        except ProgramError:
+            return None
+        finally:
+            self._stack.pop()
+            self._frame, variables.scope = caller, caller_scope
+        for index, reference in written:
+            if index >= len(routine.parameters):
+                continue
+            value = variables.value(scope.stored(routine.parameters[index].name))
+            if value is given[index] or value is None:
+                continue
+            key = variables.key_of(at.source, reference)
+            if key is None:
+                variables.forget(self._stored(reference.name), str(at))
+            elif reference.field is not None:
+                variables.set_field(key, reference.field, value, str(at))
+            else:
+                variables.set(key, value, str(at))
+        return frame.result if frame.result != NOTHING else Unknown(str(at))
+
+    def _lines(self, frame: _Frame) -> None:
+        for line in frame.routine.lines:
+            self._steps += 1
+            self._statement(Place(frame.routine.source, line))
+            if frame.returned:
+                return
+
+    # --- names --------------------------------------------------------------------------------------------------
+
+    def _stored(self, name: str) -> str:
+        return self.variables.scope.stored(name.upper())
+
+    def _scope(self, module: Module, routine: Routine) -> Scope:
+        """Return which variables the names of a routine mean that are not its own."""
+        if routine is self.main:
+            return Scope()
+        if module is self.library.program:
+            return Scope(own=self.main.local - routine.local, prefix=f"{module.name}/")
+        if module not in self._modules:
+            self._modules[module] = self._module_scope(module)
+        return self._modules[module]
+
+    def _module_scope(self, module: Module) -> Scope:
+        """Return the scope of another file, its data read."""
+        variables = self.variables
+        hidden = frozenset(variables.types) - variables.public | self.main.local
+        own, public = declared_names(module.data) if module.data is not None else (frozenset(), frozenset())
+        scope = Scope(own=(hidden | own) - public - _SYSTEM_DATA, prefix=f"{module.name}/")
+        if module.data is not None:
+            before, variables.scope = variables.scope, scope
+            try:
+                variables.read_data(module.data, fill=True)
+            except ProgramError:
+                pass
+            finally:
+                variables.scope = before
+        return scope
+
+    def _local_scope(self, module: Module, routine: Routine) -> Scope:
+        scope = self._scope(module, routine)
+        return replace(scope, local={name: f"{name}@{self._calls}" for name in routine.local})
+
+    # --- what may happen at any time ----------------------------------------------------------------------------
+
+    def _action(self, at: Place, word: str, start: int, stop: int) -> None:
+        """Note what an INTERRUPT or a TRIGGER may change from now on."""
+        frame = self._frame
+        effects = self.analysis.of_statement(frame.module, frame.routine, at.line, start, stop)
+        self._told(effects)
+        if effects.motion is not None:
+            raise at.error(f"{word} moves the robot ({effects.motion})", _LOOP_ADVICE)
+        self._resumable |= effects.resumes
+        relevant = sorted(RELEVANT.intersection(effects.writes))
+        if relevant:
+            raise at.error(f"{word} changes what motions depend on: {', '.join(relevant)}", _SETTING_ADVICE)
+        self._may_change(effects, f"{word} in {at}")
+
+    def _may_change(self, effects: Effects, what: str) -> None:
+        for name in effects.writes:
+            self.variables.changing.setdefault(name, Unknown(f"by {what}"))
+
+    def _cyclic(self, at: Place, name: str) -> None:
+        self.variables.changing.setdefault(self._stored(name), Unknown(str(at)))
+
+
+_SYSTEM_DATA = frozenset({"BASE_DATA", "TOOL_DATA", "FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})

@@ -1,0 +1,228 @@
+"""The routines of a `.src`: where DEF and DEFFCT begin and end, their parameters and the names that are their own."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import PurePath
+from typing import NamedTuple
+
+from postproc.dialects.krl.declarations import declared
+from postproc.dialects.krl.names import MOTIONS, NAME, PURE, RESERVED, TYPES
+from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.syntax import Call, Reference, operand
+from postproc.errors import ProgramError
+
+MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
+SPLINES = frozenset({"SPLINE", "PTP_SPLINE", "SPL", "SPL_REL"})
+_DEF = re.compile(
+    r"(GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)[ \t]*(?:\(([^)]*)\)?)?", re.I | re.A
+)
+_PARAMETER = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*(?::[ \t]*(IN|OUT)\b)?", re.I | re.A)
+_UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
+"""A declaration without DECL: type and name."""
+_CALL = re.compile(r"(?<![\w$#.])([A-Za-z_]\w*)[ \t]*\(", re.A)
+_STRING = re.compile(r'"[^"]*"')
+_EQUALS = re.compile(r"[ \t]*=(?!=)")
+_INCOMPLETE = "Check that the file was transferred completely."
+
+
+class Parameter(NamedTuple):
+    """A parameter of a routine; without ``:IN`` the routine may write what is given for it."""
+
+    name: str
+    by_value: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Routine:
+    """A DEF or DEFFCT.
+
+    :param source: its file.
+    :param name: upper case.
+    :param parameters: in order.
+    :param public: True for GLOBAL.
+    :param first: line of DEF.
+    :param last: line of END.
+    :param lines: those with code between, plain motions left out.
+    :param motion: line of the first plain motion in it; 0 if there is none.
+    :param local: names that it declares, parameters included.
+    """
+
+    source: Source
+    name: str
+    parameters: tuple[Parameter, ...]
+    public: bool
+    first: int
+    last: int
+    lines: tuple[int, ...]
+    motion: int
+    local: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Module:
+    """A `.src` and its `.dat`.
+
+    :param routines: by name, upper case, in order.
+    :param data: the `.dat`, None if there is none.
+    """
+
+    source: Source
+    routines: dict[str, Routine]
+    data: Source | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the file without its extension, upper case."""
+        return PurePath(self.source.document.name).stem.upper()
+
+    def main(self, name: str) -> Routine | None:
+        """Return the routine of a given name, else the first one."""
+        return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
+
+
+@dataclass(slots=True, eq=False)
+class _Begun:
+    """A routine that has no END yet."""
+
+    name: str
+    line: int
+    parameters: tuple[Parameter, ...]
+    public: bool
+    lines: list[int] = field(default_factory=list)
+
+
+def routines(
+    source: Source, lines: Sequence[int], plain: Sequence[int]
+) -> tuple[dict[str, Routine], list[ProgramError]]:
+    """Return the routines of a file, and what is wrong with their bounds: no END, a motion outside of DEF … END.
+
+    :param lines: 1-based lines that are not plain motions.
+    :param plain: those that are, in order.
+    """
+    found: dict[str, Routine] = {}
+    faults: list[ProgramError] = []
+    begun: _Begun | None = None
+    text = source.text
+    for line in lines:
+        start, stop = source.code_span(line)
+        if start == stop or text[start] == "&":
+            continue
+        word = word_at(text, start, stop)
+        if word in ("DEF", "DEFFCT", "GLOBAL") and (match := _DEF.match(text, start, stop)):
+            if begun is not None:
+                faults.append(source.line_error(f"DEF {begun.name} (line {begun.line}) has no END", line))
+                found.setdefault(begun.name, _ended(source, begun, line, plain))
+            begun = _Begun(match[2].upper(), line, tuple(_parameters(match[3] or "")), match[1] is not None)
+        elif word in ("END", "ENDFCT") and begun is not None:
+            found.setdefault(begun.name, _ended(source, begun, line, plain))
+            begun = None
+        elif begun is not None:
+            begun.lines.append(line)
+        elif word in MOTION_WORDS:
+            faults.append(source.line_error(f"{word} stands outside of DEF … END", line))
+    if begun is not None:
+        faults.append(source.line_error(f"DEF {begun.name} has no END", begun.line, _INCOMPLETE))
+        found.setdefault(begun.name, _ended(source, begun, len(source.starts) + 1, plain))
+    return found, faults
+
+
+def _parameters(text: str) -> Iterator[Parameter]:
+    for part in text.split(","):
+        if match := _PARAMETER.match(part):
+            yield Parameter(match[1].upper(), (match[2] or "").upper() == "IN")
+
+
+def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int]) -> Routine:
+    local = {parameter.name for parameter in begun.parameters}
+    for inside in begun.lines:
+        start, stop = source.code_span(inside)
+        if declares(source.text, start, stop):
+            local |= {one.name for one in declared(source, start, stop)}
+    at = bisect_left(plain, begun.line)
+    motion = int(plain[at]) if at < len(plain) and plain[at] < line else 0
+    return Routine(
+        source,
+        begun.name,
+        begun.parameters,
+        begun.public,
+        begun.line,
+        line,
+        tuple(begun.lines),
+        motion,
+        frozenset(local),
+    )
+
+
+def word_at(text: str, start: int, stop: int) -> str:
+    """Return the word at an offset, upper case; empty if there is none."""
+    match = NAME.match(text, start, stop)
+    return match[0].upper() if match else ""
+
+
+def declares(text: str, start: int, stop: int) -> bool:
+    """Return whether a statement is a declaration of variables."""
+    word = word_at(text, start, stop)
+    if word == "DECL" or word in TYPES:
+        return True
+    return word not in RESERVED and _UNDECLARED.match(text, start, stop) is not None
+
+
+def assignment(source: Source, start: int, stop: int) -> tuple[Reference, int] | None:
+    """Return what a statement assigns to and the offset behind ``=``; None if it is no assignment.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    if not NAME.match(source.text, start, stop):
+        return None
+    target, position = operand(source, start, stop)
+    equals = _EQUALS.match(source.text, position, stop)
+    return (target, equals.end()) if isinstance(target, Reference) and equals else None
+
+
+def calls(source: Source, start: int, stop: int) -> list[Call]:
+    """Return the calls of routines and functions in a piece of code, from left to right, also those inside others.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    text, found = source.text, []
+    if "(" not in text[start:stop]:
+        return []
+    quoted = [match.span() for match in _STRING.finditer(text, start, stop)]
+    for match in _CALL.finditer(text, start, stop):
+        name = match[1].upper()
+        if name in RESERVED or name in PURE or any(a < match.start() < b for a, b in quoted):
+            continue
+        value, _ = operand(source, match.start(), stop)
+        if isinstance(value, Call):
+            found.append(value)
+    return found
+
+
+def sole_call(source: Source, start: int, stop: int) -> Call | None:
+    """Return the call that a piece of code consists of; None if it is something else."""
+    text = source.text
+    while start < stop and text[start] in " \t":
+        start += 1
+    if not NAME.match(text, start, stop):
+        return None
+    value, end = operand(source, start, stop)
+    return value if isinstance(value, Call) and not text[end:stop].strip() else None
+
+
+def reference_of(source: Source, span: tuple[int, int]) -> Reference | None:
+    """Return the variable that an argument consists of; None if it is something else.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    start, stop = span
+    text = source.text
+    while start < stop and text[start] in " \t":
+        start += 1
+    if not NAME.match(text, start, stop):
+        return None
+    value, end = operand(source, start, stop)
+    return value if isinstance(value, Reference) and not text[end:stop].strip() else None

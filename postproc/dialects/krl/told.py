@@ -1,0 +1,87 @@
+"""What a reader of a KRL program should know: what was assumed, and about which names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.rows import Rows
+from postproc.dialects.krl.settings import State
+from postproc.dialects.krl.walker import Walker
+from postproc.errors import Issue
+from postproc.program import Ints
+
+_MOST_NAMES = 10
+"""So many names of points are told in one message."""
+
+
+def told(walker: Walker, states: Sequence[State], state: Ints, rows: Rows, layout: Layout) -> Iterator[Issue]:
+    """Yield what was assumed of a program.
+
+    :param states: all that is in force anywhere; `state` (M,) which of them at each motion.
+    """
+    yield from _absent(walker, layout)
+    yield from _uncalled(walker)
+    yield from _changed(walker)
+    yield from _initial_frames(walker, states, state, rows, layout)
+
+
+def _absent(walker: Walker, layout: Layout) -> Iterator[Issue]:
+    """Each called program that is in no file, and what it is trusted not to do."""
+    used = {point.name for move in layout.moves.values() for point in (move.end, move.via) if point is not None}
+    shared = sorted(name for name in used & walker.variables.public if name)
+    more = "" if len(shared) <= _MOST_NAMES else f" and {len(shared) - _MOST_NAMES} more"
+    points = f", nor the GLOBAL {', '.join(shared[:_MOST_NAMES])}{more}" if shared else ""
+    for name, line in walker.absent:
+        fault = walker.library.faults.get(name)
+        where = f"stands in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
+        message = (
+            f"{name}() {where}: it is assumed not to move the robot nor to change $BASE, $TOOL, speeds{points}. "
+            "Put its .src beside the program, or name its folder in the cell: [krl] search."
+        )
+        yield Issue("warning", "external-call", message, line, subject=name)
+
+
+def _uncalled(walker: Walker) -> Iterator[Issue]:
+    """Routines of the program with motions that it does not call."""
+    program = walker.library.program
+    for routine in program.routines.values():
+        motion = walker.analysis.of(program, routine).motion
+        if motion is None or routine is walker.main or routine in walker.reached or motion.source is not walker.source:
+            continue
+        if not routine.first < motion.line < routine.last:
+            continue  # told for the routine in which it stands
+        message = f"DEF {routine.name} has motions but {walker.main.name} does not call it; they are left as they are."
+        yield Issue("warning", "uncalled-motions", message, motion.line, subject=routine.name)
+
+
+def _changed(walker: Walker) -> Iterator[Issue]:
+    """Values of the `.dat` that motions use and the program changes afterwards: the next run begins with others."""
+    variables = walker.variables
+    for name in sorted(variables.relied & variables.changed.keys()):
+        message = (
+            f"{name} of the .dat is used and then changed by the program ({variables.changed[name]}): what is written "
+            "holds for a run that begins with the value in the file, not for one that begins with the changed value."
+        )
+        yield Issue("warning", "changed-data", message, None, subject=name)
+
+
+def _initial_frames(
+    walker: Walker, states: Sequence[State], state: Ints, rows: Rows, layout: Layout
+) -> Iterator[Issue]:
+    """Frames that are the cell's only because the program leaves them as BAS(#INITMOV,0) sets them."""
+    axis = np.zeros(len(rows), dtype=np.bool_)
+    axis[[row for row, move in layout.moves.items() if move.end.position.axis]] = True
+    for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
+        assumed = np.array([name in walker.settings.assumed_frames(one, walker.source) for one in states])
+        found = np.flatnonzero(assumed[state] & ~axis)
+        if not len(found):
+            continue
+        real = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
+        message = (
+            f"{name} is never set behind BAS(#INITMOV,0): {table} of the cell is assumed, but KUKA's BAS makes it "
+            f'{real}. Say in the cell which is meant: [krl] initmov = "cell" or "bas".'
+        )
+        yield Issue("warning", "initial-frames", message, int(rows.line[found[0]]), subject=name, count=len(found))

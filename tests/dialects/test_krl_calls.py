@@ -1,0 +1,353 @@
+"""Values that code outside the straight text changes: followed exactly, refused, or told; never silently wrong."""
+
+from dataclasses import replace as replaced
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.cell import Frame, Krl, Tool
+from postproc.dialects import krl
+from postproc.dialects.krl.reader import read as read_documents
+from postproc.dialects.text import decode
+from postproc.errors import ProgramError
+from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets
+
+FULL = "LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}"
+DATA = (
+    "DEFDAT part PUBLIC\r\n"
+    "DECL E6POS XP1={X 100.25,Y 200.5,Z 300,A 10,B 20,C 170,S 2,T 10}\r\n"
+    "DECL E6POS XP3={X 1,Y 2,Z 3,A 10,B 20,C 170}\r\n"
+    "DECL GLOBAL E6POS XG={X 7,Y 2,Z 3,A 10,B 20,C 170}\r\n"
+    "DECL INT I=1\r\nDECL REAL SPD=0.5\r\nDECL BOOL OK\r\n"
+    "DECL E6POS P[3]\r\n"
+    "P[1]={X 1,Y 2,Z 3,A 4,B 5,C 6}\r\nP[2]={X 11,Y 2,Z 3,A 4,B 5,C 6}\r\nP[3]={X 21,Y 2,Z 3,A 4,B 5,C 6}\r\n"
+    "DECL FRAME FR={X 5,Y 0,Z 0,A 0,B 0,C 0}\r\nENDDAT\r\n"
+)
+UNTOUCHED = [100.25, 200.5, 300]
+
+
+def program(*lines, subs="", data=DATA, cell=CELL):
+    return read(body(*lines) + subs.replace("\n", "\r\n"), data, cell)
+
+
+def x_y_z(found, row=-1):
+    return numbers(found)[row, :3].round(6).tolist()
+
+
+def about(found, kind):
+    return [(issue.subject, issue.source_line) for issue in found.issues if issue.kind == kind]
+
+
+# --- what is known exactly -----------------------------------------------------------------------------------------
+
+SHIFT = "DEF SHIFT( )\nXP1.Z=XP1.Z+20\nEND\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs", "expected"),
+    [
+        (["LIN XP1", "SHIFT( )", "LIN XP1"], SHIFT, [100.25, 200.5, 320]),
+        (["lin xp1", "shift ( )", "lin xp1"], SHIFT.lower(), [100.25, 200.5, 320]),
+        (["SHIFT()", "SHIFT()", "LIN XP1"], "GLOBAL " + SHIFT, [100.25, 200.5, 340]),
+        (["OUTER()", "LIN XP1"], "DEF OUTER()\nSHIFT()\nEND\n" + SHIFT, [100.25, 200.5, 320]),
+        (["UP(XP1,5)", "LIN XP1"], "DEF UP(P:OUT,H:IN)\nDECL E6POS P\nREAL H\nP.Z=P.Z+H\nEND\n", [100.25, 200.5, 305]),
+        (["UP(XP1)", "LIN XP1"], "DEF UP(P)\nDECL E6POS P\nP={X 1,Y 2,Z 3}\nEND\n", [1, 2, 3]),
+        (["UP(XP1)", "LIN XP1"], "DEF UP(P:IN)\nDECL E6POS P\nP.Z=5\nEND\n", UNTOUCHED),
+        (["OK=FN(XP1)", "LIN XP1"], "DEFFCT BOOL FN(P:OUT)\nE6POS P\nP.X=1\nRETURN(TRUE)\nENDFCT\n", [1, 200.5, 300]),
+        (["I=NEXT(I)", "LIN P[I]"], "DEFFCT INT NEXT(N:IN)\nINT N\nRETURN(N+1)\nENDFCT\n", [11, 2, 3]),
+        (["BUMP()", "LIN P[I]"], "DEF BUMP()\nI=I+1\nEND\n", [11, 2, 3]),
+        (["BUMP()", "LIN P[I]"], "DEF BUMP()\nDECL INT I\nI=3\nEND\n", [1, 2, 3]),
+        (["LIN P[I+2]"], "", [21, 2, 3]),
+        (["XP3=XP1", "XP1.X=9", "LIN XP3"], "", UNTOUCHED),
+        (["XP3=XP1", "XP3.X=9", "LIN XP1"], "", UNTOUCHED),
+        (["XP3={X I*2+1,Y SPD*4,Z -(1+2)}", "I=50", "LIN XP3"], "", [3, 2, -3]),
+        (["LIN {X 100+50,Y 2*3,Z -(4),A 0,B 0,C 0}"], "", [150, 6, -4]),
+        (["BACK()", "LIN XP1"], "DEF BACK()\nXP1.X=1\nRETURN\nXP1.X=2\nEND\n", [1, 200.5, 300]),
+        (["stack.block[2]=3", "stack.a.b=4", "LIN XP1"], "", UNTOUCHED),
+    ],
+)
+def test_what_called_code_and_assignments_change_is_followed(lines, subs, expected):
+    assert x_y_z(program(*lines, subs=subs)) == expected
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs", "base_x", "tool_z", "feed"),
+    [
+        (["SETB()", "$BASE=FR"], "DEF SETB()\nFR.X=9\nEND\n", 9, 350, 2),
+        (["SETB()", "$BASE=BASE_DATA[3]"], "DEF SETB()\nBASE_DATA[3]={X 7}\nEND\n", 7, 350, 2),
+        (["SETB()", "BAS(#TOOL,2)"], "DEF SETB()\nTOOL_DATA[2].Z=99\nEND\n", 1500, 99, 2),
+        (["SETB()"], "DEF SETB()\n$BASE=BASE_DATA[3]\n$TOOL={Z 5}\n$VEL.CP=0.25\nEND\n", 1200, 5, 0.25),
+        (["SETB(3,0.1)"], "DEF SETB(N:IN,V:IN)\nINT N\nREAL V\nBAS(#BASE,N)\nBAS(#VEL_CP,V)\nEND\n", 1200, 350, 0.1),
+        (["SPD=1.5", "$VEL.CP=SPD"], "", 1500, 350, 1.5),
+        (["FAST()", "$VEL.CP=SPD"], "DEF FAST()\nSPD=SPD*3\nEND\n", 1500, 350, 1.5),
+    ],
+)
+def test_frames_and_speeds_set_by_called_code_are_in_force(lines, subs, base_x, tool_z, feed):
+    found = program(*lines, FULL, subs=subs)
+    m = found.motions
+    assert found.bases[m.base[0], 0, 3] * 1000 == pytest.approx(base_x)
+    assert found.tools[m.tool[0], 2, 3] * 1000 == pytest.approx(tool_z)
+    assert m.feed[0] == pytest.approx(feed)
+
+
+# --- what is not known is refused ----------------------------------------------------------------------------------
+
+FUNCTION = "DEFFCT BOOL FN(P:OUT)\nE6POS P\nP.Z=77\nRETURN(TRUE)\nENDFCT\n"
+REFUSED = [
+    (["IF FN(XP1) THEN", "ENDIF", "LIN XP1"], FUNCTION, 6, "XP1 is changed"),
+    (["OK=NOT FN(XP1)", "LIN XP1"], FUNCTION, 5, "XP1 is changed"),
+    (["WHILE FN(XP1)", "ENDWHILE", "LIN XP1"], FUNCTION, 6, "XP1 is changed"),
+    (["I=2*FN(XP1)", "LIN XP1"], FUNCTION, 5, "XP1 is changed"),
+    (["I=P[FN(XP1)].X", "LIN XP1"], FUNCTION, 5, "XP1 is changed"),
+    (["IF OK THEN", "SHIFT()", "ENDIF", "LIN XP1"], SHIFT, 7, "XP1 is changed"),
+    (["FOR I=1 TO 2", "SHIFT()", "ENDFOR", "LIN XP1"], SHIFT, 7, "XP1 is changed"),
+    (["M()", "LIN XP1"], "DEF M()\nIF $IN[1] THEN\nXP1.Z=5\nENDIF\nEND\n", 5, "XP1 is changed"),
+    (["M()", "LIN XP1"], "DEF M()\nIF $IN[1] THEN\nRETURN\nENDIF\nXP1.Z=5\nEND\n", 5, "XP1 is changed"),
+    (["M(1)", "LIN XP1"], "DEF M(N:IN)\nINT N\nXP1.Z=XP1.Z+1\nM(N-1)\nEND\n", 5, "XP1 is changed"),
+    (["M(XP1)", "LIN XP1"], "DEF M(A:OUT)\nE6POS A\nA.Z=5\nXP1.Z=6\nEND\n", 5, "XP1 is changed"),
+    (["NOWHERE(XP1)", "LIN XP1"], "", 5, "XP1 is changed"),
+    (["OK=NOWHERE(1,XP1)", "LIN XP1"], "", 5, "XP1 is changed"),
+    (["INTERRUPT DECL 5 WHEN $IN[1] DO XP1.X=5", "LIN XP1"], "", 5, "XP1 is changed .*INTERRUPT in line 4"),
+    (["GLOBAL INTERRUPT DECL 5 WHEN $IN[1] DO SHIFT()", FULL, "LIN XP1"], SHIFT, 6, "XP1 is changed"),
+    (["interrupt decl 5 when $in[1] do shift()", "XP1={X 5}", "lin xp1"], SHIFT, 6, "xp1 is changed"),
+    (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO XP1.X=200", FULL, "LIN XP1"], "", 6, "XP1 is changed .*TRIGGER"),
+    (["TRIGGER WHEN PATH=-5 DELAY=0 DO SHIFT() PRIO=-1", FULL, "LIN XP1"], SHIFT, 6, "XP1 is changed"),
+    (["DIGIN ON I=1.0*$DIGIN1+0", "LIN P[I]"], "", 5, "I is changed"),
+    (["ANIN ON SPD=0.1*$ANIN[1]+0", "$VEL.CP=SPD", FULL], "", 5, "SPD is changed"),
+    (["SIGNAL I $IN[1] TO $IN[4]", "LIN P[I]"], "", 5, "I is changed"),
+    (["IF OK THEN", "$VEL.CP=0.1", "ENDIF", FULL], "", 5, "changed inside IF"),
+    (["IF OK THEN", "SETV()", "ENDIF", FULL], "DEF SETV()\n$VEL.CP=0.1\nEND\n", 5, r"may change \$VEL"),
+    (["INTERRUPT DECL 5 WHEN $IN[1] DO SETV()", FULL], "DEF SETV()\n$VEL.CP=0.1\nEND\n", 4, r"\$VEL"),
+    (["SETV($VEL.CP)", FULL], "DEF SETV(V:OUT)\nREAL V\nV=0.1\nEND\n", 4, r"\$VEL"),
+    (["I=I/2", "LIN P[I]"], "", 5, "I is changed"),
+    (["XP1.X=XP1.X+$POS_ACT.X", "LIN XP1"], "", 5, "XP1 is changed"),
+]
+
+
+@pytest.mark.parametrize(("lines", "subs", "line", "problem"), REFUSED, ids=[" / ".join(r[0])[:60] for r in REFUSED])
+def test_what_may_be_otherwise_when_it_is_used_is_refused(lines, subs, line, problem):
+    with pytest.raises(ProgramError, match=problem) as caught:
+        program(*lines, subs=subs)
+    assert caught.value.line == line
+
+
+def test_what_a_branch_changes_may_be_set_again():
+    found = program("IF OK THEN", "$VEL.CP=0.1", "XP1.X=5", "ENDIF", "$VEL.CP=0.2", "XP1={X 3,Y 2,Z 1}", "LIN XP1")
+    assert (x_y_z(found), found.motions.feed[0]) == ([3, 2, 1], 0.2)
+
+
+def test_a_branch_that_changes_nothing_is_no_doubt():
+    assert len(program("$VEL.CP=0.1", "IF OK THEN", "$VEL.CP=0.1", "$VEL.ORI1=200", "ENDIF", FULL).motions) == 1
+
+
+# --- the written program -------------------------------------------------------------------------------------------
+
+
+def written(*lines, subs="", data=DATA):
+    found = program(*lines, subs=subs, data=data)
+    shift = np.zeros((len(found.motions), 3))
+    shift[:, 2] = 1e-3
+    wanted = targets(found, shift)
+    out = krl.rewrite(found, wanted)
+    check_commands(found, wanted, out)
+    return [document.text.splitlines() for document in out.documents]
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs"),
+    [
+        (["LIN XP1", "SHIFT( )", "LIN XP1"], SHIFT),
+        (["LIN XP1", "LOOK( )"], "DEF LOOK( )\nIF XP1.Z>5 THEN\n$OUT[1]=TRUE\nENDIF\nEND\n"),
+        (["LIN XP1", "XP3=XP1", "LIN XP3"], ""),
+        (["LIN XP1", "LOOK(XP1)"], "DEF LOOK(P:IN)\nE6POS P\n$OUT[1]=P.Z>5\nEND\n"),
+        (["LIN XP1", "INTERRUPT DECL 4 WHEN $IN[1] DO LOOK(XP1)"], "DEF LOOK(P:IN)\nE6POS P\nEND\n"),
+        (["LIN XP1", "OTHER()"], "DEF OTHER()\n$OUT[1]=XP1.X>5\nEND\n"),
+        (["LIN XG"], ""),
+    ],
+)
+def test_whoever_else_reads_a_point_finds_what_it_was(lines, subs):
+    _, data = written(*lines, subs=subs)
+    assert set(DATA.splitlines()) <= set(data)
+
+
+def test_a_point_that_is_copied_is_not_corrected_through_its_copy():
+    source, data = written("XP3=XP1", "LIN XP3")
+    assert data == DATA.splitlines()
+    assert source[4].startswith("LIN {X 100.2500,Y 200.5000,Z 301.0000,")
+
+
+# --- called programs of other files --------------------------------------------------------------------------------
+
+
+def in_folder(folder, source, files, data=DATA, cell=CELL):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(text.replace("\n", "\r\n").encode())
+    documents = [decode("part.src", source.encode()), decode("part.dat", data.encode())]
+    documents = [replaced(document, folder=str(folder)) for document in documents]
+    return read_documents(documents, cell, forward, "part")
+
+
+SETTINGS = """DEF MoveSettings(B:IN,T:IN,V:IN,A:IN)
+INT B,T,A
+REAL V
+BAS(#BASE,B)
+BAS(#TOOL,T)
+$VEL.CP=V/1000.0
+COUNTER=COUNTER+1
+END
+"""
+
+
+@pytest.mark.parametrize("name", ["MoveSettings.src", "MOVESETTINGS.SRC", "lib/all.src"])
+def test_programs_of_the_folder_and_of_the_search_path_are_followed(tmp_path, name):
+    text = SETTINGS if "all" not in name else "DEF all()\nEND\nGLOBAL " + SETTINGS
+    cell = replace(CELL, krl=Krl(search=["lib"]), folder=str(tmp_path))
+    found = in_folder(tmp_path, body("MoveSettings(3,2,100.0,5)", FULL), {name: text}, cell=cell)
+    m = found.motions
+    assert m.feed.tolist() == [0.1]
+    assert found.bases[m.base[0], 0, 3] == pytest.approx(1.2)
+    assert found.tools[m.tool[0], 0, 3] == pytest.approx(0.02)
+    assert about(found, "external-call") == []
+
+
+def test_another_file_has_variables_of_its_own(tmp_path):
+    other = {"other.src": "DEF other()\nXP1.Z=5\nXG.Z=6\nI=I+1\n$VEL.CP=SPD\nEND\n"}
+    other["other.dat"] = "DEFDAT other\nDECL E6POS XP1={X 1,Y 1,Z 1}\nDECL INT I=5\nDECL REAL SPD=0.125\nENDDAT\n"
+    found = in_folder(tmp_path, body("other()", "LIN XP1", "LIN XG", "LIN P[I]"), other)
+    assert numbers(found)[:, 2].tolist() == [300, 6, 3]
+    assert found.motions.feed.tolist() == [0.125] * 3
+
+
+def test_motions_in_another_file_leave_the_start_of_the_next_motion_open(tmp_path):
+    files = {"job.src": "DEF job()\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\nLIN {X 1,Y 2,Z 3}\nEND\n"}
+    with pytest.raises(ProgramError, match=r"moves the robot \(job\.src, line [23]\)") as caught:
+        in_folder(tmp_path, body("job()", FULL), files)
+    assert caught.value.line == 4
+    found = in_folder(tmp_path, body("job()", "PTP {A1 5,A2 -90,A3 90,A4 0,A5 20,A6 0}", FULL), files)
+    assert about(found, "motions-elsewhere") == [("JOB", 4)]
+
+
+def test_a_file_that_is_not_understood_does_at_worst_what_it_may(tmp_path):
+    files = {"odd.src": "DEF odd()\nXG.Z=5\nTHIS IS ODD (\nEND\n"}
+    with pytest.raises(ProgramError, match=r"XG is changed while the program runs \(odd\.src, line 2\)"):
+        in_folder(tmp_path, body("odd()", "LIN XG"), files)
+    assert x_y_z(in_folder(tmp_path, body("odd()", "LIN XP1"), files)) == UNTOUCHED
+
+
+def test_a_file_that_cannot_be_read_is_told(tmp_path):
+    found = in_folder(tmp_path, body("odd()", FULL), {"odd.src": "DEF odd()\n$OUT[1]=TRUE\n"})
+    (issue,) = (issue for issue in found.issues if issue.kind == "external-call")
+    assert "no END" in issue.message
+
+
+def test_submit_programs_may_write_global_names_at_any_time(tmp_path):
+    files = {"sps.sub": "DEF sps()\nLOOP\nXG.Z=XG.Z+1\nENDLOOP\nEND\n"}
+    with pytest.raises(ProgramError, match="XG is changed while the program runs"):
+        in_folder(tmp_path, body("LIN XG"), files)
+    assert x_y_z(in_folder(tmp_path, body("LIN XP1"), files)) == UNTOUCHED
+
+
+def test_each_program_that_is_nowhere_is_named_with_its_first_line():
+    found = program(
+        "MSG()", "MoveSettings()", "RET=RSI_ON()", "IF CHECK(1) THEN", "ENDIF", "MSG()", "X=SIN(3)", "LIN XG"
+    )
+    assert about(found, "external-call") == [("MSG", 4), ("MOVESETTINGS", 5), ("RSI_ON", 6), ("CHECK", 7), ("MSG", 9)]
+    assert all("GLOBAL XG" in issue.message for issue in found.issues if issue.kind == "external-call")
+
+
+def test_values_of_the_data_file_that_the_program_changes_are_told():
+    assert about(program("LIN XP1", "SHIFT()", subs=SHIFT), "changed-data") == [("XP1", None)]
+    assert about(program("LIN P[I]", "I=I+1"), "changed-data") == [("I", None)]
+    assert about(program("I=1", "LIN P[I]", "I=2", "LIN P[I]"), "changed-data") == []
+
+
+# --- BAS(#INITMOV,0) -----------------------------------------------------------------------------------------------
+
+OPEN = replace(CELL, krl=Krl())
+
+
+def test_frames_left_to_initmov_are_told():
+    found = program(FULL, cell=OPEN)
+    assert about(found, "initial-frames") == [("$BASE", 4), ("$TOOL", 4)]
+    assert about(program("$TOOL={Z 5}", FULL, cell=OPEN), "initial-frames") == [("$BASE", 5)]
+    assert about(program("$TOOL={Z 5}", "$BASE={X 5}", FULL, cell=OPEN), "initial-frames") == []
+    assert about(program("PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}", cell=OPEN), "initial-frames") == []
+    assert about(program(FULL, cell=CELL), "initial-frames") == []
+    assert about(read("DEF part()\r\n" + FULL + "\r\nEND\r\n", cell=OPEN), "initial-frames") == []
+
+
+def test_a_cell_with_the_frames_that_initmov_gives_needs_no_word():
+    tool = Tool(Z=350.0)
+    cell = replace(OPEN, base=Frame(), tool=tool, tool_data={"1": tool})
+    assert about(program(FULL, cell=cell), "initial-frames") == []
+
+
+def test_the_cell_says_which_frames_initmov_gives():
+    cell = replace(CELL, krl=Krl(initmov="bas"), tool_data={"1": Tool(Z=123.0)})
+    found = program(FULL, cell=cell)
+    m = found.motions
+    np.testing.assert_allclose(found.bases[m.base[0]], np.eye(4), atol=1e-15)
+    assert found.tools[m.tool[0], 2, 3] == pytest.approx(0.123)
+    with pytest.raises(ProgramError, match=r"TOOL_DATA\[1\]"):
+        program(FULL, cell=replace(CELL, krl=Krl(initmov="bas")))
+
+
+# --- errors --------------------------------------------------------------------------------------------------------
+
+
+def test_all_errors_of_a_program_are_told_in_order_of_lines():
+    with pytest.raises(ProgramError) as caught:
+        program("LIN {X 1,,Y 2}", FULL, "FOO BAR BAZ", "XP1={X 1,,Z}", "LIN XP1", "LIN {X}", "FOR I=1 TO 9", FULL, FULL)
+    errors = [caught.value, *caught.value.others]
+    assert [error.line for error in errors] == [4, 6, 7, 9]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "LIN P[" + "1" * 5000 + "]",
+        "LIN P[" + "1" * 5000,
+        "P[" + "1" * 5000 + "]={X 1}",
+        "LIN {X " + "1" * 5000 + "}",
+        "LIN {X 1E300,Y 2,Z 3,A 0,B 0,C 0}",
+        "LIN {X 1,Y 2,Z 3,S 1E300}",
+        "LIN {X 'H" + "F" * 5000 + "'}",
+        "$BASE={X 1E300}",
+        "$TOOL.X=1E200*1E200",
+        "$VEL.CP=1E300",
+        "BAS(#BASE,1E300)",
+        "I=" + "(" * 5000 + "1" + ")" * 5000,
+        "I=" + "-" * 5000 + "1",
+        "LIN " + "P:" * 5000 + "P",
+        "LIN P[\u00b2]",
+        "LIN P[\u0661]",
+        "CIRC {X 1E9,Y 0,Z 0},{X 1E-9,Y 0,Z 0}, CA 1E308",
+        "DECL E6POS Q[" + "9" * 5000 + "]={X 1}",
+        "TRIGGER WHEN PATH=1E999 DELAY=0 DO I=1",
+        "LIN {X 1,Y 2,Z 3,A 1E308,B 1E308,C 1E308}",
+    ],
+)
+def test_absurd_text_is_an_error_of_the_program(line):
+    def message():
+        try:
+            program(line, FULL)
+        except ProgramError as error:
+            return str(error)
+        return ""
+
+    assert len(message()) < 1000
+
+
+def test_relative_motions_with_their_frame_behind_the_approximation():
+    found = program(FULL, "LIN_REL {Z 10} C_DIS #BASE", "LIN_REL {X 10} C_VEL #TOOL", "LIN_REL {Z 1} #TOOL C_DIS")
+    along = pose_x(found)
+    np.testing.assert_allclose(numbers(found)[1:3, :3], [[100, 20, 40], np.array([100, 20, 40]) + 10 * along])
+    assert found.motions.blend[1] == 0.003
+    source, _ = written(FULL, "LIN_REL {Z 10} C_DIS #BASE")
+    assert source[4].rstrip() == "LIN {X 100.0000,Y 20.0000,Z 41.0000,A 10.00000,B 20.00000,C 170.00000} C_DIS"
+
+
+def pose_x(found):
+    return found.motions.target[0, :3, 0]
