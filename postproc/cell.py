@@ -73,6 +73,7 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     redundancy_deg: Angle = 0.0
     rapid_m_per_s: Positive = 0.5
     approximation_mm: NotNegative = 0.5
+    corner_tolerance_mm: NotNegative = 0.05
     spindle_on: list[str] = []
     spindle_ccw: list[str] = []
     spindle_off: list[str] = []

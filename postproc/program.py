@@ -64,6 +64,8 @@ class Motions:
     :param base: (M,) row of `Program.bases` in force.
     :param tool: (M,) row of `Program.tools` in force.
     :param blend: (M,) approximation distance [m] before the target (C_DIS with $APO.CDIS); 0 = exact stop.
+    :param rounding: (M,) what blending may round the path by at the end [m]: where it would be more, an exact stop is
+        written. Infinite in KRL, whose C_DIS stay.
     :param status: (M,) KUKA S of a PTP target; −1 where none is given.
     :param turn: (M,) KUKA T of a PTP target; −1 where none is given.
     """
@@ -80,6 +82,7 @@ class Motions:
     base: Ints
     tool: Ints
     blend: Array
+    rounding: Array
     status: Ints
     turn: Ints
 
@@ -274,6 +277,8 @@ class Targets:
     :param keep: (K,) True where the text of the motion already commands this pose: it is left to the byte.
     :param status: (K,) KUKA S for PTP targets; −1 = as it stands (or none).
     :param turn: (K,) KUKA T for PTP targets; −1 = as it stands (or none).
+    :param blend: (K,) approximation distance [m]; 0 = exact stop. In KRL the distance is that of the program, and only
+        inserted targets of motions that stop look here whether they stop too.
     """
 
     motion: Ints
@@ -284,6 +289,7 @@ class Targets:
     keep: Bools
     status: Ints
     turn: Ints
+    blend: Array
 
     def __len__(self) -> int:
         return len(self.motion)

@@ -32,6 +32,7 @@ def program(count: int = 100) -> Program:
         base=np.zeros(count, dtype=np.int64),
         tool=np.zeros(count, dtype=np.int64),
         blend=np.zeros(count),
+        rounding=np.zeros(count),
         status=np.full(count, -1),
         turn=np.full(count, -1),
     )
@@ -67,6 +68,8 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         joint_margin=np.radians([180.0, 60.0, 40.0, 340.0, 70.0, 350.0]),
         singular_value=0.21,
         between=4e-6 if mode == "convert" else 1.5e-3,
+        rounding=np.zeros(count),
+        programmed=np.zeros(count),
         largest_correction=1.5e-3,
         issues=(Issue("warning", "no-force", "cutting moves <without> a force: none is assumed", 12, count=311),),
     )

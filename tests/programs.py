@@ -32,6 +32,7 @@ def program(moves, notes=(), bases=None, tools=None, base=None, orientation=DOWN
         base=np.zeros(n, dtype=np.int64) if base is None else np.array(base),
         tool=np.zeros(n, dtype=np.int64),
         blend=np.full(n, 5e-4),
+        rounding=np.full(n, 5e-5),
         status=np.full(n, -1),
         turn=np.full(n, -1),
     )
@@ -50,4 +51,14 @@ def ends(motions, pose):
     """One target for each motion, at its end, without S and T."""
     n = len(motions)
     none = np.full(n, -1)
-    return Targets(np.arange(n), np.ones(n), motions.kind, pose, np.full((n, 3), np.nan), np.zeros(n, bool), none, none)
+    return Targets(
+        np.arange(n),
+        np.ones(n),
+        motions.kind,
+        pose,
+        np.full((n, 3), np.nan),
+        np.zeros(n, bool),
+        none,
+        none,
+        motions.blend,
+    )

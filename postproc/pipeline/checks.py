@@ -195,35 +195,15 @@ def correction_size(program: Program, motion: Ints, correction: Array, allowed: 
         )
 
 
-def blending(
-    program: Program, motion: Ints, nominal: Array, command: Array, blend: Array, tolerance: float
-) -> Iterator[Issue]:
+def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> Iterator[Issue]:
     """Rounding of corners by approximation must not grow by more than the tolerance through the correction.
 
-    The controller begins to blend at the approximation distance, at most half the way to the neighbouring target; the
-    parabola it then drives passes the corner at a quarter of that distance times the change of direction.
-
-    :param nominal: (K, 3) nominal target positions [m].
-    :param command: (K, 3) commanded target positions [m].
-    :param blend: (K,) approximation distance [m].
+    :param more: (K,) by how much the written path is rounded more at each target than the programmed one [m].
     """
-    if len(motion) < 3:
-        return
-    rounding = []
-    for position in (nominal, command):
-        run = np.diff(position, axis=0)
-        length = norm(run)
-        direction = run / np.where(length > 0.0, length, 1.0)[:, None]
-        turn = norm(np.diff(direction, axis=0))
-        reach = np.minimum(blend[1:-1], 0.5 * np.minimum(length[:-1], length[1:]))
-        rounding.append(0.25 * reach * turn)
-    bad = np.zeros(len(motion), dtype=bool)
-    bad[1:-1] = rounding[1] - rounding[0] > tolerance
-    bad &= program.motions.kind[motion] != PTP
     yield from _first(
         program,
         motion,
-        bad,
+        more > tolerance,
         "blending",
         "approximation (C_DIS) rounds the path at corrected targets by more than the tolerance beyond what it does at "
         "nominal ones. Use a smaller approximation distance where this matters.",

@@ -16,7 +16,7 @@ from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramErro
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.pipeline import checks, select, verify
+from postproc.pipeline import blending, checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
@@ -140,6 +140,10 @@ def process(
         before, deflection = before[row], deflection[row]
     after = before
     documents: tuple[Document, ...] = ()
+    programmed = np.zeros(len(row))
+    if program.dialect == "krl":
+        programmed = blending.programmed(program, sampled.path, targets.motion)
+    rounding = programmed
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
     if mode == "predict" and program.dialect == "krl":
         ends = targets.t == 1.0
@@ -148,6 +152,7 @@ def process(
         issues += simulated.issues
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
         after, between, printed = simulated.after, simulated.between, simulated.printed
+        rounding = simulated.rounding
     tool = place.tool(program, targets.motion)
     q, wrench = sampled.command.q[row], sampled.wrench[row]
     correction = targets.pose[:, :3, 3] - sampled.sample.pose[row, :3, 3]
@@ -170,6 +175,8 @@ def process(
         joint_margin=kinematics.joint_margin(robot, sampled.command.q),
         singular_value=kinematics.smallest_singular_value(robot, q, tool),
         between=between,
+        rounding=rounding,
+        programmed=programmed,
         largest_correction=float(norm(correction).max(initial=0.0)),
         issues=group_issues(issues),
     )
@@ -328,7 +335,9 @@ def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs:
     status, turn = _status_and_turn(program, place, row, motion, sampled.command.q)
     keep = kept[motion] & (sample.t[row] == 1.0)
     pose = sampled.command.pose[row]
-    return Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn), row
+    targets = Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn, m.blend[motion])
+    corners = blending.of_targets(program, targets, start)
+    return replace(targets, blend=blending.distances(program, targets, corners, place.cell)), row
 
 
 def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:
@@ -409,6 +418,8 @@ def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> R
         joint_margin=np.full(6, np.nan),
         singular_value=np.nan,
         between=np.nan,
+        rounding=none,
+        programmed=none,
         largest_correction=np.nan,
         issues=group_issues([*program.issues, issue]),
     )

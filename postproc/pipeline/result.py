@@ -36,6 +36,8 @@ class Result:
     :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
     :param singular_value: smallest singular value of the Jacobian along the path.
     :param between: largest predicted distance from the nominal path, between targets too [m].
+    :param rounding: (K,) how far approximate positioning (C_DIS) passes each target, as written [m].
+    :param programmed: (K,) the same of the program as read; zero where it is G-code.
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param issues: what the user should know, grouped.
     """
@@ -58,6 +60,8 @@ class Result:
     joint_margin: Array
     singular_value: float
     between: float
+    rounding: Array
+    programmed: Array
     largest_correction: float
     issues: tuple[Issue, ...]
 

@@ -18,7 +18,7 @@ from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
-from postproc.pipeline import checks
+from postproc.pipeline import blending, checks
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
 from postproc.robot import RobotModel
@@ -52,6 +52,7 @@ class Simulated:
     :param after: (K,) distance of the predicted tip from nominal at each target [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param printed: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
+    :param rounding: (K,) how far approximate positioning passes each target [m].
     :param missed: motion (n,) and t (n,) of places where the path uses up too much of the tolerance.
     :param issues: why the program must not be released (level error), or what to look at.
     """
@@ -59,6 +60,7 @@ class Simulated:
     after: Array
     between: float
     printed: Array
+    rounding: Array
     missed: tuple[Ints, Array]
     issues: tuple[Issue, ...]
 
@@ -139,19 +141,24 @@ def simulate(
         return _unusable(targets, issue)
     after = norm(off[share == 1.0])
     distance = norm(off)
+    rounding = blending.of_motions(written, written_path, row).rounding(m.blend[row])
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
     issues: list[Issue] = []
     if corrected:
         issues += _not_held(program, place, targets, after, motion, distance, settled)
-        issues += checks.blending(program, targets.motion, ends, targets.pose[:, :3, 3], m.blend[row], place.tolerance)
+        if program.dialect == "krl":
+            more = rounding - blending.programmed(program, path, targets.motion)
+            issues += checks.blending(program, targets.motion, more, place.tolerance)
     bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance)
-    return Simulated(after, float(distance[settled].max(initial=0.0)), printed, (motion[bad], t[bad]), tuple(issues))
+    between = float(distance[settled].max(initial=0.0))
+    return Simulated(after, between, printed, rounding, (motion[bad], t[bad]), tuple(issues))
 
 
 def _unusable(targets: Targets, issue: Issue) -> Simulated:
     count = len(targets)
     nowhere = np.zeros(0, dtype=np.int64), np.zeros(0)
-    return Simulated(np.full(count, np.nan), np.inf, np.full((count, 6), np.nan), nowhere, (issue,))
+    unknown = np.full(count, np.nan)
+    return Simulated(unknown, np.inf, np.full((count, 6), np.nan), unknown, nowhere, (issue,))
 
 
 def _tip(robot: RobotModel, commanded: Array, tool: Array, wrench: Array, q: Array, theta: Array) -> Array:

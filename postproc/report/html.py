@@ -93,11 +93,18 @@ def _distances(content: Summary) -> str:
 
 
 def _facts(content: Summary) -> str:
-    held = {None: "", True: " (held)", False: ' <strong class="error">exceeded</strong>'}[content["tolerance_held"]]
+    held = {
+        None: " (held but for approximation)",
+        True: " (held)",
+        False: ' <strong class="error">exceeded</strong>',
+    }[content["tolerance_held"]]
     between = content["between_max_mm"]
     rows = [["Between targets too, at most", f"{'-' if between is None else millimetres(between)} mm"]]
     if content["tolerance_mm"] is not None:
         rows.append(["Tolerance", f"{content['tolerance_mm']:g} mm{held}"])
+    blending = content["blending"]
+    if blending["source_line"] is not None:
+        rows.append(["Approximation (C_DIS) rounds corners by up to", f"{number(blending['max_mm'], 3)} mm"])
     if content["mode"] == "convert":
         rows.append(["Largest correction", f"{number(content['max_correction_mm'], 3)} mm"])
     limits = content["limits"]

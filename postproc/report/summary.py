@@ -6,9 +6,12 @@ import json
 import math
 from typing import TypedDict
 
+import numpy as np
+
 from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.pipeline import Mode, Result, Statistics, statistics
+from postproc.program import Bools
 
 ROUNDING_MM = 1e-4
 """What rounding the written numbers (X, Y, Z to 1e-4 mm) may leave at a target: below it a factor says nothing."""
@@ -30,6 +33,14 @@ class Ratios(TypedDict):
 
     max: float | None
     rms: float | None
+
+
+class Blending(TypedDict):
+    """How far approximate positioning passes the corners of cutting moves: as written, and as KRL input itself does."""
+
+    max_mm: float
+    programmed_max_mm: float
+    source_line: int | None
 
 
 class Limits(TypedDict):
@@ -65,6 +76,7 @@ class Summary(TypedDict):
     between_max_mm: float | None
     tolerance_mm: float | None
     tolerance_held: bool | None
+    blending: Blending
     max_correction_mm: float | None
     max_force_N: float
     limits: Limits
@@ -76,9 +88,10 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
 
     :param result: of one program.
     :param tolerance: what the tip may leave the nominal path by [m], to say whether that is held; None = not stated.
+        Held means: with what approximate positioning does to corners beyond what a KRL program itself asks for. Where
+        only that goes beyond the tolerance, `tolerance_held` is None, and `blending` says by how much.
     """
     before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
-    reached = max(after.largest, result.between) if math.isfinite(result.between) else math.inf
     margin = result.joint_margin * DEG_PER_RAD
     force = norm(result.wrench[:, :3])
     return Summary(
@@ -96,7 +109,8 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         compensated_percent=_compensated(before.rms * MM_PER_M, after.rms * MM_PER_M),
         between_max_mm=_finite(result.between * MM_PER_M),
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
-        tolerance_held=None if tolerance is None else reached <= tolerance,
+        tolerance_held=_held(result, after, tolerance),
+        blending=_blending(result),
         max_correction_mm=_finite(result.largest_correction * MM_PER_M),
         max_force_N=float(force.max(initial=0.0)),
         limits={
@@ -106,6 +120,33 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         },
         issues=[issue_entry(issue) for issue in result.issues],
     )
+
+
+def _held(result: Result, after: Statistics, tolerance: float | None) -> bool | None:
+    if tolerance is None:
+        return None
+    reached = max(after.largest, result.between) if math.isfinite(result.between) else math.inf
+    if not reached <= tolerance:
+        return False
+    more = result.rounding - result.programmed
+    return True if reached + more[_cuts(result)].max(initial=0.0) <= tolerance else None
+
+
+def _blending(result: Result) -> Blending:
+    cuts = np.flatnonzero(_cuts(result))
+    worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
+    if worst is None or not result.rounding[worst] > 0.0:
+        return {"max_mm": 0.0, "programmed_max_mm": 0.0, "source_line": None}
+    return {
+        "max_mm": float(result.rounding[worst]) * MM_PER_M,
+        "programmed_max_mm": float(result.programmed[cuts].max()) * MM_PER_M,
+        "source_line": int(result.source_line[worst]),
+    }
+
+
+def _cuts(result: Result) -> Bools:
+    """(K,) True for targets before or behind which the tool cuts."""
+    return np.asarray(~(result.rapid & np.append(result.rapid[1:], True)[: len(result)]))
 
 
 def issue_entry(issue: Issue) -> IssueEntry:

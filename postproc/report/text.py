@@ -43,13 +43,18 @@ def _facts(content: Summary) -> list[str]:
         facts.append(f"compensated {percent(content['compensated_percent'])}")
         facts.append(f"largest correction {number(content['max_correction_mm'], 3)} mm")
     if content["mode"] != "predict" and content["between_max_mm"] is not None:
-        held = {None: "", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
+        held = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
         stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
         facts.append(f"between targets at most {millimetres(content['between_max_mm'])} mm{stated}")
     elif content["between_max_mm"] is not None:
         facts.append(f"anywhere on the path at most {millimetres(content['between_max_mm'])} mm")
     if content["mode"] == "predict" and content["tolerance_held"] is False:
         facts.append(f"tolerance {content['tolerance_mm']:g} mm EXCEEDED")
+    blending = content["blending"]
+    if blending["source_line"] is not None:
+        own = blending["programmed_max_mm"]
+        told = f"line {blending['source_line']}" + (f"; the program itself by {number(own, 3)} mm" if own else "")
+        facts.append(f"approximation (C_DIS) rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
     limits = content["limits"]
     facts.append(
         f"smallest joint margin {number(limits['min_joint_margin_deg'], 1)}°, "

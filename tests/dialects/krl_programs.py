@@ -89,7 +89,8 @@ def targets(program: Program, shift=None, turn=None, keep=False, pieces=None, st
     keep = np.broadcast_to(keep, len(rows)) & (t == 1.0)
     nothing = np.full(len(rows), -1)
     status, turns = bits if bits is not None else (nothing, nothing)
-    return Targets(rows, t, kind, pose, via, keep, status, turns)
+    blend = np.where(t == 1.0, m.blend[rows], 5e-4)
+    return Targets(rows, t, kind, pose, via, keep, status, turns, blend)
 
 
 def _at(program, row, t):

@@ -1,5 +1,6 @@
 """KRL in, KRL out: nothing but numbers changes, and the controller gets what was asked for."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from postproc.dialects import krl
 from postproc.errors import ProgramError
 from postproc.frames import pose_from_xyzabc
-from postproc.program import CIRC, LIN, PTP, Program, Targets
+from postproc.program import CIRC, LIN, PTP, Program
 from tests import programs
 from tests.dialects.krl_programs import CELL, DATA, body, check_commands, forward, numbers, read, sources, targets
 from tests.effort import calls_for_each
@@ -33,7 +34,7 @@ def keep_unmoved(program, wanted, shift, turn=None):
     for k in range(1, len(keep)):  # a circle that starts elsewhere is another circle
         if wanted.kind[k] == CIRC and not keep[k - 1] and wanted.motion[k - 1] >= wanted.motion[k] - 1:
             keep[k] = False
-    return Targets(wanted.motion, wanted.t, wanted.kind, wanted.pose, wanted.via, keep, wanted.status, wanted.turn)
+    return replace(wanted, keep=keep)
 
 
 def rewritten(text, data=None, raised=(), by=1.0, **options):

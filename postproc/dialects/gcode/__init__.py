@@ -77,6 +77,7 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
         rapid=cell.gcode.rapid_m_per_s,
         approximation=approximation,
+        rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
     )
     path = read_path(columns, modes, setting)
     notes, comments, wrong = _comments(source, modes.rows, document.name)

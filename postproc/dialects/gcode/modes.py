@@ -58,6 +58,7 @@ class Modes:
         few faults are none of them.
     :param changes: for each modal group of `codes.GROUPS` its changes (row, code), in order.
     :param blends: changes (row, approximation distance [m]), in order.
+    :param roundings: changes (row, what corners may be rounded by [m]), in order; NaN: what the cell says.
     :param dwells: rows with G4.
     :param happenings: events in order.
     :param issues: what the user should know.
@@ -68,6 +69,7 @@ class Modes:
     rows: int
     changes: Mapping[str, Sequence[tuple[int, float]]]
     blends: Sequence[tuple[int, float]]
+    roundings: Sequence[tuple[int, float]]
     dwells: Sequence[int]
     happenings: Sequence[Happening]
     issues: Sequence[Issue]
@@ -104,7 +106,9 @@ def read_modes(
     if not reader.ended and complete:
         message = "The program ends without M2, M30 or %: check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
-    return Modes(rows, reader.changes, reader.blends, reader.dwells, reader.happenings, reader.issues, faults, complete)
+    blending = reader.blends, reader.roundings
+    done = reader.dwells, reader.happenings
+    return Modes(rows, reader.changes, *blending, *done, reader.issues, faults, complete)
 
 
 class _Reader:
@@ -114,6 +118,7 @@ class _Reader:
         self.columns, self.offsets, self.approximation, self.tape = columns, offsets, approximation, tape
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
+        self.roundings: list[tuple[int, float]] = []
         self.dwells: list[int] = []
         self.happenings: list[Happening] = []
         self.issues: list[Issue] = []
@@ -205,6 +210,8 @@ class _Reader:
             if limit is not None:
                 distance = min(distance, 2.0 * max(limit, 0.0) * self.mm_per_unit * M_PER_MM)
             self.blends.append((row, distance))
+            given = float("nan") if limit is None else max(limit, 0.0) * self.mm_per_unit * M_PER_MM
+            self.roundings.append((row, given))
         elif set(g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
 

@@ -34,6 +34,7 @@ class Setting:
     :param offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
     :param rapid: speed of G0 [m/s].
     :param approximation: approximation distance [m].
+    :param rounding: what approximation may round corners by [m], unless the program says it (G64 P).
     """
 
     start: Array
@@ -41,6 +42,7 @@ class Setting:
     offsets: Mapping[float, Array]
     rapid: float
     approximation: float
+    rounding: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +149,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
     feed = np.where(rapid, setting.rapid, rows.feed[kept] * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
     blend = in_force(modes.blends, setting.approximation, modes.rows)[kept]
+    limit = in_force(modes.roundings, np.nan, modes.rows)[kept]
     unset = np.full(len(kept), -1)
     motions = Motions(
         kind=kind.astype(np.int64),
@@ -161,6 +164,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
         base=np.zeros(len(kept), dtype=np.int64),
         tool=np.zeros(len(kept), dtype=np.int64),
         blend=blend,
+        rounding=np.where(np.isnan(limit), setting.rounding, limit),
         status=unset,
         turn=unset.copy(),
     )

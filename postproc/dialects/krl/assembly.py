@@ -100,6 +100,7 @@ def assemble(
         base=base,
         tool=tool,
         blend=np.where(rows.approximated, cdis, 0.0),
+        rounding=np.full(len(rows), np.inf),
         status=_whole(rows.numbers[:, 6]),
         turn=_whole(rows.numbers[:, 7]),
     )

@@ -5,7 +5,6 @@ Decisions, where KUKA leaves a choice:
 - Lines of the cell for spindle, coolant and tool change are preceded by ``WAIT SEC 0``, and the motion before them has
   no C_DIS: the advance run stops there, so that outputs switch when the robot stands, not up to three motions early.
 - C_DIS is also left out before a dwell, a HALT, a change of `$BASE` or `$TOOL`, a PTP, and at the end.
-- Inserted targets of a motion that stops at its end are approximated by the cell's ``approximation_mm``.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from postproc.dialects.krl.positions import CARTESIAN
 from postproc.dialects.krl.statements import written
 from postproc.dialects.krl.wanted import DECIMALS, printed
 from postproc.errors import Issue, ProgramError, group_issues
-from postproc.frames import M_PER_MM, MM_PER_M, Array, xyzabc_from_pose
+from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, Targets, Written
 
 _END = "\r\n"
@@ -113,7 +112,7 @@ class _Emitter:
             f"; {kind}, robot {_printable(PurePath(cell.robot).name)}",
             *_INITIALISATION,
             *self._frame_lines(0, bases=True, tools=True),
-            *self._distance_line(self._distances()),
+            *self._distance_line(self.targets.blend),
             f"PTP {{{joints}}}",
         ]
 
@@ -178,24 +177,18 @@ class _Emitter:
             _printable(line.replace("{S}", _number(event.value)).replace("{T}", _number(event.value))) for line in own
         ]
 
-    def _distances(self) -> Array:
-        """Return the approximation distance of each target [m], (K,); 0 for exact stops."""
-        blend = self.program.motions.blend[self.row]
-        between = np.maximum(blend, self.cell.gcode.approximation_mm * M_PER_MM)
-        return np.where(self.targets.kind == PTP, 0.0, np.where(self.last, blend, between))
-
     def _distance_line(self, distances: Array) -> list[str]:
         given = distances[distances > 0.0]
         return [f"$APO.CDIS={_number(MM_PER_M * given[0])}"] if len(given) else []
 
     def _approximation(self) -> Bools:
         """Set `$APO.CDIS` anew where it changes; return which targets get C_DIS, (K,)."""
-        distances = self._distances()
+        distances = self.targets.blend.copy()
         exact = np.array(sorted(k - 1 for k in self.stops if k > 0), dtype=np.int64)
         distances[exact] = 0.0
         distances[:-1][self.targets.kind[1:] == PTP] = 0.0
         given = np.flatnonzero(distances > 0.0)
-        first = self._distances()
+        first = self.targets.blend
         current = first[first > 0.0][:1]
         changed = given[np.append(current, distances[given])[:-1] != distances[given]] if len(given) else given
         for k in changed.tolist():

@@ -184,15 +184,15 @@ class Statements:
     def inserted(self, row: int, k: int) -> str:
         """Return an inserted target as a line of its own, with its line end.
 
-        It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP). Of
-        comments only a force is repeated: it acts on the whole motion.
+        It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
+        the target is to stop too. Of comments only a force is repeated: it acts on the whole motion.
         """
         layout = self.layout
         keyword = int(layout.keyword[row])
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
         tail = self.text[slice(*layout.tail[row].tolist())]
-        if not _APPROXIMATION.search(tail):
+        if self.targets.blend[k] > 0.0 and not _APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         comment = self.text[layout.tail[row, 1] : self.source.stops[line - 1]]
         tail += comment if _FORCE.match(comment) else ""
