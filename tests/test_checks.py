@@ -9,6 +9,7 @@ import pytest
 
 from postproc import cell as cells
 from postproc import pipeline, robot
+from tests.oracle.arm import Arm
 from tests.programs import program
 
 SAMPLES = Path(__file__).parent.parent / "samples"
@@ -123,3 +124,40 @@ def test_turning_the_tool_on_the_spot_under_force_is_not_timed_by_the_feed():
     result = pipeline.process(made, MODEL, CELL)
     assert not [issue for issue in result.issues if issue.kind.startswith("joint-speed")]
     assert not result.failed
+
+
+@pytest.mark.parametrize(("share", "level"), [(0.95, None), (1.05, "error")])
+def test_the_fastest_feed_is_where_a_joint_of_an_independent_arm_reaches_its_speed(share, level):
+    arm, base, tool = Arm.load(robot.find("kuka_kr270")), np.eye(4), np.eye(4)
+    base[:3, 3], tool[:3, 3] = [1.5, -0.2, 0.7], [0, 0, 0.35]
+    place = np.eye(4)
+    place[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ np.diag([-1.0, -1.0, 1.0])  # spindle down, turned as the cell says
+    angles, way = [], np.linspace(0.0, 0.1, 21)
+    for x in way:
+        place[0, 3] = x
+        angles.append(arm.inverse(base @ place, tool, angles[-1] if angles else CELL.start_joints))
+    slope = np.abs(np.diff(angles, axis=0)).max(axis=0) / (way[1] - way[0])
+    fastest = float((MODEL.speed / slope).min())
+    made = program(FINE, orientation=DOWN)
+    made.motions.feed[2] = share * fastest
+    found = [
+        issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues if "joint-speed" in issue.kind
+    ]
+    assert [issue.level for issue in found] == ([] if level is None else [level])
+    if found:
+        joint = int((MODEL.speed / slope).argmin())
+        assert found[0].kind == f"joint-speed-A{joint + 1}"
+        assert f"(limit {np.degrees(MODEL.speed[joint]):.0f}°/s)" in found[0].message
+
+
+def test_a_start_with_a5_at_zero_is_warned_about_and_one_exactly_at_a_limit_is_not():
+    import msgspec
+
+    def kinds(*joints):
+        start = msgspec.structs.replace(CELL.start, joints=joints)
+        result = pipeline.process(program(FINE, orientation=DOWN), MODEL, msgspec.structs.replace(CELL, start=start))
+        return {issue.kind: issue.level for issue in result.issues}
+
+    assert kinds(0.0, -70.0, 110.0, 0.0, 0.0, 0.0)["start-singular"] == "warning"
+    at_limit = kinds(0.0, -70.0, 110.0, 0.0, 50.0, float(np.degrees(MODEL.upper[5])))
+    assert not {"start-singular", "start-joints"} & set(at_limit)

@@ -48,6 +48,22 @@ def test_random_poses_that_pass_keep_every_limit_by_an_independent_forward_kinem
         assert np.degrees(np.arccos(-down[2])) <= 30.0 + 1e-9
 
 
+def test_the_parts_of_the_arm_join_the_axes_of_an_independent_arm(tmp_path):
+    site = setting.site(tmp_path)
+    q = np.random.default_rng(4).uniform(-2, 2, (6, 6))
+    parts = constraints.arm_parts(site, constraints.State.of(site, q, None))
+    assert [part.name for part in parts] == ["column", "link 2", "elbow", "forearm", "hand"]
+    for row, angles in enumerate(q):
+        frames = setting.ORACLE.frames(angles)
+        joints = [frame[:3, 3] for frame in frames]
+        along = frames[3][:3, :3] @ setting.ORACLE.axes[3]
+        foot = joints[3] + along * ((joints[2] - joints[3]) @ along)  # of A3 on the axis of A4
+        corners = [np.zeros(3), joints[1], joints[2], foot, joints[4], frames[6][:3, 3]]
+        for part, start, end in zip(parts, corners[:-1], corners[1:], strict=True):
+            np.testing.assert_allclose(part.start[row], start, atol=1e-12)
+            np.testing.assert_allclose(part.end[row], end, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("text", "q", "expected"),
     [

@@ -48,6 +48,23 @@ def test_every_target_is_a_row_with_its_numbers_in_mm_and_degrees():
         assert np.abs(np.array([float(row[name]) for row in rows]) - expected).max() <= tolerance, name
 
 
+def test_a_row_is_this_text():
+    """Decimals and order are a contract: other programs read the file."""
+    base = fabricated.result(3)
+    exact = {
+        "bound": np.full(3, 1.25e-5),
+        "t": np.array([1.0, 1 / 3, 1.0]),
+        "q": np.radians(np.full((3, 6), -12.3456789)),
+    }
+    _, text = _read(fabricated.with_changes(base, **exact))
+    assert text.splitlines()[2] == (
+        "21,4,0.333333333,0,10.000000,0.000000,0.000000,0.000000,0.000000,180.000000,"
+        "10.0000,0.0000,0.8603,0.00000,0.00000,180.00000,0.000,0.000,172.058,0.0000,0.0000,0.0000,"
+        "0.000000,0.000000,-0.860292,0.860292,0.000200,0.012500,"
+        "-12.34568,-12.34568,-12.34568,-12.34568,-12.34568,-12.34568"
+    )
+
+
 def test_minus_zero_is_never_written():
     base = fabricated.result(10)
     _, text = _read(fabricated.with_changes(base, deflection=np.full((10, 3), -1e-12), q=np.full((10, 6), -1e-12)))
