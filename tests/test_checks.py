@@ -161,3 +161,34 @@ def test_a_start_with_a5_at_zero_is_warned_about_and_one_exactly_at_a_limit_is_n
     assert kinds(0.0, -70.0, 110.0, 0.0, 0.0, 0.0)["start-singular"] == "warning"
     at_limit = kinds(0.0, -70.0, 110.0, 0.0, 50.0, float(np.degrees(MODEL.upper[5])))
     assert not {"start-singular", "start-joints"} & set(at_limit)
+
+
+def test_a_first_move_that_turns_the_hand_by_half_a_turn_is_told():
+    from msgspec.structs import replace as changed
+
+    cell = changed(CELL, gcode=changed(CELL.gcode, redundancy_deg=0.0))
+    made = program(FINE, orientation=cell.tool_pose_in_program())
+    told = {issue.kind: issue for issue in pipeline.process(made, MODEL, cell, mode="predict").issues}
+    issue = told["first-move-A6"]
+    assert (issue.level, issue.source_line) == ("warning", 1)
+    assert "redundancy_deg" in issue.message
+    assert not [kind for kind in issues_of(FINE) if kind.startswith("first-move")]
+
+
+def test_a_posture_that_changes_is_told():
+    made = program([*FINE, ("PTP", 100, 0, 50), ("LIN", 100, 0, 0)], orientation=DOWN)
+    made.motions.status[3] = 6  # wrist turned over
+    told = {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues}
+    assert (told["posture"].level, told["posture"].source_line, told["posture"].count) == ("info", 4, 1)
+    assert "S from 2 to 6" in told["posture"].message
+    assert "posture" not in issues_of(FINE)
+
+
+def test_advice_for_g_code_is_not_given_for_krl():
+    from dataclasses import replace
+
+    made = program(FINE, orientation=DOWN)
+    for dialect, given in (("gcode", True), ("krl", False)):
+        tight = replace(MODEL, upper=np.radians([180.0, -120.0, 150.0, 350.0, 125.0, 350.0]))
+        issues = pipeline.process(replace(made, dialect=dialect), tight, CELL, mode="nominal").issues
+        assert any("redundancy_deg" in issue.message for issue in issues) is given

@@ -24,6 +24,7 @@ _TURNS = 1e-9
 """A motion that turns the tool by less than this [rad] does not turn it."""
 _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
+_HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
@@ -41,6 +42,10 @@ def _first(
         yield Issue(level, kind, message, source_line=line, count=len(np.unique(motion[rows])))
 
 
+def _turn_the_tool(program: Program) -> str:
+    return "turn the tool about its axis" + (" ([gcode] redundancy_deg)" if program.dialect == "gcode" else "")
+
+
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Every commanded configuration (N, 6) must lie within the joint limits."""
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
@@ -54,7 +59,7 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
             f"joint-limit-{JOINTS[axis]}",
             f"{JOINTS[axis]} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits "
             f"{low * DEG_PER_RAD:g}…{high * DEG_PER_RAD:g}°. "
-            "Move the part, turn the tool about its axis ([gcode] redundancy_deg) or start elsewhere.",
+            f"Move the part, {_turn_the_tool(program)} or start elsewhere.",
         )
 
 
@@ -68,7 +73,7 @@ def singularities(
     :param pose: (N, 4, 4) commanded tool frame in `$BASE` [m].
     """
     form = kinematics.closed_form(robot)
-    advice = "Turn the tool about its axis ([gcode] redundancy_deg) or move the part."
+    advice = f"Move the part or {_turn_the_tool(program)}."
     linear = program.motions.kind[sample.motion] != PTP
     wrist = linear & (np.abs(q[:, 4]) < _WRIST)
     yield from _first(
@@ -136,6 +141,37 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
     if abs(start[4]) < _WRIST:
         message = "[start] joints of the cell: A5 = 0 leaves the branch open; that with A5 > 0 is taken."
         yield Issue("warning", "start-singular", message, source_line=int(program.motions.line[0]))
+
+
+def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
+    """A first PTP that turns the hand by about half a turn from [start] (6,) [rad] is worth knowing."""
+    m = program.motions
+    if m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
+        return
+    turned = path.q[0] - start
+    for axis in (3, 5):
+        if abs(turned[axis]) > _HALF_TURN:
+            message = (
+                f"The first move turns {JOINTS[axis]} by {turned[axis] * DEG_PER_RAD:.0f}° from the [start] joints of "
+                f"the cell. Look to cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
+            )
+            yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
+
+
+def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
+    """A PTP may drive the arm into another posture (status S): overhead, elbow or wrist turned over."""
+    ends = np.flatnonzero(sample.ends & (program.motions.kind[sample.motion] == PTP))
+    before = kinematics.status_of(robot, np.concatenate([start[None], path.q])[ends])
+    after = kinematics.status_of(robot, path.q[ends])
+    changes = np.flatnonzero(before != after)
+    if len(changes):
+        first = changes[0]
+        message = (
+            f"The arm changes its posture (status S from {before[first]} to {after[first]}): the way there is the "
+            "controller's."
+        )
+        line = int(program.motions.line[sample.motion[ends[first]]])
+        yield Issue("info", "posture", message, source_line=line, count=len(changes))
 
 
 def joint_speeds(

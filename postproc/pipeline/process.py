@@ -16,7 +16,7 @@ from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramErro
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.pipeline import blending, checks, select, verify
+from postproc.pipeline import blending, bounds, checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
@@ -199,7 +199,11 @@ def _sample(
     arcs: Pieces | None,
     also: tuple[Ints, Array] | None,
 ) -> _Sampled:
+    for issue in bounds.ends(program, place.robot):
+        raise _BlockedError(issue)
     path = toolpath.segments(program, place.start_flange)
+    for issue in bounds.between(program, place.robot, path):
+        raise _BlockedError(issue)
     load = forces.per_motion(program, path, rows, place.axis)
     softness = elastostatics.softness(place.robot, place.cell.start_joints, program.tools[0])
     swing = forces.swing(program, path, load, place.axis, place.ramp, softness)
@@ -272,6 +276,8 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     correction = norm(position - sample.pose[:, :3, 3])
     return [
         *checks.start_joints(program, robot, place.cell.start_joints),
+        *checks.first_move(program, sampled.joints, place.cell.start_joints),
+        *checks.posture(program, robot, sample, sampled.joints, place.cell.start_joints),
         *checks.status_and_turn(program, robot, sample, sampled.joints.q),
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, sampled.joints, q, sampled.command.pose),

@@ -1,0 +1,86 @@
+"""Bounds before work: a path that no arm could drive is refused before it is sampled, which might take hours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from postproc import kinematics, toolpath
+from postproc.errors import Issue
+from postproc.frames import MM_PER_M, Array, norm
+from postproc.program import CIRC, Bools, Ints, Program
+from postproc.robot import RobotModel
+from postproc.toolpath import Segments
+
+_GRID = np.radians(np.arange(-180.0, 180.0, 30.0))
+_MARGIN = 1.15
+"""The reach is found on a grid of joint angles; between its points it may be larger by 1 / cos(15°) for each joint."""
+_MOST_TURNS = 1000
+"""An arc of more turns is a mistake: so many make a metre of thread."""
+_MOST_REACHES = 10_000
+"""A path longer than so many times the reach is a mistake: two days at 10 m/min."""
+_WIDE = 0.1
+"""Arcs shorter than this share of the reach do not leave what their ends are in."""
+
+
+def ends(program: Program, robot: RobotModel) -> Iterator[Issue]:
+    """Every Cartesian target must lie where the flange can get at all."""
+    cartesian = np.flatnonzero(np.isnan(program.motions.joints[:, 0]))
+    away = _away(program, cartesian, program.motions.target[cartesian])
+    reach = _reach(robot)
+    far = float(np.nanmax(away, initial=0.0))
+    message = (
+        f"out of reach: the flange would be up to {far * MM_PER_M:.0f} mm from the robot's root, and gets "
+        f"{reach * MM_PER_M:.0f} mm far at most. Check units, work offset and [base], or the targets."
+    )
+    yield from _found(program, cartesian, ~(away <= reach), "unreachable", message)
+
+
+def between(program: Program, robot: RobotModel, path: Segments) -> Iterator[Issue]:
+    """Arcs must lie where the flange can get, and have a plausible number of turns; the path, a plausible length."""
+    m = program.motions
+    reach = _reach(robot)
+    arcs = np.flatnonzero(m.kind == CIRC)
+    radius = norm(path.start.at(arcs)[:, :3, 3] - m.centre[arcs])
+    turns = m.sweep[arcs] / (2.0 * np.pi)
+    bad = ~(turns <= _MOST_TURNS)
+    message = f"an arc of {turns.max(initial=0.0):.1f} turns: more than {_MOST_TURNS} are taken for a mistake."
+    yield from _found(program, arcs, bad, "turns", message)
+    bad = (turns >= 1.0) & ~(radius <= reach)
+    wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
+    for share in (0.25, 0.5, 0.75):
+        spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose
+        bad[wide] |= ~(_away(program, arcs[wide], spot) <= reach)
+    message = (
+        f"out of reach: the arc swings farther than the {reach * MM_PER_M:.0f} mm that the flange gets from the "
+        "robot's root. Check its centre or radius, and its plane."
+    )
+    yield from _found(program, arcs, bad, "unreachable", message)
+    length = float(path.length.sum())
+    if not length <= _MOST_REACHES * reach:
+        message = (
+            f"the path is {length / 1e3:.0f} km long: more than {_MOST_REACHES} times the reach of the robot are taken "
+            "for a mistake. Check the units, or split the program."
+        )
+        yield Issue("error", "path-length", message, source_line=int(m.line[0]))
+
+
+def _away(program: Program, motion: Ints, pose: Array) -> Array:
+    """Return how far from the robot's root the flange stands (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
+    return norm(toolpath.flange_points(program, motion, pose, np.zeros(3)))
+
+
+@lru_cache(maxsize=1)
+def _reach(robot: RobotModel) -> float:
+    """Return how far from the robot's root the flange may get [m], whatever its joint limits."""
+    q = np.zeros((len(_GRID) ** 3, 6))
+    q[:, 1], q[:, 2], q[:, 4] = (angle.ravel() for angle in np.meshgrid(_GRID, _GRID, _GRID))
+    return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())
+
+
+def _found(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> Iterator[Issue]:
+    if bad.any():
+        line = int(program.motions.line[motion[int(np.argmax(bad))]])
+        yield Issue("error", kind, message, source_line=line, count=int(bad.sum()))
