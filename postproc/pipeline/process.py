@@ -108,20 +108,22 @@ def process(
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
         targets, row = _targets(program, place, sampled, linearize_arcs)
-        if mode == "predict":
-            sampled = replace(sampled, command=_as_it_stands(program, place, sampled.sample, sampled.joints))
-            targets = replace(targets, pose=sampled.sample.pose[row])
         issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated = None, None
-        if mode != "predict" and not _blocked(issues):
-            text = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
+        if not _blocked(issues):
+            try:
+                text = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
+            except ProgramError:
+                if mode == "predict":
+                    break
+                raise
             issues += text.issues
             if not _blocked(issues):
                 simulated = verify.simulate(
                     program, sampled.path, sampled.load, targets, sampled.sample.pose[row, :3, 3], text, place, row,
-                    sampled.command, sampled.joints.branch, corrected=mode == "convert",
+                    sampled.command, sampled.joints.branch, corrected=mode != "nominal",
                 )  # fmt: skip
-        if mode != "convert" or simulated is None or len(simulated.missed[0]) == 0:
+        if mode == "nominal" or simulated is None or len(simulated.missed[0]) == 0:
             break
         # between its targets the written path leaves the tolerance: look there too, and insert what is needed
         motion, t = simulated.missed
@@ -129,7 +131,12 @@ def process(
         arcs = sampled.arcs.finer(motion[on_arc], t[on_arc])
         more = motion[~on_arc], t[~on_arc]
         also = more if also is None else _joined(also, more)
-    everywhere = row if mode != "predict" else np.arange(len(sampled.sample))
+    everywhere = row
+    if mode == "predict":  # it was corrected only to find the places
+        sampled = replace(sampled, command=_as_it_stands(program, place, sampled.sample, sampled.joints))
+        targets, text = replace(targets, pose=sampled.sample.pose[row]), None
+        issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
+        everywhere = np.arange(len(sampled.sample))
     try:
         before, deflection = _uncorrected(program, place, sampled, everywhere)
     except NotConvergedError as cause:
