@@ -14,8 +14,8 @@ Everything named in `__all__` is loaded on first use: importing the package cost
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
     from postproc.batch import load_robot, read_program
     from postproc.cell import Cell

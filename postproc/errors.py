@@ -17,7 +17,17 @@ MOST = 20
 
 
 class PostprocError(Exception):
-    """Root of all exceptions of this package."""
+    """Root of all exceptions of this package; each passes from one process to another with all it carries."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle by message and attributes, whatever the constructor takes."""
+        return _rebuild, (type(self), self.args, vars(self))
+
+
+def _rebuild(kind: type[PostprocError], args: tuple[object, ...], attributes: dict[str, object]) -> PostprocError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(attributes)
+    return error
 
 
 class InputError(PostprocError):
@@ -67,22 +77,6 @@ class InputError(PostprocError):
             others=[other.with_file(name, path) for other in self.others],
         )
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Pickle by attributes, so that the exception survives a process pool."""
-        return _rebuild, (type(self), self.problem, self.file, self.line, self.text, self.advice, self.others)
-
-
-def _rebuild(
-    kind: type[InputError],
-    problem: str,
-    file: str | None,
-    line: int | None,
-    text: str | None,
-    advice: str | None,
-    others: tuple[InputError, ...],
-) -> InputError:
-    return kind(problem, file=file, line=line, text=text, advice=advice, others=others)
-
 
 AnyInputError = TypeVar("AnyInputError", bound=InputError)
 
@@ -125,10 +119,6 @@ class NotConvergedError(PostprocError):
     def __init__(self, message: str, rows: Iterable[int]) -> None:
         super().__init__(message)
         self.rows = tuple(rows)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Pickle with the rows, so that the exception survives a process pool."""
-        return type(self), (str(self), self.rows)
 
 
 @dataclass(frozen=True, slots=True)

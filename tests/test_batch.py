@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from postproc import batch
-from postproc.batch import Job, Settings, convert_all, convert_one, find_jobs
+from postproc.batch import Cluster, Job, Settings, convert_all, convert_one, find_jobs
 from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError
 from tests import fabricated
 
@@ -83,13 +83,13 @@ def test_a_dat_alone_is_an_error_with_advice(folder):
 def test_two_programs_that_would_be_one_file_are_an_error_before_anything_is_written(folder, pair):
     _touch(*pair)
     with pytest.raises(InputError, match="would both be written as"):
-        find_jobs(pair, output=Path("out"))
+        list(convert_all(find_jobs(pair, output=Path("out")), Settings(CELL)))
     assert not Path("out").exists()
 
 
-def test_programs_of_one_name_in_two_folders_are_no_clash_by_default(folder):
+def test_programs_of_one_name_in_two_folders_are_no_clash_by_default(folder, computed):
     _touch("a/part.nc", "b/part.nc")
-    assert len(find_jobs(["a", "b"])) == 2
+    assert [outcome.code for outcome in convert_all(find_jobs(["a", "b"]), Settings(CELL))] == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,9 @@ def test_programs_of_one_name_in_two_folders_are_no_clash_by_default(folder):
 )
 def test_an_input_is_never_overwritten(folder, program, options):
     _touch(program, "part.targets.csv", "part.report.json")
+    cell = options.pop("cell", CELL)
     with pytest.raises(InputError, match="this input would be overwritten"):
-        find_jobs([program], **options)
+        list(convert_all(find_jobs([program], **options), Settings(cell, overwrite=True)))
 
 
 def test_the_program_itself_is_not_overwritten_whatever_it_is_called(folder, computed):
@@ -153,7 +154,7 @@ def test_all_files_of_a_program_are_written_and_named(folder, computed):
     (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL))
     assert outcome.code == 0
     assert [Path(path).name for path in outcome.written] == [
-        "part.src", "part.report.json", "part.targets.csv", "part.report.html",
+        "part.src", "part.targets.csv", "part.report.html", "part.report.json",
     ]  # fmt: skip
     assert sorted(path.name for path in Path("corrected").iterdir()) == sorted(
         Path(path).name for path in outcome.written
@@ -173,7 +174,7 @@ def test_one_failing_program_does_not_stop_the_others(folder, computed, monkeypa
     assert [outcome.code for outcome in outcomes] == [1, 1, 1, 0]
     assert "bad force" in outcomes[0].message
     assert "unexpected ZeroDivisionError" in outcomes[1].message
-    assert "report it" in outcomes[1].message
+    assert "ZeroDivisionError: oops" in outcomes[1].traceback
     assert "memory" in outcomes[2].message
     assert [path.name for path in Path("corrected").iterdir() if path.suffix == ".src"] == ["part.src"]
 
@@ -247,15 +248,22 @@ def test_an_interrupt_while_writing_leaves_nothing_and_is_passed_on(folder, comp
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a POSIX signal")
-def test_an_interrupt_while_writing_waits_for_the_program_to_be_whole(folder, computed, monkeypatch):
+def test_an_interrupt_while_files_are_replaced_waits_for_the_program_to_be_whole(folder, computed, monkeypatch):
     _touch("a.nc", "b.nc")
-    monkeypatch.setattr("os.fsync", lambda _: signal.raise_signal(signal.SIGINT))
+    replace = Path.replace
+
+    def interrupted(path, target):
+        signal.raise_signal(signal.SIGINT)
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
     outcomes = convert_all(find_jobs(["a.nc", "b.nc"], output=Path("out")), Settings(CELL))
     assert len(next(outcomes).written) == 4
     with pytest.raises(KeyboardInterrupt):
         next(outcomes)
     assert {path.name.split(".")[0] for path in Path("out").iterdir()} == {"a", "part"}
     assert len(list(Path("out").iterdir())) == 4
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_an_unusable_cell_is_one_error_for_all(folder):
@@ -268,7 +276,7 @@ def test_a_scheduler_without_dask_says_what_to_install(folder, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     _touch("a.nc")
     with pytest.raises(PostprocError, match=r"pip install 'postproc\[dask\]'"):
-        list(convert_all(find_jobs(["a.nc"]), Settings(CELL), scheduler="tcp://127.0.0.1:1"))
+        list(convert_all(find_jobs(["a.nc"]), Settings(CELL), cluster=Cluster("tcp://127.0.0.1:1")))
 
 
 def test_a_cluster_does_the_same_work(folder):
@@ -280,7 +288,7 @@ def test_a_cluster_does_the_same_work(folder):
         jobs = find_jobs(["a.nc", "b.nc", "bad.nc"], output=Path("out"))
         outcomes = {
             outcome.program: outcome
-            for outcome in convert_all(jobs, Settings(CELL), scheduler=cluster.scheduler_address)
+            for outcome in convert_all(jobs, Settings(CELL), cluster=Cluster(cluster.scheduler_address))
         }
     assert {name: outcome.code for name, outcome in outcomes.items()} == {"a.nc": 0, "b.nc": 0, "bad.nc": 1}
     assert len(list(Path("out").iterdir())) == 8

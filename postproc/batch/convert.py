@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import gc
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 
 from postproc import cell as cells
-from postproc import files, pipeline, report
+from postproc import files, interrupts, pipeline, report
 from postproc import robot as robots
-from postproc.batch.inputs import Job, dialect_of, is_input, read_documents
-from postproc.batch.interrupts import Interrupted, held_back
+from postproc.batch import outputs
+from postproc.batch.inputs import dialect_of, read_documents
+from postproc.batch.job import Job
 from postproc.batch.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.cell import Cell
-from postproc.errors import InputError, PostprocError
+from postproc.dialects.krl.names import fault_of
+from postproc.errors import InputError, Issue, PostprocError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
 from postproc.pipeline import Result
@@ -50,74 +56,97 @@ def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
 def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
-    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
+    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included. If nothing
+    comes of the program, what an earlier run wrote for it is renamed; if it can only not be written, that stays.
+
+    :raises KeyboardInterrupt: nothing was written.
     """
     try:
-        return _converted(job, settings, cell, robot)
-    except PostprocError as cause:
-        return Outcome(str(job.program), FAILED, message=str(cause))
-    except MemoryError:
-        message = f"{job.program}: not enough memory. Use fewer --jobs, or split the program."
-        return Outcome(str(job.program), FAILED, message=message)
+        with interrupts.heard(), _no_collection():
+            result = _result(job, settings, cell, robot)
+            if not result.failed:
+                content, contents = _contents(job, settings, cell, result)
     except Exception as cause:
-        message = (
-            f"{job.program}: unexpected {type(cause).__name__}: {cause}. This is a fault of postproc: "
-            "please report it with the program and the cell."
-        )
-        return Outcome(str(job.program), FAILED, message=message)
+        return replace(failure(job, cause), earlier=outputs.set_aside(job, settings.mode))
+    program = str(job.program)
+    if result.failed:
+        return Outcome(program, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
+    try:
+        written = files.write_whole(job.output, contents)
+    except Exception as cause:
+        return replace(failure(job, cause), earlier=outputs.left([job], settings.mode))
+    exceeded = settings.mode != "predict" and content["tolerance_held"] is False
+    return Outcome(program, EXCEEDED if exceeded else GOOD, content, written=tuple(str(path) for path in written))
 
 
-def read_program(path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None) -> Program:
+def read_program(
+    path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None, name: str | None = None
+) -> Program:
     """Read a program file (for KRL with its `.dat`).
 
     :param path: of the main file.
     :param robot: with the cell, fixes where the program starts.
     :param cell: frames and settings.
     :param dialect: ``"gcode"`` or ``"krl"``; None = by the extension.
+    :param name: of the program; None = that of the file.
     :raises ProgramError: it is not understood; the message names the file by its path.
     """
     path = Path(path)
     dialect = dialect or dialect_of(path)
     documents = read_documents(path, dialect)
     try:
-        return pipeline.read(documents, robot, cell, path.stem, dialect)
+        return pipeline.read(documents, robot, cell, path.stem if name is None else name, dialect)
     except InputError as cause:
         raise cause.with_file(path.name, str(path)) from cause
 
 
-def _converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
-    program = read_program(job.program, robot, cell, job.dialect)
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Pause the search for unreachable cycles: 10⁵ lines make many small objects at once, and no cycles."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Result:
+    program = read_program(job.program, robot, cell, job.dialect, job.stem)
     rows = None if job.forces is None else read_force_csv(job.forces)
     result = pipeline.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
-    if result.failed:
-        return Outcome(str(job.program), FAILED, issues=result.issues)
-    stated = settings.mode == "convert" or settings.tolerance_mm is not None
-    tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
-    content = report.summary(result, tolerance)
-    contents = _contents(job, result, content, tolerance)
-    with held_back() as interrupts:
-        written = files.write_whole(job.output, contents)
-    exceeded = settings.mode != "predict" and content["tolerance_held"] is False
-    outcome = Outcome(
-        str(job.program), EXCEEDED if exceeded else GOOD, summary=content, written=tuple(str(path) for path in written)
-    )
-    if interrupts:
-        raise Interrupted(outcome)
-    return outcome
+    fault = fault_of(job.program.stem)
+    if settings.mode != "predict" and job.dialect == "gcode" and fault is not None:
+        note = f"written as {job.stem}.src: the controller does not accept the name {job.program.stem!r}, {fault}."
+        result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
+    return result
 
 
 def _contents(
-    job: Job, result: Result, content: Summary, tolerance: float | None
-) -> dict[str, bytes | Iterable[bytes]]:
-    """Return what to write: file name → content."""
-    stem = job.program.stem
+    job: Job, settings: Settings, cell: Cell, result: Result
+) -> tuple[Summary, dict[str, bytes | Iterable[bytes]]]:
+    """Return the summary, and what to write: file name → content."""
+    stated = settings.mode == "convert" or settings.tolerance_mm is not None
+    tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
+    content = report.summary(result, tolerance)
+    name = job.report(settings.mode)
+    stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
-    contents[f"{stem}.report.json"] = report.to_json(content)
-    contents[f"{stem}.targets.csv"] = report.targets_csv(result)
-    contents[f"{stem}.report.html"] = report.page(result, tolerance)
-    for name in contents:
-        if is_input(job, job.output / name):
-            raise InputError(
-                "this input would be overwritten", file=str(job.output / name), advice="Choose another -o."
-            )
-    return contents
+    contents[f"{stem}targets.csv"] = report.targets_csv(result)
+    contents[f"{stem}report.html"] = report.page(result, tolerance)
+    outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)
+    return content, outputs.recorded(contents, name, content)
+
+
+def failure(job: Job, cause: Exception) -> Outcome:
+    """Return the outcome of a program that an exception ended."""
+    program = str(job.program)
+    if isinstance(cause, PostprocError):
+        return Outcome(program, FAILED, message=str(cause))
+    if isinstance(cause, MemoryError):
+        return Outcome(
+            program, FAILED, message=f"{program}: not enough memory. Use fewer --jobs, or split the program."
+        )
+    told = "".join(traceback.format_exception(cause))
+    return Outcome(program, FAILED, message=f"{program}: unexpected {type(cause).__name__}: {cause}", traceback=told)

@@ -1,12 +1,14 @@
-"""What to work on: files, folders and patterns become jobs; nothing is written twice or over an input."""
+"""What to work on: files, folders and patterns become jobs."""
 
 from __future__ import annotations
 
 import glob
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from postproc.batch.job import Job, data_beside
+from postproc.dialects.krl.names import valid
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, ProgramError
 from postproc.program import Document
@@ -16,24 +18,6 @@ DIALECTS = {
     ".src": "krl",
 }
 """File extension (lower case) → dialect."""
-_REPORTS = (".report.json", ".targets.csv", ".report.html")
-_PROGRAMS = (".src", ".dat")
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One program to work on.
-
-    :param program: its file.
-    :param dialect: ``"gcode"`` or ``"krl"``.
-    :param output: folder to write into.
-    :param forces: CSV file with its forces, or None.
-    """
-
-    program: Path
-    dialect: str
-    output: Path
-    forces: Path | None = None
 
 
 def find_jobs(
@@ -42,8 +26,7 @@ def find_jobs(
     dialect: str | None = None,
     forces: Path | None = None,
     output: Path | None = None,
-    cell: Path | None = None,
-    writes_programs: bool = True,
+    name: str | None = None,
 ) -> list[Job]:
     """Return a job for each program that files, folders and glob patterns name: sorted, each once.
 
@@ -52,19 +35,28 @@ def find_jobs(
     :param dialect: how to read all of them; None = by extension.
     :param forces: CSV file (for one program), or a folder that holds NAME.csv or NAME.forces.csv for each.
     :param output: folder to write into; None = a folder `corrected` beside each program.
-    :param cell: cell file, protected like every input.
-    :param writes_programs: False if only reports are to be written.
-    :raises InputError: an input names nothing or no known kind of program, two programs would be written to one file,
-        or an input would be overwritten.
+    :param name: of the written program, for one program of G-code; None = that of the file, made valid for KRL.
+    :raises InputError: an input names nothing or no known kind of program, or the name cannot be given.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     csv = _forces_for(programs, forces)
-    jobs = [
-        Job(path, dialect or dialect_of(path), path.parent / "corrected" if output is None else output, csv[path])
+    if name is not None and len(programs) > 1:
+        raise InputError(f"one name for {len(programs)} programs", advice="Give --name with one program.")
+    return [
+        _job(
+            path, dialect or dialect_of(path), path.parent / "corrected" if output is None else output, csv[path], name
+        )
         for path in programs
     ]
-    _check_outputs(jobs, cell, (*(_PROGRAMS if writes_programs else ()), *_REPORTS))
-    return jobs
+
+
+def _job(path: Path, dialect: str, output: Path, forces: Path | None, name: str | None) -> Job:
+    if dialect == "gcode":
+        return Job(path, dialect, output, forces, valid(path.stem) if name is None else name)
+    if name is not None:
+        advice = "A KRL program keeps the name in its DEF; write it into another folder with -o instead."
+        raise InputError("--name is for G-code", file=str(path), advice=advice)
+    return Job(path, dialect, output, forces)
 
 
 def dialect_of(path: Path) -> str:
@@ -88,17 +80,8 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
     """
     paths = [path]
     if dialect == "krl":
-        paths += [other for other in _beside(path) if other.suffix.lower() == ".dat"][:1]
+        paths += data_beside(path)[:1]
     return [replace(decode(one.name, _bytes(one)), folder=str(one.parent)) for one in paths]
-
-
-def _beside(path: Path) -> list[Path]:
-    """Return the files with the same stem in the same folder, letters of any case; the exact one first."""
-    try:
-        found = [other for other in path.parent.iterdir() if other.stem.lower() == path.stem.lower()]
-    except OSError:
-        return []
-    return sorted(found, key=lambda other: (other.stem != path.stem, other.name))
 
 
 def _bytes(path: Path) -> bytes:
@@ -159,42 +142,3 @@ def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pat
             advice=f"Looked for {programs[0].stem}.csv, {programs[0].stem}.forces.csv and so on.",
         )
     return found
-
-
-def _check_outputs(jobs: Sequence[Job], cell: Path | None, endings: Sequence[str]) -> None:
-    """No two jobs may write one file (names that differ in case are one), and none an input."""
-    taken: dict[tuple[str, str], Path] = {}
-    for job in jobs:
-        key = (_key(job.output), job.program.stem.lower())
-        if key in taken:
-            raise InputError(
-                f"{taken[key]} and {job.program} would both be written as {job.output / job.program.stem}.*",
-                advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
-            )
-        taken[key] = job.program
-    inputs = {_key(path) for job in jobs for path in _read_by(job)}
-    if cell is not None:
-        inputs.add(_key(cell))
-    for job in jobs:
-        for ending in endings:
-            target = job.output / f"{job.program.stem}{ending}"
-            if _key(target) in inputs:
-                raise InputError(
-                    "this input would be overwritten",
-                    file=str(target),
-                    advice="Nothing was written. Choose another output folder with -o.",
-                )
-
-
-def is_input(job: Job, path: Path) -> bool:
-    """Return whether a path is one of the files that a job reads (names that differ in case are one)."""
-    return _key(path) in {_key(read) for read in _read_by(job)}
-
-
-def _read_by(job: Job) -> list[Path]:
-    data = [file for file in _beside(job.program) if file.suffix.lower() == ".dat"] if job.dialect == "krl" else []
-    return [job.program, *data, *([] if job.forces is None else [job.forces])]
-
-
-def _key(path: Path) -> str:
-    return str(path.resolve()).lower()

@@ -21,12 +21,14 @@ class Settings:
     :param mode: see `pipeline.process`.
     :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
     :param linearize_arcs: write arcs as lines.
+    :param overwrite: replace files that postproc did not write.
     """
 
     cell: Path
     mode: Mode = "convert"
     tolerance_mm: float | None = None
     linearize_arcs: bool = False
+    overwrite: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,8 @@ class Outcome:
     :param message: why nothing was written, where that is not told by `issues`.
     :param issues: what stands against the program, where it was read but not written.
     :param written: files written.
+    :param earlier: what became of the results of an earlier run, where there are none of this one.
+    :param traceback: of a fault of postproc.
     """
 
     program: str
@@ -47,3 +51,5 @@ class Outcome:
     message: str = ""
     issues: tuple[Issue, ...] = ()
     written: tuple[str, ...] = ()
+    earlier: str = ""
+    traceback: str = ""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import sys
-from collections.abc import Mapping
+import traceback
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -18,6 +21,7 @@ _COMMANDS = {
     "robots": "postproc.cli.robots:robots",
 }
 """Command → where it is."""
+_DEBUG = "--debug"
 
 
 class LazyGroup(click.Group):
@@ -42,22 +46,51 @@ class LazyGroup(click.Group):
         command: click.Command = getattr(import_module(module), attribute)
         return command
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Take ``--debug`` wherever it stands."""
+        others = [arg for arg in args if arg != _DEBUG]
+        return super().parse_args(ctx, others if others == args else [_DEBUG, *others])
+
+    def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
+        """Run in a process that is ours alone, if there are no `args`; warnings of libraries are not shown."""
+        if args is None:
+            from postproc import interrupts
+
+            interrupts.leave_at_once()
+        logging.captureWarnings(_DEBUG not in (sys.argv if args is None else args))
+        try:
+            return super().main(args, *rest, **options)
+        finally:
+            logging.captureWarnings(False)
+
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command: unusable input is a message and exit code 1, an interrupt 130; a traceback is a fault."""
+        """Run a command: unusable input is a message and exit code 1, an interrupt 130, a fault a line and a file."""
         from postproc.errors import PostprocError
 
         try:
             return super().invoke(ctx)
         except PostprocError as cause:
             raise click.ClickException(str(cause)) from cause
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as cause:
             click.echo("Interrupted.", err=True)
-            ctx.exit(130)
+            ctx.exit(128 + getattr(cause, "number", 2))
+        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+            raise
+        except MemoryError as cause:
+            raise click.ClickException("not enough memory") from cause
+        except Exception as cause:
+            from postproc.cli.faults import told
+
+            text = told(f"unexpected {type(cause).__name__}: {cause}", traceback.format_exc())
+            raise click.ClickException(text) from cause
 
 
 @click.group(cls=LazyGroup, commands_at=_COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="postproc", message="%(prog)s %(version)s")
-def main() -> None:
+@click.option(
+    _DEBUG, is_flag=True, help="Show the traceback of a fault, and warnings of libraries; also behind a command."
+)
+def main(debug: bool) -> None:  # read where a fault is told
     """Correct robot milling programs for the elastic deflection of the arm under cutting forces.
 
     \b

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
-if TYPE_CHECKING:
-    from postproc.batch import Job, Outcome, Settings
+from postproc.cli.outcomes import work
 
 _PATH = click.Path(path_type=Path)
 _DIALECT = click.Choice(["gcode", "krl"])
@@ -20,6 +19,9 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 def _shared(command: _Command) -> _Command:
     """Add the options that convert and predict share."""
     for option in (
+        click.option(
+            "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
+        ),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option("--dialect", type=_DIALECT, help="How to read the input; by default the extension says it."),
         click.option(
@@ -53,7 +55,16 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 )
 @click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
-@click.option("--scheduler", metavar="ADDRESS", help="Work on a Dask cluster, e.g. tcp://10.0.0.5:8786.")
+@click.option("--name", metavar="NAME", help="Name of the written program, for one program of G-code.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Work on a Dask cluster, e.g. tls://10.0.0.5:8786. A scheduler and its workers execute whatever anybody sends "
+    "them: use tcp:// on a trusted network only, tls:// elsewhere.",
+)
+@click.option("--tls-ca", type=_PATH, help="For tls://: the authority's certificate; default: Dask's configuration.")
+@click.option("--tls-cert", type=_PATH, help="For tls://: certificate to show.")
+@click.option("--tls-key", type=_PATH, help="For tls://: key of the certificate.")
 @click.pass_context
 def convert(
     ctx: click.Context,
@@ -66,14 +77,21 @@ def convert(
     tolerance: float | None,
     linearize_arcs: bool,
     jobs: int,
+    name: str | None,
     scheduler: str | None,
+    tls_ca: Path | None,
+    tls_cert: Path | None,
+    tls_key: Path | None,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Write corrected KRL and a report for each PROGRAM.
 
     PROGRAM is a file, a folder or a pattern such as "parts/*.nc". G-code: .nc .ngc .tap .cnc .gcode .mpf .ptp; KRL:
     .src, with the .dat beside it. For part.nc this writes part.src, part.report.json, part.targets.csv and
-    part.report.html, all or none of them; an input is never overwritten.
+    part.report.html, all or none of them. An input is never overwritten; a file that was not written by postproc, or
+    was changed since, with --overwrite only. A name that KRL does not allow is made valid (1001.nc: P1001.src). Where
+    nothing comes of a program any more, its files of an earlier run are renamed to part.src.old and so on.
 
     \b
     Examples:
@@ -81,7 +99,8 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.batch import Settings, find_jobs
+    from postproc.batch import Cluster, Settings, find_jobs
+    from postproc.dialects.krl.names import fault_of
 
     if scheduler is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
@@ -90,11 +109,14 @@ def convert(
             "--forces FILE goes with one program: its line numbers belong to one. Give a folder that holds NAME.csv "
             "for each program, or write the forces into the programs as comments."
         )
-    found = find_jobs(programs, dialect=dialect, forces=forces, output=output, cell=cell)
-    settings = Settings(cell, "nominal" if nominal else "convert", tolerance, linearize_arcs)
-    outcomes = _worked(ctx, found, settings, workers=jobs, scheduler=scheduler)
-    _report(outcomes, found, as_json=as_json)
-    ctx.exit(_worst(outcomes))
+    if scheduler is None and (tls_ca or tls_cert or tls_key):
+        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler tls://…")
+    if name is not None and (fault := fault_of(name)) is not None:
+        raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
+    found = find_jobs(programs, dialect=dialect, forces=forces, output=output, name=name)
+    settings = Settings(cell, "nominal" if nominal else "convert", tolerance, linearize_arcs, overwrite)
+    cluster = None if scheduler is None else Cluster(scheduler, tls_ca, tls_cert, tls_key)
+    work(ctx, found, settings, as_json=as_json, workers=jobs, cluster=cluster)
 
 
 @click.command()
@@ -108,11 +130,12 @@ def predict(
     forces: Path | None,
     output: Path | None,
     dialect: str | None,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Predict how far the tool leaves the path of PROGRAM as it stands; nothing is corrected.
 
-    Writes NAME.report.json, NAME.targets.csv and NAME.report.html.
+    For part.nc this writes part.predict.report.json, part.predict.targets.csv and part.predict.report.html.
 
     \b
     Example:
@@ -120,105 +143,7 @@ def predict(
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.batch import Settings, find_jobs
 
-    found = find_jobs([program], dialect=dialect, forces=forces, output=output, cell=cell, writes_programs=False)
+    found = find_jobs([program], dialect=dialect, forces=forces, output=output)
     if len(found) > 1:
         raise click.UsageError(f"predict takes one program; {program} names {len(found)}.")
-    outcomes = _worked(ctx, found, Settings(cell, "predict"))
-    _report(outcomes, found, as_json=as_json)
-    ctx.exit(_worst(outcomes))
-
-
-def _worked(
-    ctx: click.Context,
-    jobs: Sequence[Job],
-    settings: Settings,
-    *,
-    workers: int = 1,
-    scheduler: str | None = None,
-) -> list[Outcome]:
-    """Return the outcomes in the order of the jobs; an interrupt ends the command and says what is there."""
-    from postproc.batch import convert_all
-
-    known: dict[str, Outcome] = {}
-    outcomes = convert_all(jobs, settings, workers=workers, scheduler=scheduler)
-    try:
-        for outcome in _with_progress(outcomes, len(jobs)):
-            known[outcome.program] = outcome
-    except KeyboardInterrupt:
-        done = [outcome for outcome in known.values() if outcome.written]
-        rest = "of the others nothing is" if scheduler is None else "the cluster may still finish those it has begun"
-        click.echo(f"Interrupted: {len(done)} of {len(jobs)} programs are written, and whole; {rest}.", err=True)
-        ctx.exit(130)
-    return [known[str(job.program)] for job in jobs]
-
-
-def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]:
-    """Pass outcomes on; on a terminal show how far the work is, on stderr."""
-    import sys
-
-    if not sys.stderr.isatty():
-        yield from outcomes
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("programs", total=count)
-        for outcome in outcomes:
-            progress.update(task, advance=1, description=Path(outcome.program).name)
-            yield outcome
-
-
-def _report(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -> None:
-    """Print what came of the programs: summary on stdout, what failed on stderr."""
-    from postproc import report
-    from postproc.report import issue_entry, issue_line
-
-    for outcome in outcomes:
-        if outcome.message:
-            click.echo(f"Error: {outcome.message}", err=True)
-        for issue in outcome.issues:
-            click.echo(issue_line(issue_entry(issue), outcome.program), err=True)
-        if outcome.issues:
-            click.echo(f"Error: {outcome.program}: nothing is written.", err=True)
-    if as_json:
-        content = {"exit_code": _worst(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
-        click.echo(report.to_json(content).decode(), nl=False)
-    elif len(outcomes) == 1 and outcomes[0].summary is not None:
-        click.echo(report.of_one(outcomes[0].summary))
-        names = ", ".join(Path(path).name for path in outcomes[0].written)
-        click.echo(f"written to {jobs[0].output}: {names}")
-    elif len(outcomes) > 1:
-        click.echo(report.of_many([(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]))
-
-
-def _as_entry(outcome: Outcome) -> dict[str, object]:
-    from postproc.report import issue_entry
-
-    entry: dict[str, object] = {"program": outcome.program, "exit_code": outcome.code}
-    if outcome.summary is not None:
-        entry |= {**outcome.summary, "program": outcome.program}
-    else:
-        entry |= {"error": outcome.message, "issues": [issue_entry(issue) for issue in outcome.issues]}
-    return {**entry, "written": list(outcome.written)}
-
-
-def _word(outcome: Outcome) -> str:
-    if outcome.summary is None:
-        return "FAILED"
-    warnings = sum(issue["level"] == "warning" for issue in outcome.summary["issues"])
-    word = "tolerance exceeded" if outcome.code else "written"
-    return word + (f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "")
-
-
-def _worst(outcomes: Iterable[Outcome]) -> int:
-    """Return the exit code for all: a failure is worse than an exceeded tolerance."""
-    codes = {outcome.code for outcome in outcomes}
-    return 1 if 1 in codes else max(codes, default=0)
+    work(ctx, found, Settings(cell, "predict", overwrite=overwrite), as_json=as_json)

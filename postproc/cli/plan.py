@@ -80,12 +80,14 @@ def plan(
           --measured measurements.csv --configurations 4 -o next.csv
     """  # noqa: D301 - click: keep these lines as they are
     from postproc import cell as cells
+    from postproc import interrupts
     from postproc import robot as robots
+    from postproc.dialects.krl.names import valid
     from postproc.files import write_whole
     from postproc.frames import RAD_PER_DEG
     from postproc.identification import measurements
     from postproc.plan import Options, make
-    from postproc.plan.program import krl_name, krl_program
+    from postproc.plan.program import krl_program
     from postproc.plan.site import site_of
     from postproc.report.plan import plan_page
     from postproc.report.plan_data import plan_csv, plan_json
@@ -104,9 +106,9 @@ def plan(
     data = None if measured is None else measurements.read(measured, setup)
     _protect(output, [experiment, cell, *filter(None, (forces, poses, measured)), *map(Path, programs)])
     options = Options(configurations, q2_levels, seed, grouped, test_poses, repeats)
-    with _shown() as progress:
+    with interrupts.ending_a_search(), _shown() as progress:
         result = make(site, setup.sigma, tests, place, options, data, progress)
-    name = krl_name(output.stem)
+    name = valid(output.stem)
     contents = {
         output.name: plan_csv(result),
         f"{name}.src": krl_program(result, place, name).to_bytes(),
@@ -137,7 +139,7 @@ def _test_poses(
     if poses is not None:
         return milling.from_file(poses, model, cell)
     parts = []
-    for job in find_jobs(programs, forces=forces, writes_programs=False):
+    for job in find_jobs(programs, forces=forces):
         program = read(read_documents(job.program, job.dialect), model, cell, job.program.stem, job.dialect)
         rows = None if job.forces is None else read_force_csv(job.forces)
         parts.append(milling.from_program(program, model, cell, rows))

@@ -5,21 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from postproc.cell import Cell
-from postproc.dialects.krl.names import fault_of, suggestion
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.plan.result import PlanResult
 from postproc.program import Document
 
 _SPEED_PERCENT = 10
-
-
-def krl_name(stem: str) -> str:
-    """Return the name of the program for a plan of this name: the same where KRL allows it.
-
-    >>> krl_name("plan 15")
-    'plan_15'
-    """
-    return stem if fault_of(stem) is None else suggestion(stem)
 
 
 def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:

@@ -1,12 +1,13 @@
 """Results as text, JSON, CSV and HTML: pure functions of a result; no file is read or written here."""
 
 from postproc.report.html import page
-from postproc.report.summary import Summary, issue_entry, summary, to_json
+from postproc.report.summary import FileEntry, Summary, issue_entry, summary, to_json
 from postproc.report.targets import COLUMNS, targets_csv
 from postproc.report.text import issue_line, of_many, of_one
 
 __all__ = [
     "COLUMNS",
+    "FileEntry",
     "Summary",
     "issue_entry",
     "issue_line",

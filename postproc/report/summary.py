@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
@@ -61,6 +61,13 @@ class IssueEntry(TypedDict):
     count: int
 
 
+class FileEntry(TypedDict):
+    """A file that was written with the report: what tells later whether it is still as it was."""
+
+    name: str
+    sha256: str
+
+
 class Summary(TypedDict):
     """Content of `report.json`. Numbers that are unknown are None; none is NaN or infinite."""
 
@@ -81,6 +88,7 @@ class Summary(TypedDict):
     max_force_N: float
     limits: Limits
     issues: list[IssueEntry]
+    files: NotRequired[list[FileEntry]]
 
 
 def summary(result: Result, tolerance: float | None = None) -> Summary:

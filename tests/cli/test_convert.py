@@ -62,7 +62,7 @@ def test_one_program_prints_its_summary_and_what_was_written(folder, computed):
     assert done.exit_code == 0
     assert "improvement" in done.stdout
     assert done.stdout.splitlines()[-1] == (
-        "written to corrected: part.src, part.report.json, part.targets.csv, part.report.html"
+        "written to corrected: part.src, part.targets.csv, part.report.html, part.report.json"
     )
     assert done.stderr == ""
 
@@ -95,9 +95,9 @@ def test_predict_writes_reports_and_no_program(folder, computed):
     done = _run("predict", "part.nc", "--cell", CELL_270, "-o", "out")
     assert done.exit_code == 0
     assert sorted(path.name for path in Path("out").iterdir()) == [
-        "part.report.html",
-        "part.report.json",
-        "part.targets.csv",
+        "part.predict.report.html",
+        "part.predict.report.json",
+        "part.predict.targets.csv",
     ]
 
 

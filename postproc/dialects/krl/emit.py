@@ -20,7 +20,7 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.chunks import chunks
 from postproc.decimals import Bytes, fixed, lines
-from postproc.dialects.krl.names import fault_of, suggestion
+from postproc.dialects.krl.names import fault_of, valid
 from postproc.dialects.krl.positions import CARTESIAN
 from postproc.dialects.krl.statements import written
 from postproc.dialects.krl.wanted import DECIMALS, printed
@@ -68,7 +68,7 @@ def emit(program: Program, targets: Targets, cell: Cell) -> Written:
         raise ProgramError(
             f"{program.name!r} cannot be the name of a KRL program: {fault}",
             file=program.documents[0].name,
-            advice=f"Rename the file, for example to {suggestion(program.name)}.",
+            advice=f"Rename the file, for example to {valid(program.name)}.",
         )
     return _Emitter(program, targets, cell).written()
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable
 
 MAX_LENGTH = 24
 """Longest name the controller accepts."""
 
 NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
+
+
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 
 
 def words(text: str) -> frozenset[str]:
@@ -80,12 +84,18 @@ def fault_of(name: str) -> str | None:
     return None
 
 
-def suggestion(name: str) -> str:
-    """Return a valid name as close as possible to a given one."""
-    valid = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "PROGRAM"
-    if not re.match(r"[A-Za-z_]", valid) or valid.upper() in RESERVED:
-        valid = "P_" + valid
-    return valid[:MAX_LENGTH]
+def valid(name: str) -> str:
+    """Return a name as it stands if the controller accepts it, otherwise one as close to it as possible.
+
+    >>> valid("part_1"), valid("1001"), valid("Gehäuse oben.2"), valid("loop")
+    ('part_1', 'P1001', 'Gehaeuse_oben_2', 'P_loop')
+    """
+    if fault_of(name) is None:
+        return name
+    plain = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
+    found = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
+    found = f"P_{found}" if found.upper() in RESERVED else f"P{found}" if found[0].isdigit() else found
+    return found[:MAX_LENGTH].rstrip("_")
 
 
 def unused(name: str, taken: Iterable[str]) -> str:

@@ -1,14 +1,12 @@
-"""Strict reading of TOML and CSV, and writing that leaves whole files or none."""
+"""Strict reading of TOML and CSV: what is not understood is an error that names file, line and key."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import math
-import os
-import tempfile
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -242,41 +240,3 @@ def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArr
     bad = np.flatnonzero(~np.isfinite(column) & ~empty)
     column[bad] = np.nan
     return column, bad
-
-
-def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> list[Path]:
-    """Write files so that all appear whole, or none.
-
-    Every file is written under a temporary name in `folder` (made if needed) and synced; only when all are
-    there are they renamed. On any failure, also an interrupt, the temporary files are removed.
-
-    :param folder: where to write.
-    :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written.
-    :returns: the paths written.
-    :raises InputError: the folder or a file cannot be written.
-    """
-    pending: list[tuple[str, Path]] = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            handle, temporary = tempfile.mkstemp(prefix=f".{name}.", suffix=".tmp", dir=folder)
-            pending.append((temporary, folder / name))
-            with os.fdopen(handle, "wb") as file:
-                file.writelines([content] if isinstance(content, bytes) else content)
-                file.flush()
-                os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        for temporary, final in pending:
-            Path(temporary).chmod(0o666 & ~umask)
-            Path(temporary).replace(final)
-    except OSError as cause:
-        raise InputError(
-            f"cannot be written ({cause.strerror or cause})",
-            file=str(folder),
-            advice="Nothing was written for this program. Check the folder, its rights and the free space.",
-        ) from cause
-    finally:
-        for temporary, _ in pending:
-            Path(temporary).unlink(missing_ok=True)
-    return [final for _, final in pending]

@@ -1,0 +1,26 @@
+"""A fault of postproc itself: one line for the user, and a file with the traceback to report it with."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+
+import click
+
+
+def told(message: str, traceback: str) -> str:
+    """Return what to tell the user about a fault; its traceback goes into a file, or with ``--debug`` to stderr.
+
+    :param message: what happened, without a full stop.
+    """
+    advice = "This is a fault of postproc: please report it with the program and the cell."
+    if click.get_current_context().find_root().params.get("debug"):
+        click.echo(traceback, err=True, nl=False)
+        return f"{message}. {advice}"
+    with contextlib.suppress(OSError):
+        handle, path = tempfile.mkstemp(prefix="postproc-fault-", suffix=".log")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(traceback)
+        return f"{message}. {advice} The traceback is in {path}."
+    return f"{message}. {advice} Run it again with --debug to see the traceback."

@@ -1,0 +1,137 @@
+"""Work through the programs of a command, show how far it is, and print what came of each."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from postproc.cli.faults import told
+
+if TYPE_CHECKING:
+    from postproc.batch import Cluster, Job, Outcome, Settings
+
+
+def work(
+    ctx: click.Context,
+    jobs: Sequence[Job],
+    settings: Settings,
+    *,
+    as_json: bool,
+    workers: int = 1,
+    cluster: Cluster | None = None,
+) -> None:
+    """Work through jobs and print what came of them; end the command with the exit code of the worst."""
+    from postproc.batch import convert_all, left
+    from postproc.errors import PostprocError
+
+    known: dict[str, Outcome] = {}
+    try:
+        for outcome in _with_progress(convert_all(jobs, settings, workers=workers, cluster=cluster), len(jobs)):
+            known[outcome.program] = outcome
+    except (KeyboardInterrupt, PostprocError) as cause:
+        earlier = left([job for job in jobs if str(job.program) not in known], settings.mode)
+        if isinstance(cause, PostprocError):
+            if earlier:
+                click.echo(earlier, err=True)
+            raise
+        _print_failures(known.values())
+        done = sum(bool(outcome.written) for outcome in known.values())
+        rest = "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
+        text = f"Interrupted: {done} of {len(jobs)} programs are written, and whole; {rest}. {earlier}".rstrip()
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            click.echo(text, err=True)
+        ctx.exit(128 + getattr(cause, "number", 2))
+    outcomes = [known[str(job.program)] for job in jobs]
+    _print(outcomes, jobs, as_json=as_json)
+    ctx.exit(_worst(outcomes))
+
+
+def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]:
+    """Pass outcomes on; on a terminal show how far the work is, on stderr."""
+    import sys
+
+    if not sys.stderr.isatty():
+        yield from outcomes
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("programs", total=count)
+        for outcome in outcomes:
+            progress.update(task, advance=1, description=Path(outcome.program).name)
+            yield outcome
+
+
+def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -> None:
+    """Print what came of the programs: summary on stdout, what failed on stderr."""
+    from postproc import report
+
+    _print_failures(outcomes)
+    if as_json:
+        content = {"exit_code": _worst(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
+        click.echo(report.to_json(content).decode(), nl=False)
+    elif len(outcomes) == 1 and outcomes[0].summary is not None:
+        click.echo(report.of_one(outcomes[0].summary))
+        names = ", ".join(Path(path).name for path in outcomes[0].written)
+        click.echo(f"written to {jobs[0].output}: {names}")
+    elif len(outcomes) > 1:
+        click.echo(report.of_many([(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]))
+
+
+def _print_failures(outcomes: Iterable[Outcome]) -> None:
+    from postproc.report import issue_entry, issue_line
+
+    for outcome in outcomes:
+        if outcome.message:
+            text = told(outcome.message, outcome.traceback) if outcome.traceback else outcome.message
+            click.echo(f"Error: {text}", err=True)
+        for issue in outcome.issues:
+            click.echo(issue_line(issue_entry(issue), outcome.program), err=True)
+        if outcome.issues:
+            click.echo(f"Error: {outcome.program}: nothing is written.", err=True)
+        if outcome.earlier:
+            click.echo(outcome.earlier, err=True)
+
+
+def _as_entry(outcome: Outcome) -> dict[str, object]:
+    from postproc.report import issue_entry
+
+    entry: dict[str, object] = {"program": outcome.program, "exit_code": outcome.code}
+    if outcome.summary is not None:
+        entry |= {**outcome.summary, "program": outcome.program}
+    else:
+        entry |= {"error": outcome.message, "issues": [issue_entry(issue) for issue in outcome.issues]}
+        entry |= {"earlier": outcome.earlier}
+    return {**entry, "written": list(outcome.written)}
+
+
+def _word(outcome: Outcome) -> str:
+    if outcome.summary is None:
+        return "FAILED"
+    issues = outcome.summary["issues"]
+    warnings = sum(issue["level"] == "warning" for issue in issues)
+    word = "tolerance exceeded" if outcome.code else "written"
+    renamed = [Path(path).name for path in outcome.written[:1] if any(issue["kind"] == "name" for issue in issues)]
+    return (
+        word
+        + "".join(f" as {name}" for name in renamed)
+        + (f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "")
+    )
+
+
+def _worst(outcomes: Iterable[Outcome]) -> int:
+    """Return the exit code for all: a failure is worse than an exceeded tolerance."""
+    codes = {outcome.code for outcome in outcomes}
+    return 1 if 1 in codes else max(codes, default=0)

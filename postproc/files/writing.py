@@ -1,0 +1,129 @@
+"""Writing files that belong together: all of them are replaced, or none."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+from postproc import interrupts
+from postproc.errors import InputError
+
+if sys.platform == "win32":
+
+    def _lock(_file: BinaryIO) -> None:
+        """Nothing to do: an open file cannot be removed on Windows."""
+else:
+    import fcntl
+
+    def _lock(file: BinaryIO) -> None:
+        """Lock a file until it is closed, or its process ends however that may be; `OSError` if another has."""
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+_STAGE, _LOCK = (".postproc-", ".tmp"), "lock"
+"""Prefix and suffix of the folder that files are written in at first; the file in it that its writer keeps open."""
+
+
+def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> list[Path]:
+    """Write files so that all are replaced, or none.
+
+    All are written in a folder of their own inside `folder` (made if needed) and synced; only then those that they
+    replace are moved out of the way, the first named one first, and the new ones take their place, the first named one
+    last. So at any moment, also if the process is killed: if the first is there, the others belong to it. On any
+    failure the old ones come back. A signal is heard while the files are made, and held back while they are replaced.
+
+    :param folder: where to write.
+    :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written, in this order.
+    :returns: the paths written.
+    :raises InputError: the folder or a file cannot be written; the message names it.
+    """
+    with interrupts.held_back():
+        at = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for at in (folder / name for name in contents):
+                if at.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, "a folder of that name is in the way")
+            at = folder
+            with _stage(folder) as stage:
+                with interrupts.heard():
+                    for name, content in contents.items():
+                        at = folder / name
+                        _write(stage / "new" / name, content)
+                at = folder
+                _replace(stage, folder, list(contents))
+        except OSError as cause:
+            name = Path(cause.filename or "").name
+            raise InputError(
+                f"cannot be written ({cause.strerror or cause})",
+                file=str(folder / name if name in contents else at),
+                advice="Nothing was written, what was there is as it was. Check the folder, its rights and the free "
+                "space, and that no other program has the file open.",
+            ) from cause
+    return [folder / name for name in contents]
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes that were killed while they wrote left in a folder; not what is being written now."""
+    for stage in folder.glob("*".join(_STAGE)):
+        with contextlib.suppress(OSError):
+            with (stage / _LOCK).open("r+b") as file:
+                _lock(file)
+            (stage / _LOCK).unlink()
+            shutil.rmtree(stage)
+
+
+@contextlib.contextmanager
+def _stage(folder: Path) -> Iterator[Path]:
+    """Make a folder with room for new files and old ones, and remove it unless old ones had to stay in it."""
+    stage = Path(tempfile.mkdtemp(_STAGE[1], _STAGE[0], dir=folder))
+    try:
+        with (stage / _LOCK).open("wb") as file:
+            with contextlib.suppress(OSError):  # some network drives have no locks
+                _lock(file)
+            (stage / "new").mkdir()
+            (stage / "old").mkdir()
+            yield stage
+    finally:
+        if not any(stage.glob("old/*")):
+            shutil.rmtree(stage, ignore_errors=True)
+
+
+def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
+    with path.open("wb") as file:
+        file.writelines([content] if isinstance(content, bytes) else content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _replace(stage: Path, folder: Path, names: Sequence[str]) -> None:
+    """Put new files in the place of old ones; a single one in one step."""
+    aside: list[str] = []
+    placed: list[str] = []
+    try:
+        for name in names if len(names) > 1 else ():
+            if (folder / name).exists() or (folder / name).is_symlink():
+                (folder / name).rename(stage / "old" / name)
+                aside.append(name)
+        for name in reversed(names):
+            (stage / "new" / name).replace(folder / name)
+            placed.append(name)
+    except BaseException as cause:
+        for name in placed:
+            (folder / name).unlink(missing_ok=True)
+        for name in aside:
+            with contextlib.suppress(OSError):
+                (stage / "old" / name).rename(folder / name)
+        left = sorted(path.name for path in stage.glob("old/*"))
+        if left:
+            problem = f"could not be put back: {', '.join(left)}; the new ones could not be written ({cause})"
+            raise InputError(problem, file=str(stage / "old"), advice=f"Move them to {folder} by hand.") from cause
+        raise
+    shutil.rmtree(stage / "old", ignore_errors=True)

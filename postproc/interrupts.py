@@ -1,0 +1,144 @@
+"""Ctrl-C and the signals that end a process: heard where nothing can be left half-done, held back elsewhere.
+
+A `KeyboardInterrupt` that may come between any two statements cannot be cleaned up after with certainty. So it comes
+only inside `heard`; inside `held_back` a signal is noted, and is raised when all that belongs together is done.
+
+Signals reach the main thread alone; in other threads nothing here does anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
+"""Signals that ask a process to end: Ctrl-C, kill, the terminal closed, Ctrl-Break of Windows."""
+
+_Handler = Callable[[int, FrameType | None], object]
+
+
+class Interrupt(KeyboardInterrupt):
+    """A signal asked for the end; `number` says which."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+class _State:
+    """Of this process: whether a signal is raised or noted, and the one that was."""
+
+    holding = False
+    hearing = False
+    number: int | None = None
+
+
+def leave_at_once() -> None:
+    """From now on end the process with a word and without a traceback: nothing is at stake before the work begins.
+
+    For a process that is ours alone. Signals that its starter had it ignore (nohup) stay ignored.
+    """
+    for number in _ENDING:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _leave)
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[None]:
+    """Note signals that ask for the end; raise `Interrupt` when all that belongs together is done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    if not _State.holding:
+        _State.number = None
+        with _handled(lambda handler: handler in (_leave, signal.default_int_handler), _note):
+            _State.holding = True
+            try:
+                yield
+            finally:
+                number, _State.number, _State.holding = _State.number, None, False
+                if number is not None:
+                    raise Interrupt(number)
+        return
+    before, _State.hearing = _State.hearing, False
+    try:
+        yield
+    finally:
+        if before:
+            _hear()
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[None]:
+    """Inside `held_back`: raise `Interrupt` at once, but only once, so that nothing disturbs the cleaning up.
+
+    Also where the exception got lost (a destructor and some libraries swallow it) or became another one.
+    """
+    if not _State.holding or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = _State.hearing
+    try:
+        _hear()
+        yield
+    finally:
+        _State.hearing = False
+        if _State.number is not None:
+            raise Interrupt(_State.number)
+        _State.hearing = before
+
+
+@contextlib.contextmanager
+def ending_a_search() -> Iterator[None]:
+    """Let Ctrl-C raise `KeyboardInterrupt`, for a search that then returns the best it has."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not _leave:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, _leave)
+
+
+def came() -> bool:
+    """Return whether a signal has been noted."""
+    return _State.number is not None
+
+
+@contextlib.contextmanager
+def _handled(by: Callable[[object], bool], handler: _Handler) -> Iterator[None]:
+    """Handle those signals whose present handler is such a one."""
+    before = {number: signal.getsignal(number) for number in _ENDING}
+    taken = [number for number in _ENDING if by(before[number])]
+    for number in taken:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, before[number])
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    with contextlib.suppress(OSError):
+        os.write(2, b"Interrupted.\n")
+    os._exit(128 + number)
+
+
+def _note(number: int, _frame: FrameType | None) -> None:
+    _State.number = number
+    if _State.hearing:
+        _State.hearing = False
+        raise Interrupt(number)
+
+
+def _hear() -> None:
+    _State.hearing = True
+    if _State.number is not None:
+        _State.hearing = False
+        raise Interrupt(_State.number)

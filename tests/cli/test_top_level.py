@@ -1,0 +1,146 @@
+"""What every command does alike: faults, interrupts, warnings of libraries, exit codes."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import pkgutil
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import postproc
+from postproc.cli import main
+from postproc.errors import Issue, PostprocError, ProgramError
+from postproc.kinematics import UnreachableError
+from tests.processes import CELL_16, COMMAND, programs
+
+FAULT = (
+    r"Error: (?:p00.src: )?unexpected ZeroDivisionError: oops\. This is a fault of postproc: please report it with the "
+    r"program and the cell\. The traceback is in (.*postproc-fault-.*\.log)\.\n"
+)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+
+def oops(*_, **__):
+    raise ZeroDivisionError("oops")
+
+
+@pytest.fixture(params=["robots", "convert"])
+def faulty(request, monkeypatch):
+    """A command with a fault: of the command itself, or in one of its programs."""
+    programs(1)
+    monkeypatch.setattr("postproc.robot.shipped" if request.param == "robots" else "postproc.pipeline.process", oops)
+    return ["robots"] if request.param == "robots" else ["convert", "p00.src", "--cell", CELL_16]
+
+
+def test_a_fault_is_one_line_and_a_file_with_the_traceback(faulty):
+    done = CliRunner().invoke(main, faulty)
+    assert done.exit_code == 1
+    (path,) = re.fullmatch(FAULT, done.stderr).groups()
+    text = Path(path).read_text()
+    assert text.startswith("Traceback (most recent call last):")
+    assert text.endswith("ZeroDivisionError: oops\n")
+
+
+@pytest.mark.parametrize("in_front", [True, False])
+def test_debug_shows_the_traceback_wherever_it_stands(faulty, in_front):
+    done = CliRunner().invoke(main, ["--debug", *faulty] if in_front else [*faulty, "--debug"])
+    assert done.exit_code == 1
+    assert "Traceback (most recent call last):" in done.stderr
+    assert "The traceback is in" not in done.stderr
+    assert list(Path().glob("postproc-fault-*")) == []
+
+
+def test_where_no_file_can_be_written_debug_is_what_helps(faulty, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", "nowhere")
+    assert "with --debug" in CliRunner().invoke(main, faulty).stderr
+
+
+def test_a_fault_of_a_worker_is_told_by_the_process_that_waits():
+    programs(2)
+    Path("sitecustomize.py").write_text(
+        "import postproc.pipeline as p\ndef oops(*_, **__):\n    raise ZeroDivisionError('oops')\np.process = oops\n"
+    )
+    done = subprocess.run(
+        [*COMMAND, "convert", ".", "--cell", CELL_16, "--jobs", "2"],
+        capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": str(Path.cwd())},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert len(re.findall(FAULT.replace("p00", r"p0\d"), done.stderr)) == 2
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("cause", "message"), [(MemoryError(), "not enough memory"), (PostprocError("no"), "no")])
+def test_what_is_no_fault_is_told_as_it_is(monkeypatch, cause, message):
+    def stop():
+        raise cause
+
+    monkeypatch.setattr("postproc.robot.shipped", stop)
+    done = CliRunner().invoke(main, ["robots"])
+    assert (done.exit_code, done.stderr) == (1, f"Error: {message}\n")
+
+
+def test_an_interrupt_has_an_exit_code_of_its_own(monkeypatch):
+    def stop():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("postproc.robot.shipped", stop)
+    done = CliRunner().invoke(main, ["robots"])
+    assert (done.exit_code, done.stderr) == (130, "Interrupted.\n")
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_warnings_of_libraries_are_for_debug_only(debug):
+    code = (
+        "import warnings, postproc.robot as r; from postproc.__main__ import main\n"
+        "r.shipped = lambda: warnings.warn('overflow encountered in multiply', RuntimeWarning) or {'x': 1 / 0}\n"
+        "main()"
+    )
+    arguments = ["robots", "--debug"] if debug else ["robots"]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert ("overflow encountered" in done.stderr) == debug
+
+
+def every_error() -> list[type[PostprocError]]:
+    for module in pkgutil.walk_packages(postproc.__path__, "postproc."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    found, new = [], [PostprocError]
+    while new:
+        found += new
+        new = [kind for parent in new for kind in parent.__subclasses__()]
+    return sorted(set(found), key=lambda kind: kind.__qualname__)
+
+
+@pytest.mark.parametrize("kind", every_error(), ids=lambda kind: kind.__qualname__)
+def test_every_exception_passes_from_one_process_to_another(kind):
+    cause = kind.__new__(kind, "part.nc:7: odd word.")  # whatever its constructor takes
+    cause.rows, cause.issue, cause.line = (3, 5), Issue("error", "unreachable", "no", 12), 7
+    again = pickle.loads(pickle.dumps(cause))
+    assert type(again) is kind
+    assert (str(again), vars(again)) == (str(cause), vars(cause))
+
+
+def test_what_an_exception_carries_is_what_was_given():
+    again = pickle.loads(pickle.dumps(UnreachableError([3, 5])))
+    assert (str(again), again.rows) == (str(UnreachableError([3, 5])), (3, 5))
+    cause = ProgramError("odd word", file="part.nc", line=7, others=[ProgramError("odder", line=9)])
+    again = pickle.loads(pickle.dumps(cause))
+    assert (str(again), again.line, again.others[0].line) == (str(cause), 7, 9)
+
+
+def test_the_command_and_the_module_are_the_same():
+    done = subprocess.run([*COMMAND, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("postproc ")

@@ -1,0 +1,272 @@
+"""Signals, killed processes, full and missing devices: nothing half-written, no traceback, nobody left behind."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.processes import CELL_16, COMMAND, LONG, Held, programs, written
+
+resource = pytest.importorskip("resource", reason="POSIX")
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices")
+CONVERT = ("convert", ".", "--cell", CELL_16, "-o", "out")
+COMPUTING, MAKING = "postproc.pipeline:process", "postproc.files.writing:_write"
+REPLACING = "postproc.files.writing:_replace"
+MOUNTING = (
+    shutil.which("unshare") is not None
+    and not subprocess.run(
+        ["unshare", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True, check=False
+    ).returncode
+)  # as root, if the container permits it; what stands in for it otherwise is never skipped
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=LONG, check=False, **options)
+
+
+def said(stderr: str) -> tuple[int, int]:
+    """How many programs are written, of how many, as it was told; nothing else may be told."""
+    lines = stderr.splitlines()
+    match = re.fullmatch(r"Interrupted: (\d+) of (\d+) programs are written, and whole; of the others .*", lines[-1])
+    assert match, stderr
+    assert len(lines) == 1, stderr
+    return int(match[1]), int(match[2])
+
+
+@pytest.mark.parametrize(
+    ("jobs", "number", "at"),
+    [
+        (1, signal.SIGINT, f"{COMPUTING}:2"),
+        (1, signal.SIGHUP, f"{MAKING}:6"),
+        (2, signal.SIGINT, f"{COMPUTING}:2"),
+        (2, signal.SIGTERM, f"{MAKING}:6"),
+        (2, signal.SIGHUP, f"{COMPUTING}:2"),
+    ],
+)
+def test_a_signal_ends_at_once_what_is_not_being_replaced(jobs, number, at):
+    programs(6)
+    held = Held(at, *CONVERT, "--jobs", str(jobs))
+    held.waiting(jobs)
+    held.signal(number)
+    code, stdout, stderr = held.end()
+    assert (code, stdout) == (128 + number, "")
+    assert len(written()) == jobs
+    assert said(stderr) == (jobs, 6)
+
+
+@pytest.mark.parametrize(("jobs", "number"), [(1, signal.SIGINT), (2, signal.SIGINT), (2, signal.SIGTERM)])
+def test_a_signal_waits_for_programs_that_are_being_replaced_and_counts_them(jobs, number):
+    programs(6)
+    held = Held(f"{REPLACING}:2", *CONVERT, "--jobs", str(jobs))
+    held.waiting(jobs)
+    held.signal(number)
+    held.signal(number)
+    held.go()
+    code, stdout, stderr = held.end()
+    assert (code, stdout) == (128 + number, "")
+    assert len(written()) == 2 * jobs
+    assert said(stderr) == (2 * jobs, 6)
+
+
+@pytest.mark.parametrize("at", [f"{COMPUTING}:2", f"{MAKING}:6"])
+def test_workers_of_a_killed_process_end_by_themselves_and_leave_nothing_half_written(at):
+    programs(4)
+    held = Held(at, *CONVERT, "--jobs", "2")
+    held.waiting(2)
+    held.signal(signal.SIGKILL)
+    held.end()
+    assert len(written()) == 2
+
+
+def test_workers_of_a_killed_process_finish_what_they_replace_and_begin_no_more():
+    programs(6)
+    held = Held(f"{REPLACING}:2", *CONVERT, "--jobs", "2")
+    held.waiting(2)
+    held.signal(signal.SIGKILL)
+    held.go()
+    held.end()
+    assert len(written()) == 4
+
+
+def test_workers_end_also_where_ctrl_c_is_ignored():
+    programs(4)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts a process in the background
+    try:
+        held = Held(f"{COMPUTING}:2", *CONVERT, "--jobs", "2")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    held.waiting(2)
+    held.signal(signal.SIGINT)
+    held.signal(signal.SIGTERM)
+    assert held.end()[0] == 128 + signal.SIGTERM
+    assert len(written()) == 2
+
+
+def test_a_killed_worker_costs_its_program_and_no_other():
+    programs(5)
+    held = Held(f"{COMPUTING}:2", *CONVERT, "--jobs", "2")
+    os.kill(held.waiting(2)[0], signal.SIGKILL)
+    held.go()
+    code, stdout, stderr = held.end()
+    assert code == 1
+    assert re.fullmatch(r"Error: p\d\d.src: its worker process ended \(signal 9\), perhaps .*\n", stderr)
+    assert len(written()) == 4
+    assert len(re.findall(r"^p\d\d.src .* written", stdout, re.MULTILINE)) == 4
+
+
+@pytest.mark.parametrize("at", [f"{REPLACING}:1", "os:fsync:3"])
+def test_a_process_killed_while_it_writes_leaves_no_program_and_the_next_run_cleans_up(at):
+    programs(1)
+    held = Held(at, *CONVERT)
+    held.waiting()
+    held.signal(signal.SIGKILL)
+    held.end()
+    assert [path.suffix for path in Path("out").iterdir()] == [".tmp"]
+    assert run(*CONVERT).returncode == 0
+    assert written() == {"p00"}
+
+
+@pytest.mark.parametrize("at", ["os:rename:1", "os:rename:2", "os:rename:4", "os:replace:1", "os:replace:4"])
+def test_a_process_killed_between_two_files_leaves_no_program_to_reports_of_another(at):
+    programs(1)
+    assert run(*CONVERT).returncode == 0
+    source = Path("p00.src")
+    source.write_text(source.read_text().replace("FX=80", "FX=160"))
+    held = Held(at, *CONVERT)
+    held.waiting()
+    held.signal(signal.SIGKILL)
+    held.end()
+    Path("out").rename("left")
+    Path("out").mkdir()
+    for path in [path for path in Path("left").iterdir() if path.suffix != ".tmp"]:
+        path.rename(Path("out", path.name))
+    assert Path("out/p00.src").exists() == (at == "os:rename:1")
+    assert at != "os:rename:1" or written() == {"p00"}
+
+
+def test_the_run_beside_does_not_remove_what_is_being_written():
+    programs(2)
+    held = Held(f"{REPLACING}:1", "convert", "p00.src", *CONVERT[2:])
+    held.waiting()
+    assert run("convert", "p01.src", *CONVERT[2:]).returncode == 0
+    held.go()
+    assert held.end()[0] == 0
+    assert written() == {"p00", "p01"}
+
+
+def test_a_closed_pipe_behind_it_is_no_fault():
+    programs(2)
+    with subprocess.Popen([*COMMAND, *CONVERT], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert written() == {"p00", "p01"}
+
+
+def test_without_shared_memory_several_processes_do_the_same():
+    """`/dev/shm` is read-only for this command alone; where mounting is not permitted, semaphores are refused to it."""
+    programs(3)
+    if MOUNTING:
+        done = _mounted("mount -t tmpfs -o ro,size=4k tmpfs /dev/shm", *CONVERT, "--jobs", "2")
+    else:
+        done = _patched("import _multiprocessing; del _multiprocessing.SemLock", 2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert written() == {"p00", "p01", "p02"}
+
+
+@pytest.mark.parametrize("missing", [1, 5])
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_full_disk_leaves_what_was_there_names_the_file_and_says_what_is_of_an_earlier_run(earlier, missing):
+    programs(1)
+    assert run(*CONVERT).returncode == 0
+    sizes = [path.stat().st_size for path in Path("out").iterdir()]
+    need = sum(-(-size // 4096) for size in sizes)
+    Path("out").rename("earlier")
+    Path("out").mkdir()
+    filled = "cp -a earlier/. out" if earlier else "true"
+    if MOUNTING:
+        room = max(1, need * (1 + earlier) - missing) * 4
+        full = f"mount -t tmpfs -o size={room}k tmpfs out && {filled} && trap 'cp -a out after' EXIT"
+        done = _mounted(full, *CONVERT)
+    else:
+        subprocess.run(filled, shell=True, check=True)
+        largest = max(sizes) - missing
+        done = run(*CONVERT, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)))
+        Path("out").rename("after")
+    assert done.returncode == 1
+    first, *rest = done.stderr.splitlines()
+    why = r"\((No space left on device|File too large)\)"
+    assert re.fullmatch(rf"Error: out(/p00\.[a-z.]+)?: cannot be written {why}\. Nothing was written, .*", first)
+    assert rest == (["Of an earlier run, not of this one: out/p00.src."] if earlier else [])
+    assert written("after") == ({"p00"} if earlier else set())
+
+
+def _mounted(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command after something was mounted, in a mount namespace of its own."""
+    script = f"set -e; {before}; {shlex.join([*COMMAND, *arguments])}"
+    command = ["unshare", "--mount", "sh", "-c", script]
+    return subprocess.run(command, capture_output=True, text=True, timeout=LONG, check=False)
+
+
+def test_where_no_process_can_be_started_the_work_goes_on_in_this_one():
+    programs(3)
+    done = _patched("subprocess.Popen = lambda *a, **k: (_ for _ in ()).throw(BlockingIOError(11, 'no more'))", 2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert written() == {"p00", "p01", "p02"}
+
+
+def test_where_only_one_process_can_be_started_it_does_the_work():
+    programs(3)
+    limited = """
+real, started = subprocess.Popen, []
+def limited(*a, **k):
+    started.append(1)
+    if len(started) > 1:
+        raise BlockingIOError(11, "no more")
+    return real(*a, **k)
+subprocess.Popen = limited
+"""
+    done = _patched(limited, 2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert written() == {"p00", "p01", "p02"}
+
+
+def _patched(patch: str, jobs: int) -> subprocess.CompletedProcess[str]:
+    code = f"import subprocess\n{patch}\nfrom postproc.__main__ import main; main()"
+    command = [sys.executable, "-c", code, *CONVERT, "--jobs", str(jobs)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=LONG, check=False)
+
+
+_AT_IMPORT = """
+import signal, sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            signal.raise_signal({number})
+sys.meta_path.insert(0, Interrupting())
+from postproc.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("module", ["click", "postproc.cli.convert", "numpy", "postproc.batch.pool", "pinocchio"])
+def test_a_signal_while_it_starts_is_a_word_and_no_traceback(module, number):
+    programs(1)
+    code = _AT_IMPORT.format(module=module, number=int(number))
+    done = subprocess.run([sys.executable, "-c", code, *CONVERT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "Interrupted.\n")
+    assert not Path("out").exists()
