@@ -110,6 +110,39 @@ def test_long_programs_are_read_in_bulk():
     assert calls_for_each(lambda count: partial(read, body(*lines[:count]))) < 0.05  # read one by one: over 100
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "CIRC {X 90,Y 10,Z 30},{X 80,Y 20,Z 30,A 10,B 20,C 170} C_DIS",
+        "\tcirc{x 90,y 10,z 30,a 1,b 2,c 3} , {e6pos: x 80,y 20,z 30,e1 0.0}c_dis ; {X 5}",
+        "SCIRC {POS: X 90.,Y 1E1,Z 30,S 2,T 10},{X +80,Y 20,Z 30,A 10} C_SPL",
+        "CIRC {Y 10,X 90,Z 30},{X 80,Y 20,Z 30}",
+        "CIRC {X 90,Y 10,Z 30,E1 0},{Z 30,X 80,Y 20} C_DIS",
+        "CIRC XA,{X 80,Y 20,Z 30}",
+        "CIRC {X 90,Y 10,Z 30},{X 80,Y 20,Z 30},CA 200 C_DIS",
+    ],
+)
+def test_circles_are_read_in_bulk_as_one_by_one(line):
+    points = "DECL POS XA\r\nXA={X 90,Y 10,Z 30}"
+    program = read(body(points, "$APO.CDIS=2", FULL, line, FULL, "LIN {X 0} C_DIS", line, line.replace("80", "81")))
+    assert program.motions.kind.tolist() == [LIN, CIRC, LIN, LIN, CIRC, CIRC]
+    np.testing.assert_allclose(program.motions.target[1, 2, 3], 0.03, atol=1e-12)
+    assert (program.motions.blend[1] > 0.0) == ("c_dis" in line.lower() or "C_SPL" in line)
+    assert_same(program, read(body(points, "$APO.CDIS=2", FULL, line, FULL, "LIN {X 0} C_DIS", line,
+                                   line.replace("80", "81")), bulk=False))  # fmt: skip
+    with pytest.raises(ProgramError, match="X, Y and Z"):
+        read(body(FULL, "CIRC {X 90,Y 10},{X 80,Y 20,Z 30} C_DIS"))
+    with pytest.raises(ProgramError, match="2e"):
+        read(body(FULL, "CIRC {X 90,Y 2E9,Z 1},{X 80,Y 20,Z 30} C_DIS"))
+
+
+def test_long_programs_of_circles_are_read_in_bulk():
+    ends = np.random.default_rng(6).uniform(-900, 900, (6_000, 9)).round(4).tolist()
+    form = "CIRC {X %s,Y %s,Z %s},{X %s,Y %s,Z %s,A %s,B %s,C %s} C_DIS"
+    lines = [form % tuple(row) for row in ends]
+    assert calls_for_each(lambda count: partial(read, body(FULL, *lines[:count]))) < 0.1
+
+
 def test_bulk_lines_with_a_false_number_are_told_like_any_other():
     for text in ("1.2.3", "--5", ".", "1E", "5E+", "-E5"):
         with pytest.raises(ProgramError) as caught:

@@ -550,6 +550,19 @@ def test_long_programs_are_rewritten_in_bulk():
     assert calls_for_each(lambda count: partial(krl.rewrite, *prepared(count))) < 0.1
 
 
+def test_long_programs_of_circles_are_rewritten_in_bulk():
+    values = np.random.default_rng(8).uniform(-170, 170, (3_000, 9)).round(4).tolist()
+
+    def prepared(count):
+        form = "CIRC {X %s,Y %s,Z %s},{X %s,Y %s,Z %s,A %s,B %s,C %s} C_DIS"
+        program = read(body(START, *(form % tuple(row) for row in values[:count])))
+        return program, targets(program, np.full((len(program.motions), 3), 1e-4))
+
+    program, wanted = prepared(200)
+    check_commands(program, wanted, krl.rewrite(program, wanted))
+    assert calls_for_each(lambda count: partial(krl.rewrite, *prepared(count)), 1000, 3000) < 0.1
+
+
 def test_motions_of_all_kinds_are_where_they_were_said_to_be():
     source = body(
         "PTP {X 1,Y 2,Z 3,A 4,B 5,C 6,S 2,T 10}", START, "CIRC {X 0,Y 10,Z 0},{X -10,Y 0,Z 0}", "LIN_REL {Z 5}"

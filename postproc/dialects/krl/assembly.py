@@ -12,13 +12,13 @@ from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.moves import Move, doubtful
 from postproc.dialects.krl.positions import EXTERNAL
 from postproc.dialects.krl.rows import Rows, merged
-from postproc.dialects.krl.sequence import Sequence, arc_points, follow
+from postproc.dialects.krl.sequence import Sequence, follow
 from postproc.dialects.krl.settings import DEFAULT_SPEED, Settings, State
 from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.triggers import Trigger, triggers
 from postproc.dialects.krl.walker import Walker
 from postproc.errors import Issue
-from postproc.frames import RAD_PER_DEG, Array, norm
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts
 
 _SAME_EXTERNAL = 1e-4
@@ -83,7 +83,7 @@ def assemble(
     chain = follow(source, rows.line, given, frames, moves, start_joints, forward)
     constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
     _check_orientation(source, rows, states, state, chain)
-    centre, normal, sweep = _arcs(source, chain, moves, len(rows))
+    centre, normal, sweep = _arcs(source, rows, chain, moves)
 
     speed = _column(states, state, lambda s: s.speed)
     cdis = _column(states, state, lambda s: s.cdis)
@@ -113,6 +113,8 @@ def assemble(
         keyword=rows.keyword,
         target=rows.target,
         tail=rows.tail,
+        via_spans=rows.via_spans,
+        via_target=rows.via_target,
         resumed=chain.resumed,
         constant=constant,
         moves=moves,
@@ -202,28 +204,30 @@ def _check_orientation(source: Source, rows: Rows, states: list[State], state: I
         raise source.line_error(problem, int(rows.line[turned[0]]), advice)
 
 
-def _arcs(source: Source, chain: Sequence, moves: Mapping[int, Move], count: int) -> tuple[Array, Array, Array]:
+def _arcs(source: Source, rows: Rows, chain: Sequence, moves: Mapping[int, Move]) -> tuple[Array, Array, Array]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
-    centre, normal, sweep = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
-    rows = np.array([row for row, move in moves.items() if move.kind == CIRC], dtype=np.int64)
-    if not len(rows):
-        return centre, normal, sweep
-    circular = [moves[row] for row in rows.tolist()]
-    points = [arc_points(move) for move in circular]
-    line, start = np.array([move.line for move in circular]), chain.start.at(rows)
-    via, end = (np.array([pair[k] for pair in points]) for k in (0, 1))
-    centre[rows], axis, angle = circles(source, line, start[:, :3, 3], via, end)
-    own = np.array([move.angle or np.nan for move in circular]) * RAD_PER_DEG
+    nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
+    circular = np.flatnonzero(rows.kind == CIRC)
+    if not len(circular):
+        return nothing, nothing, nothing[:, 0]
+    centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
+    line, start = rows.line[circular], chain.start.at(circular)
+    via, end = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
+    centre[circular], axis, angle = circles(source, line, start[:, :3, 3], via, end)
+    own = np.full(len(rows), np.nan)
+    for row, move in moves.items():
+        own[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
+    own = own[circular]
     given = ~np.isnan(own)
-    turning = given & ~same_orientation(start[:, :3, :3], chain.pose[rows, :3, :3])
+    turning = given & ~same_orientation(start[:, :3, :3], chain.pose[circular, :3, :3])
     if turning.any():
         raise source.line_error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
             int(line[turning][0]),
             "Give the end of the arc as its end point, without CA.",
         )
-    normal[rows] = np.where(given, np.sign(own), 1.0)[:, None] * axis
-    sweep[rows] = np.where(given, np.abs(own), angle)
+    normal[circular] = np.where(given, np.sign(own), 1.0)[:, None] * axis
+    sweep[circular] = np.where(given, np.abs(own), angle)
     return centre, normal, sweep
 
 

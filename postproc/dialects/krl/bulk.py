@@ -1,8 +1,7 @@
-"""Plain motion lines, all at once: ``LIN {X …,Y …,Z …,A …,B …,C …} C_DIS`` a hundred thousand times.
+"""Plain motion lines, all at once: ``LIN {X …,Y …,Z …,A …,B …,C …} C_DIS`` a hundred thousand times, and circles.
 
 One regular expression decides which lines are plain; their numbers are then found and converted by numpy. What it does
-not take (other orders of components, names) is left to `moves`, which reads these lines too,
-with the same result.
+not take (other orders of components, names, CA) is left to `moves`, which reads these lines too, with the same result.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ import warnings
 import numpy as np
 
 from postproc.decimals import Bytes
-from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, none
+from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, no_circles, none
 from postproc.dialects.krl.source import Source
 from postproc.dialects.text import line_spans
 from postproc.frames import Array
-from postproc.program import LIN, PTP, Bools, Ints
+from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
 _LINES = 8192
 """Lines read at once: what is made of more does not fit the cache."""
@@ -33,12 +32,15 @@ def _runs_of(number: str) -> re.Pattern[str]:
     some = "".join(f"(?:{component}{_NEXT})?+" for component in position)
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
+    begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?+(?=[XYZABCxyzabc])"
+    rest = "".join(f"(?:{component}{_NEXT})?+" for component in components) + r"\}"
+    point = "".join(f"{component}{_NEXT}" for component in position[:3])
+    point += "".join(f"(?:{component}{_NEXT})?+" for component in position[3:])
     line = (
-        r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])[ \t]*+"
-        r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?+(?=[XYZABCxyzabc])"
-        + f"(?>{all_six}|{some})"
-        + "".join(f"(?:{component}{_NEXT})?+" for component in components)
-        + r"\}(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
+        r"[ \t]*+[Ss]?+(?:"
+        rf"(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])[ \t]*+{begin}(?>{all_six}|{some}){rest}"
+        rf"|[Cc][Ii][Rr][Cc][ \t]*+{begin}{point}\}}[ \t]*+,[ \t]*+{begin}{point}{rest}"
+        r")(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
     )
     return re.compile(rf"^(?:{line})++", re.MULTILINE)
 
@@ -100,36 +102,50 @@ def _scan(text: str, line_starts: Ints, expression: re.Pattern[str]) -> Rows | N
     starts, stops = borders[0::2], borders[1::2]
     if len(values) != len(starts):
         return None
-    numbers = np.full((len(index), NUMBERS), np.nan)
-    spans = np.full((len(index), NUMBERS, 2), -1, dtype=np.int32)
-    row, column = _places(raw, begins, starts)
+    points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
+    column = _COLUMN[_before(raw, starts)]
+    circles = len(points) > len(index)
+    if circles:  # auxiliary points have columns of their own, before those of the targets
+        line = np.searchsorted(begins, points[:, 0], side="right") - 1
+        target = np.append(line[1:] != line[:-1], True)
+        column += np.where(target, NUMBERS, 0)[np.searchsorted(points[:, 0], starts) - 1]
+    numbers = np.full((len(index), NUMBERS * (1 + circles)), np.nan)
+    spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
+    row, column = _places(column, begins, starts)
     offset = shift[row]
     shape = offset.shape if offset.ndim == 1 else (len(index), -1)
     numbers[row, column] = values.reshape(shape)
     spans[row, column, 0] = starts.reshape(shape) + offset
     spans[row, column, 1] = stops.reshape(shape) + offset
+    via, via_spans, via_target = no_circles(len(index))
+    if circles:
+        via, via_spans = numbers[:, :3], spans[:, :3]
+        numbers, spans = numbers[:, NUMBERS:], spans[:, NUMBERS:]
+        via_target[line[~target]] = points[~target] + shift[line[~target], None]
+        points = points[target]
 
     keyword = _skip_blanks(raw, begins, 1)
     letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32
     ends = np.concatenate([begins[1:], [len(raw)]])
     stop = _skip_blanks(raw, ends - 1, -1) + 1
-    aggregate = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
     ptp = letter == ord("p")
     return Rows(
         line=index + 1,
-        kind=np.where(ptp, PTP, LIN),
+        kind=np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)),
         numbers=numbers,
         spans=spans[:, : len(COLUMNS)],
         keyword=keyword + shift,
-        target=aggregate + shift[:, None],
-        tail=np.stack([aggregate[:, 1], stop], axis=1) + shift[:, None],
+        target=points + shift[:, None],
+        tail=np.stack([points[:, 1], stop], axis=1) + shift[:, None],
         approximated=_approximated(raw, begins, ptp),
+        via=via,
+        via_spans=via_spans,
+        via_target=via_target,
     )
 
 
-def _places(raw: Bytes, begins: Ints, starts: Ints) -> tuple[Ints, Ints]:
+def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints, Ints]:
     """Return which row and column numbers belong to: (T,) each, or where all lines are alike (P, 1) and (1, C)."""
-    column = _COLUMN[_before(raw, starts)]
     each, rest = divmod(len(starts), len(begins))
     if rest == 0:
         groups = column.reshape(-1, each)

@@ -24,9 +24,11 @@ class Layout:
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
+    :param via_spans: (M, 3, 2) where X, Y, Z of the auxiliary points of circles stand; −1 as for `spans`.
+    :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
     :param resumed: (M,) True where the controller's previous position is an axis target or the start.
     :param constant: (M,) True where ``$ORI_TYPE=#CONSTANT`` makes the controller ignore A, B, C.
-    :param moves: row → statement, for motions that are not plain lines: named points, chains, CIRC, relative and
+    :param moves: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
         axis targets.
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
@@ -40,6 +42,8 @@ class Layout:
     keyword: Ints
     target: Ints
     tail: Ints
+    via_spans: Offsets
+    via_target: Ints
     resumed: Bools
     constant: Bools
     moves: Mapping[int, Move]

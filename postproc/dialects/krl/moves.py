@@ -42,6 +42,12 @@ class Operand:
     stop: int
     name: str = ""
 
+    @property
+    def inline(self) -> bool:
+        """Whether its numbers stand in the statement itself."""
+        aggregate = self.position.aggregate
+        return aggregate is not None and not self.name and aggregate.start == self.start
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
@@ -76,10 +82,9 @@ class Move:
 
     @property
     def plain(self) -> bool:
-        """Whether it is a Cartesian LIN or PTP with its numbers in the line: what the bulk path reads too."""
-        position = self.end.position
-        inline = position.aggregate is not None and position.aggregate.start == self.end.start and not self.end.name
-        return self.kind != CIRC and inline and not position.axis and not self.relative
+        """Whether its points are Cartesian, with their numbers in the line: what the bulk path reads too."""
+        inline = self.end.inline and (self.via is None or self.via.inline)
+        return inline and self.angle is None and not self.end.position.axis and not self.relative
 
 
 class MoveReader:

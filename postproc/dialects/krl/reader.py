@@ -28,7 +28,7 @@ from postproc.dialects.krl.variables import Variables
 from postproc.dialects.krl.walker import Walker
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
-from postproc.frames import DEG_PER_RAD, Array
+from postproc.frames import DEG_PER_RAD, Array, largest
 from postproc.program import FORCE_COMMENT, Bools, Document, ForceNote, Ints, Program, parse_force_note
 
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
@@ -150,10 +150,10 @@ def _executed(walker: Walker, line: Ints) -> Bools:
 
 def _check_size(source: Source, rows: Rows) -> None:
     """Refuse coordinates that no robot reaches."""
-    largest = np.nan_to_num(np.abs(rows.numbers[:, :6])).max(axis=1, initial=0.0)
-    beyond = np.flatnonzero(largest > FARTHEST)
+    farthest = largest(np.nan_to_num(np.concatenate([rows.numbers[:, :6], rows.via], axis=1)))
+    beyond = np.flatnonzero(farthest > FARTHEST)
     if len(beyond):
-        raise out_of_reach(Place(source, int(rows.line[beyond[0]])), float(largest[beyond[0]]))
+        raise out_of_reach(Place(source, int(rows.line[beyond[0]])), float(farthest[beyond[0]]))
 
 
 def _check_starts(walker: Walker, ordered: InOrder) -> None:

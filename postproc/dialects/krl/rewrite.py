@@ -28,7 +28,7 @@ from postproc.dialects.krl.source import Source
 from postproc.dialects.krl.splice import Edits
 from postproc.dialects.krl.statements import Statements, edits, written
 from postproc.dialects.krl.triggers import Trigger, placed
-from postproc.dialects.krl.wanted import wanted
+from postproc.dialects.krl.wanted import DECIMALS, wanted
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Targets, Written
 
@@ -69,6 +69,10 @@ class _Rewriter:
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
         special[list(self.layout.moves)] = True
         plain = last & ~special[self.row]
+        straight = plain & ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
+        for k in np.flatnonzero(straight).tolist():
+            self.edits[0].add(*self.statements.rewritten(int(self.row[k]), k))
+        plain &= ~straight
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
@@ -98,6 +102,10 @@ class _Rewriter:
         self.edits[0].add_numbers(
             spans[:, :, 0][there], spans[:, :, 1][there], self.wanted.numbers[k][there], self.wanted.decimals[k][there]
         )
+        circles = k[self.targets.kind[k] == CIRC]
+        spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
+        decimals = np.tile(DECIMALS[:3], len(circles))
+        self.edits[0].add_numbers(spans[:, 0], spans[:, 1], self.wanted.via[circles].reshape(-1), decimals)
 
     def _complete(self, row: int, k: int) -> None:
         """Add components to a plain line, and change its S and T; its other numbers are replaced already."""
@@ -130,7 +138,7 @@ class _Rewriter:
         forced = straight or (split and (depends or move.kind == CIRC)) or moved
         changed = forced or bool(self.wanted.changed[k])
         if changed and (move.relative or straight):
-            self.edits[0].add(*self.statements.rewritten(row, k, move))
+            self.edits[0].add(*self.statements.rewritten(row, k))
             if move.relative:
                 if move.behind is not None:
                     self.edits[0].add(*move.behind, "")

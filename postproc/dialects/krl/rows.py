@@ -36,6 +36,9 @@ class Rows:
     :param target: (R, 2) span of the target.
     :param tail: (R, 2) span of what follows it: approximation, WITH.
     :param approximated: (R,) True where `$APO.CDIS` applies.
+    :param via: (R, 3) X, Y, Z of the auxiliary point of a circle [mm]; NaN elsewhere.
+    :param via_spans: (R, 3, 2) where their texts stand in the line; −1 where they do not.
+    :param via_target: (R, 2) span of that point; −1 where it is not in the line.
     """
 
     line: Ints
@@ -46,6 +49,9 @@ class Rows:
     target: Ints
     tail: Ints
     approximated: Bools
+    via: Array
+    via_spans: Offsets
+    via_target: Ints
 
     def __len__(self) -> int:
         return len(self.line)
@@ -67,6 +73,8 @@ class Rows:
             keyword=self.keyword + characters,
             target=self.target + characters,
             tail=self.tail + characters,
+            via_spans=np.where(self.via_spans < 0, self.via_spans, self.via_spans + np.int32(characters)),
+            via_target=np.where(self.via_target < 0, self.via_target, self.via_target + characters),
         )
 
 
@@ -111,6 +119,7 @@ class Collector:
 def _of_moves(moves: Sequence[Move]) -> Rows:
     numbers = np.full((len(moves), NUMBERS), np.nan)
     spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
+    via, via_spans, via_target = no_circles(len(moves))
     for row, move in enumerate(moves):
         position = move.end.position
         if not position.axis and not move.relative:
@@ -126,6 +135,12 @@ def _of_moves(moves: Sequence[Move]) -> Rows:
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
                     spans[row, column] = item.start, item.stop
+        if move.via is not None:
+            via[row] = move.via.position.values[:3]
+            if move.plain and move.via.position.aggregate is not None:
+                via_target[row] = move.via.start, move.via.stop
+                items = move.via.position.aggregate.items
+                via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
     return Rows(
         _ints([move.line for move in moves]),
         _ints([move.kind for move in moves]),
@@ -135,7 +150,16 @@ def _of_moves(moves: Sequence[Move]) -> Rows:
         _ints([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
         _ints([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
         np.array([move.approximated for move in moves], dtype=np.bool_),
+        via,
+        via_spans,
+        via_target,
     )
+
+
+def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
+    """Return the columns of auxiliary points of motions that have none."""
+    spans = np.full((count, 3, 2), -1, dtype=np.int32)
+    return np.full((count, 3), np.nan), spans, np.full((count, 2), -1, dtype=np.int64)
 
 
 def _ints(values: Sequence[object]) -> Ints:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.moves import Move, Operand
+from postproc.dialects.krl.moves import Operand
 from postproc.dialects.krl.positions import CARTESIAN, EXTERNAL
 from postproc.dialects.krl.rows import COLUMNS
 from postproc.dialects.krl.source import Source
@@ -106,8 +106,21 @@ class Statements:
     def inline(self, operand: Operand) -> Literal | None:
         """Return the literal of a point whose numbers stand in the statement itself."""
         aggregate = operand.position.aggregate
-        here = aggregate is not None and not operand.name and aggregate.start == operand.start
-        return literal_of(aggregate) if aggregate is not None and here else None
+        return literal_of(aggregate) if aggregate is not None and operand.inline else None
+
+    def via(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
+        """Return where the auxiliary point of a circle stands, and its literal if its numbers stand there."""
+        move = self.layout.moves.get(row)
+        if move is not None:
+            via = move.via
+            return ((via.start, via.stop), self.inline(via)) if via is not None else (None, None)
+        start, stop = self.layout.via_target[row].tolist()
+        if start < 0:
+            return None, None
+        places = {
+            name: (one, other) for name, (one, other) in zip("XYZ", self.layout.via_spans[row].tolist(), strict=True)
+        }
+        return (start, stop), Literal(self.text, start, stop, places)
 
     def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written into a literal; for a copy of it also those that stay."""
@@ -154,8 +167,7 @@ class Statements:
     def keyword(self, row: int, k: int) -> str:
         """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
         word = _RELATIVE.sub("", self._word(row))
-        move = self.layout.moves.get(row)
-        if move is not None and move.kind == CIRC and self.targets.kind[k] == LIN:
+        if self.via(row)[0] is not None and self.targets.kind[k] == LIN:
             line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
             word = word[:1] + line if word[:1] in "sS" else line
         return word
@@ -166,18 +178,17 @@ class Statements:
 
     def points(self, row: int, k: int) -> str:
         """Return the point or points of a target as text."""
-        move = self.layout.moves.get(row)
-        end = self.end(row, k)
-        if move is None or move.via is None or self.targets.kind[k] != CIRC:
+        end, (span, via) = self.end(row, k), self.via(row)
+        if span is None or self.targets.kind[k] != CIRC:
             return end
-        via, texts = self.inline(move.via), self.wanted.via_texts(k)
+        texts = self.wanted.via_texts(k)
         first = applied(via, edits(via, texts)) if via is not None else written(texts)
-        return first + self.text[move.via.stop : move.end.start] + end
+        return first + self.text[span[1] : int(self.layout.target[row, 0])] + end
 
     def statement(self, row: int, k: int) -> str:
         """Return instruction and points of a target as text, all of them literals."""
-        move = self.layout.moves.get(row)
-        first = move.via.start if move is not None and move.via is not None else int(self.layout.target[row, 0])
+        span, _ = self.via(row)
+        first = span[0] if span is not None else int(self.layout.target[row, 0])
         gap = self.text[int(self.layout.keyword[row]) + len(self._word(row)) : first]
         return self.keyword(row, k) + gap + self.points(row, k)
 
@@ -203,9 +214,9 @@ class Statements:
         starts, stops = self.source.starts, self.source.stops
         return self.text[stops[line - 1] : starts[line]]  # a motion is never the last line: END follows
 
-    def rewritten(self, row: int, k: int, move: Move) -> Piece:
+    def rewritten(self, row: int, k: int) -> Piece:
         """Return the edit that replaces instruction and points of a statement by absolute literals."""
-        return Piece(move.keyword[0], move.tail, self.statement(row, k))
+        return Piece(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement(row, k))
 
 
 def _bits(name: str, value: int, text: str) -> dict[str, str]:
