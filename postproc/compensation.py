@@ -5,8 +5,9 @@ g_actual(q + θ(q, F)). Off-line compensation (paper, Fig. 1) looks for the pose
 position and orientation, to convergence.
 
 Because the actual coordinates x = q + θ at the target are known from inverse kinematics of the ACTUAL geometry, the
-load on each spring is known too, and with it θ (`elastostatics.springs_at`): with joint springs alone one evaluation
-solves the problem. Springs between the joints move x a little; the loop then repeats.
+load on each spring is known too, and with it θ (`elastostatics.springs_under`): where the geometry is nominal and only
+the joints give way, one evaluation solves the problem. Else Newton's steps move the joints to the target, and the
+coordinates between the joints to what their springs give way.
 """
 
 from __future__ import annotations
@@ -17,15 +18,16 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
-from postproc.frames import Array, largest, twist_between
-from postproc.program import Ints
+from postproc.frames import Array
 from postproc.robot import RobotModel
 
-POSITION_TOLERANCE = 1e-8
-"""What may be left between actual and target position [m]; 1e-7 is asked for."""
-ROTATION_TOLERANCE = 1e-9
+POSITION_TOLERANCE = 1e-10
+"""What may be left between actual and target position [m]; 1e-7 is asked for, and Newton's last step gives it."""
+ROTATION_TOLERANCE = 1e-11
 """What may be left between actual and target orientation [rad]; 1e-8 is asked for."""
 _MAX_ITERATIONS = 30
+_LARGEST_STEP = 0.2
+"""Of a joint in one iteration [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,10 +42,6 @@ class Compensation:
     q: Array
     pose: Array
     theta: Array
-
-    def at(self, rows: Ints) -> Compensation:
-        """Return the given rows (n,)."""
-        return Compensation(self.q[rows], self.pose[rows], self.theta[rows])
 
 
 def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
@@ -61,27 +59,39 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     :raises NotConvergedError: some target cannot be held; `rows` says which.
     """
-    q, theta = _solve(robot, target, q_nominal, tool, wrench)
-    return Compensation(q, kinematics.tcp(robot.nominal, q, tool)[0], theta)
+    tools = kinematics.components(tool)
+    x = elastostatics.spread(robot, q_nominal.T)
+    q, theta = _solve(robot, kinematics.components(target), x, tools, np.ascontiguousarray(wrench.T))
+    pose = kinematics.product(kinematics.posture(robot.nominal, q).flange, tools)
+    return Compensation(q.T, kinematics.matrices(pose), theta.T)
 
 
-def _solve(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
-    actuated = list(robot.actuated)
-    passive = [column for column in range(robot.actual.nv) if column not in actuated]
-    x = elastostatics.coordinates(robot, q_nominal)
+def _solve(robot: RobotModel, target: Array, x: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
+    """Return joint angles (6, n) and deflections (nv, n); coordinates x (nv, n) to start from, poses (3, 4, n)."""
+    joints, passive = np.array(robot.actuated), np.array(robot.passive, dtype=np.int64)
     for _ in range(_MAX_ITERATIONS):
-        pose, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool)
-        missed = np.abs(twist_between(pose, target))
-        if missed.max(initial=0.0) > ROTATION_TOLERANCE:
-            x, pose, _ = kinematics.refine(robot.loaded, x, actuated, tool, target, (pose, jacobian))
-            missed = np.abs(twist_between(pose, target))
-            _, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool)
-        theta = elastostatics.springs_at(robot, x, jacobian, wrench, weight)
-        # what the coordinates between the joints still have to move displaces the tool by as much
-        move = jacobian[:, :, passive] @ (theta - x)[:, passive, None]
-        left = missed + np.abs(move[..., 0])
-        bad = (largest(left[:, :3]) > POSITION_TOLERANCE) | (largest(left[:, 3:]) > ROTATION_TOLERANCE)
+        state = kinematics.posture(robot.loaded, x, weigh=robot.has_weight)
+        pose = kinematics.product(state.flange, tool)
+        jacobian = state.jacobian(pose[:, 3])
+        load = np.einsum("ikn,in->kn", jacobian, wrench)
+        theta = elastostatics.springs_under(robot, x, load, elastostatics.asked(robot, x, state))
+        missed = kinematics.twist_between(pose, target)
+        between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
+        left = np.abs(missed) + np.abs(between)
+        bad = ~((left[:3].max(axis=0) <= POSITION_TOLERANCE) & (left[3:].max(axis=0) <= ROTATION_TOLERANCE))
         if not bad.any():
-            return (x - theta)[:, actuated], theta
-        x[:, passive] = theta[:, passive]
-    raise NotConvergedError("no command found that holds the target", np.flatnonzero(bad).tolist())
+            return (x - theta)[joints], theta
+        rows = np.flatnonzero(bad)
+        step = _newton(jacobian[:, joints][..., rows], (missed - between)[:, rows])
+        x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+        x[np.ix_(passive, rows)] = theta[np.ix_(passive, rows)]
+    raise NotConvergedError("no command found that holds the target", rows.tolist())
+
+
+def _newton(jacobian: Array, twist: Array) -> Array:
+    """Return the step (6, n) of the joints that moves the tool by a twist (6, n); not finite where it is singular."""
+    square = np.moveaxis(jacobian, -1, 0)
+    good = np.linalg.det(square) != 0.0
+    out = np.full(twist.shape, np.nan)
+    out[:, good] = np.linalg.solve(square[good], twist.T[good, :, None])[..., 0].T
+    return out

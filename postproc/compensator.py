@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.errors import ModelError
-from postproc.frames import Array
+from postproc.frames import Array, sine_and_cosine
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +42,8 @@ class Compensator:
     def _parts(self, q2: Array) -> tuple[float, Array, Array, Array]:
         a_l = float(np.hypot(self.ax, self.ay)) * self.L
         angle = np.arctan2(self.ay, self.ax) - q2
-        s = np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * a_l * np.cos(angle))
-        return a_l, np.sin(angle), np.cos(angle), s
+        sine, cosine = sine_and_cosine(angle)
+        return a_l, sine, cosine, np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * a_l * cosine)
 
     def length(self, q2: Array) -> Array:
         """Return s = |P0P1| [m], Eq. (3)."""

@@ -4,9 +4,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import postproc
+from postproc import kinematics
 
 ROOT = Path(__file__).parent.parent
 
@@ -26,6 +28,33 @@ def test_importing_the_package_imports_nothing_heavy():
     code = "import sys, postproc; print(sorted({'numpy', 'scipy', 'pinocchio', 'msgspec', 'click'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+WITHOUT = """
+import sys
+from click.testing import CliRunner
+from postproc.cli import main
+
+sys.modules["pinocchio"] = None  # an import is an ImportError
+for command in ("convert", "predict"):
+    arguments = [command, "samples/pocket.nc", "--cell", "samples/cell_kr270.toml", "-o", sys.argv[1]]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+print(sorted({"scipy", "trimesh", "distributed"} & set(sys.modules)))
+"""
+
+
+def test_convert_and_predict_need_neither_pinocchio_nor_scipy(tmp_path):
+    command = [sys.executable, "-c", WITHOUT, str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == "[]"
+    assert (tmp_path / "out" / "pocket.src").is_file()
+
+
+def test_what_needs_pinocchio_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    robot = postproc.load_robot("kuka_kr270")
+    with pytest.raises(postproc.PostprocError, match="conda-forge"):
+        kinematics.gravity_stiffness(robot.nominal, np.zeros((1, 6)))
 
 
 def test_ten_lines_correct_a_program():

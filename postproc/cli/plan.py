@@ -149,9 +149,8 @@ def _test_poses(
 def _check_same_robot(measured: RobotModel, milling: RobotModel) -> None:
     """Experiment and cell may name different models (priors, identified ones), but of one arm."""
     from postproc.errors import InputError
-    from postproc.plan.arm import Arm
 
-    one, other = Arm.of(measured), Arm.of(milling)
+    one, other = measured.nominal, milling.nominal
     if abs(one.placement - other.placement).max() > 1e-6 or abs(one.axis - other.axis).max() > 1e-6:
         raise InputError(
             f"the experiment is with robot {measured.name}, the cell has {milling.name}, an arm of other dimensions",

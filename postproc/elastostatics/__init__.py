@@ -10,24 +10,47 @@ already holds the state of rest (`RobotModel.subtract_reference`). Wrenches are 
 moment [N·m] on the tool, root axes.
 """
 
-from postproc.elastostatics.equilibrium import Deflection, deflect, softness, springs_at
-from postproc.elastostatics.springs import coordinates, fading, fading_slope, joint_stiffness, spring_deflection
+from postproc.elastostatics.balance import Balance, asked, held
+from postproc.elastostatics.equilibrium import (
+    Deflection,
+    Equilibrium,
+    deflect,
+    softness,
+    solve_equilibrium,
+    springs_at,
+    springs_under,
+)
+from postproc.elastostatics.springs import (
+    coordinates,
+    fading,
+    fading_slope,
+    joint_stiffness,
+    spread,
+    spring_deflection,
+)
 from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
 from postproc.elastostatics.uncertainty import position_bound, sensitivity
 
 __all__ = [
+    "Balance",
     "Deflection",
+    "Equilibrium",
+    "asked",
     "cartesian_stiffness",
     "coordinates",
     "deflect",
     "fading",
     "fading_slope",
+    "held",
     "joint_stiffness",
     "linear_deflection",
     "position_bound",
     "sensitivity",
     "softness",
+    "solve_equilibrium",
+    "spread",
     "spring_deflection",
     "springs_at",
+    "springs_under",
     "tangent_compliance",
 ]

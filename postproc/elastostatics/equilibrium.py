@@ -1,6 +1,6 @@
 """The loaded equilibrium: forward (where does the tool go?) and inverse (what do the springs give way there?).
 
-Both are solved as θ = c(τ(θ)): the compliances c applied to the torques τ at the deflected state, with the
+Both are solved as θ = c(τ(θ)) (`balance`): the compliances c applied to the torques τ at the deflected state, with the
 compensator's part of the derivative taken exactly. What remains of the derivative, compliance × stiffness of load and
 weights, is some 10⁻³, so that each round gains about three digits; where it reaches 1 the arm buckles and there is no
 equilibrium to be found. No matrix per sample is formed.
@@ -13,19 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import kinematics
-from postproc.chunks import in_chunks
-from postproc.elastostatics.springs import (
-    A2,
-    compensator_share,
-    coordinates,
-    held_at_rest,
-    reference_torque,
-    rest_torque,
-    spring_deflection,
-)
+from postproc.elastostatics.balance import Balance, asked, beside, felt, held
+from postproc.elastostatics.springs import A2, given_way, spread
 from postproc.errors import NotConvergedError
-from postproc.frames import Array, displaced, largest, norm, twist_between
-from postproc.program import Bools, Ints
+from postproc.frames import Array, norm, twist_between
+from postproc.program import Bools
 from postproc.robot import RobotModel
 
 _POSITION_TOLERANCE = 1e-9
@@ -69,9 +61,7 @@ def softness(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
     return float(moved[:3].max()), float(moved[3:].max())
 
 
-def deflect(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None, unloaded: Array | None = None
-) -> Deflection:
+def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Deflection:
     """Solve the loaded equilibrium.
 
     :param robot: the robot; its `loaded` model carries the payload.
@@ -79,94 +69,114 @@ def deflect(
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     :param guess: (N, nv) start for θ, e.g. the solution of a neighbouring state.
-    :param unloaded: (N, 4, 4) pose of the tool frame at θ = 0, if it is known.
     :raises NotConvergedError: the load is beyond what the springs hold, or the numbers are not finite.
     """
-    x0 = coordinates(robot, q)
-    tools = np.broadcast_to(tool, (len(q), 4, 4))
-
-    def solve(x0: Array, start: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
-        return _fixed_point(robot, x0, start, tool, wrench)
-
-    theta, pose = in_chunks(solve, x0, np.zeros_like(x0) if guess is None else guess, tools, wrench)
-    return Deflection(theta, pose, kinematics.tcp(robot.loaded, x0, tool)[0] if unloaded is None else unloaded)
+    x0 = spread(robot, q.T)
+    found = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, None if guess is None else guess.T)
+    rest, _ = kinematics.tcp(robot.loaded, x0.T, tool)
+    return Deflection(found.theta.T, kinematics.matrices(kinematics.displaced(found.pose, found.moved)), rest)
 
 
-def _fixed_point(robot: RobotModel, x0: Array, start: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
-    theta = start.copy()
-    pose = np.empty((len(x0), 4, 4))
-    reference = reference_torque(robot, x0)
-    at_rest = held_at_rest(robot, reference)
-    rows = np.arange(len(x0))
-    previous = np.full(len(x0), np.nan)
+@dataclass(frozen=True, slots=True, eq=False)
+class Equilibrium:
+    """Loaded equilibrium of n states, the sample index last.
+
+    :param theta: (nv, n) deflections of the springs [rad, m].
+    :param pose: (3, 4, n) of the tool but for the last step [m].
+    :param moved: (6, n) twist of the tool in that step.
+    """
+
+    theta: Array
+    pose: Array
+    moved: Array
+
+    @property
+    def tip(self) -> Array:
+        """(3, n) where the tool tip stands [m]."""
+        return np.asarray(self.pose[:, 3] + self.moved[:3])
+
+
+def solve_equilibrium(
+    robot: RobotModel, x0: Array, tool: Array, wrench: Array, guess: Array | None = None
+) -> Equilibrium:
+    """Solve the loaded equilibrium, as `deflect`, with the sample index last.
+
+    :param x0: (nv, n) coordinates that the controller holds.
+    :param tool: (3, 4, n) or (3, 4, 1).
+    :param wrench: (6, n).
+    :param guess: (nv, n).
+    """
+    balanced = held(robot, x0)
+    theta = np.zeros_like(x0) if guess is None else guess
+    previous = np.full(x0.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
-        x = x0[rows] + theta[rows]
-        here, jacobian, weight = kinematics.tcp_and_weight(robot.loaded, x, tool[rows])
-        torque = np.einsum("nij,ni->nj", jacobian, wrench[rows]) + reference[rows]
-        torque -= rest_torque(robot, robot.loaded, x, weight)
-        step, slope = spring_deflection(robot, torque, at_rest[rows])
-        step -= theta[rows]
-        step[:, robot.actuated[A2]] /= compensator_share(robot, x, slope)
-        theta[rows] += step
-        moved = np.einsum("nij,nj->ni", jacobian, step)
-        pose[rows] = displaced(here, moved)
-        size = largest(moved[:, :3]) + largest(moved[:, 3:])
-        more = _unfinished(rows, size, previous[rows], _POSITION_TOLERANCE)
-        previous[rows] = size
-        rows = rows[more]
-        if len(rows) == 0:
+        state = Balance.at(robot, x0 + theta, balanced, tool, wrench)
+        step = state.theta - theta
+        step[robot.actuated[A2]] /= beside(robot, state.x, state.slope)
+        theta = theta + step
+        moved = state.moved(step)
+        size = _largest(moved[:3]) + _largest(moved[3:])
+        more = _unfinished(size, previous, _POSITION_TOLERANCE)
+        if not more.any():
             _check_size(theta)
-            return theta, pose
-    raise NotConvergedError("equilibrium not found", rows)
+            return Equilibrium(theta, state.pose, moved)
+        previous = size
+    raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
 
 
-def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array, weight: Array | None = None) -> Array:
+def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> Array:
     """Return θ (N, nv) that holds the equilibrium where the ACTUAL coordinates are known: the inverse problem.
-
-    With x = q + θ given, the torque of the load is known, and only the reference state q = x − θ has to be found.
 
     :param x: (N, nv) actual coordinates [rad, m].
     :param jacobian: (N, 6, nv) of the TCP at x.
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param weight: (N, nv) ∇U_g of the loaded robot at x, if it is known.
     :raises NotConvergedError: no reference state found, or the load is beyond what the springs hold.
     """
-    torque = np.einsum("nij,ni->nj", jacobian, wrench) - rest_torque(robot, robot.loaded, x, weight)
-    # the first reference is that at x itself: without payload it is what the torque holds anyway
-    known = weight if robot.loaded is robot.actual else None
-    reference = rest_torque(robot, robot.actual, x, known) if robot.subtract_reference else np.zeros_like(x)
+    weights = asked(robot, x.T, kinematics.posture(robot.loaded, x.T, weigh=robot.has_weight))
+    return springs_under(robot, x.T, np.einsum("nij,ni->jn", jacobian, wrench), weights).T
+
+
+def springs_under(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
+    """Return θ (nv, n) as `springs_at`, from the torques at the actual coordinates x (nv, n).
+
+    With x = q + θ given, they are known, and only the reference state q = x − θ has to be found.
+
+    :param load: (nv, n) JᵀF.
+    :param weights: (nv, n) of the loaded robot, `balance.asked`.
+    """
+    # the first reference is that at x itself: without payload it is what is asked for there anyway
+    balanced = weights if robot.subtract_reference and robot.loaded is robot.actual else held(robot, x)
     theta = np.zeros_like(x)
-    rows = np.arange(len(x))
-    previous = np.full(len(x), np.nan)
-    for iteration in range(_MAX_ITERATIONS):
-        if iteration:
-            reference = reference_torque(robot, x[rows] - theta[rows])
-        step, slope = spring_deflection(robot, torque[rows] + reference, held_at_rest(robot, reference))
-        if not robot.subtract_reference:
-            _check_size(step)
-            return step
-        step -= theta[rows]
-        step[:, robot.actuated[A2]] /= compensator_share(robot, x[rows], slope)
-        theta[rows] += step
-        size = largest(step)
-        more = _unfinished(rows, size, previous[rows], _SPRING_TOLERANCE)
-        previous[rows] = size
-        rows = rows[more]
-        if len(rows) == 0:
+    previous = np.full(x.shape[1], np.nan)
+    for _ in range(_MAX_ITERATIONS):
+        found, slope = given_way(robot, load - weights + balanced, felt(robot, balanced))
+        step = found - theta
+        if robot.subtract_reference:
+            step[robot.actuated[A2]] /= beside(robot, x, slope)
+        theta = theta + step
+        size = _largest(step)
+        more = _unfinished(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
+        if not more.any():
             _check_size(theta)
             return theta
-    raise NotConvergedError("equilibrium not found", rows)
+        previous = size
+        balanced = held(robot, x - theta)
+    raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
 
 
-def _unfinished(rows: Ints, size: Array, previous: Array, tolerance: float) -> Bools:
-    """Return which rows need another round: the next step, foreseen from the last two, would still matter."""
+def _largest(values: Array) -> Array:
+    return np.asarray(np.abs(values).max(axis=0))
+
+
+def _unfinished(size: Array, previous: Array, tolerance: float) -> Bools:
+    """Return which samples need another round: the next step, foreseen from the last two, would still matter."""
     if not np.isfinite(size).all():
-        raise NotConvergedError("equilibrium not found", rows[~np.isfinite(size)])
+        raise NotConvergedError("equilibrium not found", np.flatnonzero(~np.isfinite(size)))
     ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
     return np.asarray(~(size * np.clip(ratio, 1e-4, 1.0) <= tolerance))
 
 
 def _check_size(theta: Array) -> None:
-    large = largest(theta) > _LARGEST_DEFLECTION
+    large = _largest(theta) > _LARGEST_DEFLECTION
     if large.any():
         raise NotConvergedError("the load is beyond what the springs hold", np.flatnonzero(large).tolist())

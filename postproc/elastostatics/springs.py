@@ -1,11 +1,9 @@
-"""The virtual springs: what they give way under a torque, and what they hold at rest."""
+"""The virtual springs: what they give way under a torque. Arrays (nv, n): the sample index last, as in `kinematics`."""
 
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
-from postproc import kinematics
 from postproc.frames import Array
 from postproc.robot import RobotModel
 
@@ -15,8 +13,13 @@ A2 = 1
 
 def coordinates(robot: RobotModel, q: Array) -> Array:
     """Return all coordinates (N, nv) of the elastic chain for joint angles q (N, 6); virtual ones are zero."""
-    full = np.zeros((len(q), robot.actual.nv))
-    full[:, list(robot.actuated)] = q
+    return spread(robot, q.T).T
+
+
+def spread(robot: RobotModel, q: Array) -> Array:
+    """Return all coordinates (nv, n) of the elastic chain for joint angles q (6, n)."""
+    full = np.zeros((robot.actual.nv, q.shape[-1]))
+    full[list(robot.actuated)] = q
     return full
 
 
@@ -35,21 +38,28 @@ def joint_stiffness(robot: RobotModel, q: Array) -> Array:
 def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = None) -> tuple[Array, Array]:
     """Return θ (N, nv) of the virtual springs under torques, and its derivative, the tangent compliance (N, nv).
 
-    Gears that stiffen follow `robot.GearStiffening`; all others are linear.
-
     :param torque: (N, nv) on the springs, beyond what they hold at rest [N·m, N].
     :param at_rest: (N, nv) torque at rest, where θ = 0; it matters only to gears that stiffen.
     """
-    theta = robot.compliance * torque
-    slope = np.repeat(robot.compliance[None], len(torque), axis=0)
+    theta, slope = given_way(robot, torque.T, np.zeros((torque.shape[1], 1)) if at_rest is None else at_rest.T)
+    return theta.T, slope.T
+
+
+def given_way(robot: RobotModel, torque: Array, at_rest: Array) -> tuple[Array, Array]:
+    """Return θ (nv, n) and the tangent compliance (nv, n) as `spring_deflection`; `at_rest` (nv, n) or (nv, 1).
+
+    Gears that stiffen follow `robot.GearStiffening`; all others are linear.
+    """
+    compliance = robot.compliance[:, None]
     if robot.stiffening is None:
-        return theta, slope
+        return compliance * torque, np.broadcast_to(compliance, torque.shape)
+    theta, slope = compliance * torque, np.repeat(compliance, torque.shape[1], axis=1)
     law = robot.stiffening
-    spread = np.eye(torque.shape[1])[law.row]
-    offset = np.zeros((len(torque), len(law.row))) if at_rest is None else at_rest[:, law.row] / law.torque
-    u = torque[:, law.row] / law.torque + offset
-    theta -= (law.compliance * law.torque * (u - offset - fading(u) + fading(offset))) @ spread
-    slope -= (law.compliance * (1.0 - fading_slope(u))) @ spread
+    for row, limit, part in zip(law.row, law.torque, law.compliance, strict=True):
+        before = at_rest[row] / limit
+        u = torque[row] / limit + before
+        theta[row] -= part * limit * (u - before - fading(u) + fading(before))
+        slope[row] -= part * (1.0 - fading_slope(u))
     return theta, slope
 
 
@@ -61,41 +71,3 @@ def fading(u: Array) -> Array:
 def fading_slope(u: Array) -> Array:
     """Return f′(u)."""
     return np.asarray(1.0 / np.sqrt(1.0 + u**2))
-
-
-def rest_torque(robot: RobotModel, model: pin.Model, x: Array, weight: Array | None = None) -> Array:
-    """Return U_c′ + ∇U_g (N, nv) at coordinates x (N, nv): what compensator and weights ask of the springs.
-
-    :param model: `robot.actual`, or `robot.loaded` with the payload.
-    :param weight: (N, nv) ∇U_g, if it is known.
-    """
-    if weight is None:
-        weight = kinematics.gravity_torque(model, x) if robot.has_weight else np.zeros_like(x)
-    if robot.compensator is None:
-        return weight
-    row = robot.actuated[A2]
-    torque = weight.copy()
-    torque[:, row] += robot.compensator.gradient(x[:, row])
-    return torque
-
-
-def reference_torque(robot: RobotModel, q: Array) -> Array:
-    """Return the torque (N, nv) balanced at rest in state q (N, nv); 0 if the geometry is a weightless robot's."""
-    return rest_torque(robot, robot.actual, q) if robot.subtract_reference else np.zeros_like(q)
-
-
-def held_at_rest(robot: RobotModel, balanced: Array) -> Array:
-    """Return the torque (N, nv) on the springs at rest that a gear which stiffens feels besides the load."""
-    carries = robot.stiffening is not None and robot.stiffening.carries_weight and robot.subtract_reference
-    return -balanced if carries else np.zeros_like(balanced)
-
-
-def compensator_share(robot: RobotModel, x: Array, slope: Array) -> Array:
-    """Return 1 + c·U_c″ (N,): how much stiffer joint 2 is for the compensator beside its spring.
-
-    :param slope: (N, nv) tangent compliance of the springs.
-    """
-    if robot.compensator is None:
-        return np.ones(len(x))
-    row = robot.actuated[A2]
-    return np.asarray(1.0 + slope[:, row] * robot.compensator.stiffness_about_joint(x[:, row]))

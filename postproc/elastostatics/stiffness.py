@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import kinematics
-from postproc.elastostatics.springs import (
-    A2,
-    coordinates,
-    held_at_rest,
-    reference_torque,
-    rest_torque,
-    spring_deflection,
-)
+from postproc.elastostatics.balance import Balance, held
+from postproc.elastostatics.springs import spread
 from postproc.frames import Array
 from postproc.robot import RobotModel
 
@@ -25,8 +19,8 @@ def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) 
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
-    jacobian, _, slope, tangent = _at_reference(robot, q, tool, wrench)
-    return np.asarray(jacobian @ np.linalg.solve(tangent, slope[:, :, None] * np.swapaxes(jacobian, 1, 2)))
+    state = _at_reference(robot, q, tool, wrench)
+    return np.asarray(state.reach() @ np.moveaxis(state.slope[:, None] * np.swapaxes(state.jacobian, 0, 1), -1, 0))
 
 
 def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
@@ -43,29 +37,16 @@ def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
     >>> (twist[0, :3] * 1e3).round(3).tolist()  # 1 kN downwards at the flange: mm
     [-0.255, 0.0, -0.731]
     """
-    jacobian, theta, _, tangent = _at_reference(robot, q, tool, wrench)
-    return np.asarray((jacobian @ np.linalg.solve(tangent, theta[:, :, None]))[..., 0])
-
-
-def _at_reference(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> tuple[Array, Array, Array, Array]:
-    """Return, at θ = 0: J (N, 6, nv), c(τ₀) (N, nv), c′(τ₀) (N, nv), and I − C·H (N, nv, nv).
-
-    I − C·H instead of K − H, with the compliances C: springs that are rigid (C = 0) need no special case.
-    """
-    x = coordinates(robot, q)
-    _, jacobian = kinematics.tcp(robot.loaded, x, tool)
-    hessian = kinematics.load_stiffness(jacobian, wrench)
-    if robot.has_weight:
-        hessian = hessian - kinematics.gravity_stiffness(robot.loaded, x)
-    if robot.compensator is not None:
-        row = robot.actuated[A2]
-        hessian[:, row, row] -= robot.compensator.stiffness_about_joint(x[:, row])
-    reference = reference_torque(robot, x)
-    torque = np.einsum("nij,ni->nj", jacobian, wrench) + (reference - rest_torque(robot, robot.loaded, x))
-    theta, slope = spring_deflection(robot, torque, held_at_rest(robot, reference))
-    return jacobian, theta, slope, np.eye(x.shape[1]) - slope[:, :, None] * hessian
+    state = _at_reference(robot, q, tool, wrench)
+    return np.asarray((state.reach() @ state.theta.T[..., None])[..., 0])
 
 
 def cartesian_stiffness(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
     """Return K_C (N, 6, 6) at configurations q (N, 6), Eq. (5): wrench per displacement of the TCP."""
     return np.asarray(np.linalg.inv(tangent_compliance(robot, q, tool, wrench)))
+
+
+def _at_reference(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Balance:
+    """Return the balance at θ = 0."""
+    x = spread(robot, q.T)
+    return Balance.at(robot, x, held(robot, x), kinematics.components(tool), wrench.T)

@@ -8,14 +8,8 @@ import numpy as np
 
 from postproc import kinematics
 from postproc.chunks import in_chunks
-from postproc.elastostatics.springs import (
-    A2,
-    compensator_share,
-    coordinates,
-    fading,
-    rest_torque,
-    spring_deflection,
-)
+from postproc.elastostatics.balance import asked, beside
+from postproc.elastostatics.springs import A2, coordinates, fading, spring_deflection
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, Array
 from postproc.robot import RobotModel
@@ -65,9 +59,9 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     law_of_gears = robot.stiffening
     at_rest = np.zeros_like(torque)
     if law_of_gears is not None and (law_of_gears.carries_weight or not robot.subtract_reference):
-        at_rest = -rest_torque(robot, robot.actual, x)
+        at_rest = -asked(robot, x.T, kinematics.posture(robot.actual, x.T, weigh=robot.has_weight)).T
     _, slope = spring_deflection(robot, torque, at_rest)
-    share = compensator_share(robot, x, slope)
+    share = beside(robot, x.T, slope.T)
     torque[:, second] /= share  # what is left for the gear
     theta, slope = spring_deflection(robot, torque, at_rest)
     reach = jacobian[:, :3].copy()

@@ -14,7 +14,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import pinocchio as pin
 
 from postproc import elastostatics, kinematics
 from postproc.errors import PostprocError
@@ -22,7 +21,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
 from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
-from postproc.robot import RobotModel, assemble
+from postproc.robot import Chain, RobotModel, assemble
 from postproc.robot.model_file import JOINTS, Displacement, Gravity, ModelFile
 
 _AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
@@ -77,7 +76,7 @@ class Geometry:
         return np.asarray(1.959964 * np.sqrt(np.diag(self.covariance)))
 
 
-def nonredundant(nominal: pin.Model, points: int) -> tuple[GeometryParameter, ...]:
+def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
     """Return the displacements that base transform, points and the ones before cannot imitate.
 
     Found from the rank of the derivatives at random configurations, so that it holds for any arm.
@@ -87,8 +86,8 @@ def nonredundant(nominal: pin.Model, points: int) -> tuple[GeometryParameter, ..
     flange, columns = _derivatives(nominal, q, offsets)
     base, tool = _frame_columns(flange, offsets, np.eye(4))
     basis, _ = np.linalg.qr(np.concatenate([base, tool], axis=1))
-    own = _own_axes(nominal)
-    order = [(j, own[j]) for j in range(6)]
+    own = 3 + np.argmax(np.abs(nominal.axis), axis=1)
+    order = [(j, int(own[j])) for j in range(6)]
     order += [(j, a) for j in range(6) for a in range(3)]
     order += [(j, 3 + a) for j in range(6) for a in range(3)]
     taken: list[tuple[int, int]] = []
@@ -104,25 +103,9 @@ def nonredundant(nominal: pin.Model, points: int) -> tuple[GeometryParameter, ..
     return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(taken))
 
 
-def _own_axes(model: pin.Model) -> list[int]:
-    data = model.createData()
-    q = np.zeros(6)
-    pin.forwardKinematics(model, data, q)
-    jacobian = pin.computeJointJacobians(model, data, q)
-    return [3 + int(np.argmax(np.abs(data.oMi[j + 1].rotation.T @ jacobian[3:, j]))) for j in range(6)]
-
-
-def _derivatives(model: pin.Model, q: Array, points: Array) -> tuple[Array, Array]:
+def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
     """Return flange poses (C, 4, 4) and derivatives (C·P·3, 6, 6) of the points by displacements of the joints."""
-    data = model.createData()
-    flange = np.empty((len(q), 4, 4))
-    before = np.empty((len(q), 6, 4, 4))
-    frame = model.frames[model.getFrameId("flange")]
-    for row, angles in enumerate(np.ascontiguousarray(q)):
-        pin.forwardKinematics(model, data, angles)
-        flange[row] = (data.oMi[frame.parentJoint] * frame.placement).homogeneous
-        for joint in range(6):
-            before[row, joint] = (data.oMi[joint] * model.jointPlacements[joint + 1]).homogeneous
+    before, flange = chain.joint_frames(q)
     where = np.einsum("cij,pj->cpi", flange[:, :3, :3], points) + flange[:, None, :3, 3]
     columns = np.empty((len(q), len(points), 3, 6, 6))
     for joint in range(6):
@@ -149,7 +132,7 @@ def _frame_columns(flange: Array, points: Array, root: Array) -> tuple[Array, Ar
     return base.reshape(-1, 6), tool.reshape(-1, 3 * len(points))
 
 
-def identify_geometry(content: ModelFile, nominal: pin.Model, name: str, data: Measurements) -> Geometry:
+def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measurements) -> Geometry:
     """Identify the geometry from the readings without load.
 
     :param content: model whose springs, masses and compensator predict the sag; its own `[geometry]` is replaced.
@@ -227,7 +210,7 @@ def _prior(parameters: tuple[GeometryParameter, ...]) -> Array:
 
 
 def _solve(
-    content: ModelFile, nominal: pin.Model, name: str, data: Measurements, parameters: tuple[GeometryParameter, ...]
+    content: ModelFile, nominal: Chain, name: str, data: Measurements, parameters: tuple[GeometryParameter, ...]
 ) -> _Solution:
     mean, count = data.means()
     seen, weight = mean[data.unloaded], count[data.unloaded]
@@ -284,7 +267,7 @@ def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     return found.pose, q + found.theta[:, list(robot.actuated)]
 
 
-def _geometric(nominal: pin.Model, robot: RobotModel) -> pin.Model:
+def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
     """Return the six-joint model with the displaced placements of the robot, without springs of links."""
     if robot.actual.nv == nominal.nv:
         return robot.actual

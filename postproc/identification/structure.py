@@ -78,16 +78,10 @@ def link_names(robot: RobotModel, rich: bool) -> list[str]:
 
 def _along(robot: RobotModel) -> set[str]:
     """Return the rotations about joint axes of this robot; for axes along X, Y or Z of the joint frames."""
-    import pinocchio as pin
-
-    model = robot.nominal
-    data = model.createData()
-    pin.forwardKinematics(model, data, np.zeros(model.nq))
-    jacobian = pin.computeJointJacobians(model, data, np.zeros(model.nq))
     found = set()
     for index, joint in enumerate(JOINTS):
-        here = data.oMi[index + 1].rotation.T @ jacobian[3:, index]
-        before = model.jointPlacements[index + 1].rotation @ here
+        here = robot.nominal.axis[index]
+        before = robot.nominal.placement[index, :3, :3] @ here
         found.add(f"{joint}.R{'XYZ'[int(np.argmax(np.abs(here)))]}")
         previous = (BASE, *JOINTS)[index]
         found.add(f"{previous}.end_R{'XYZ'[int(np.argmax(np.abs(before)))]}")

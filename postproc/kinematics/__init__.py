@@ -1,34 +1,32 @@
-"""Kinematics of a robot: forward, Jacobian, Hessian, gravity torques; inverse with branches and limits."""
+"""Kinematics of a robot: forward, Jacobian, torques of weights; inverse with branches, status, turns and limits."""
 
-from postproc.kinematics.chain import gravity_stiffness, gravity_torque, load_stiffness, tcp, tcp_and_weight
-from postproc.kinematics.inverse import (
-    JointPath,
-    UnreachableError,
-    branch_of,
-    closed_form,
-    follow,
-    on_branch,
-    refine,
-    status_of,
-    turn_of,
-)
+from postproc.kinematics.closed_form import ClosedForm, closed_form, status_of
+from postproc.kinematics.components import components, displaced, matrices, product, twist_between
+from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
+from postproc.kinematics.hessian import gravity_stiffness, load_stiffness
+from postproc.kinematics.inverse import JointPath, UnreachableError, follow, on_branch, turn_of
 from postproc.kinematics.margins import joint_margin, smallest_singular_value
 
 __all__ = [
+    "ClosedForm",
     "JointPath",
+    "Posture",
     "UnreachableError",
-    "branch_of",
     "closed_form",
+    "components",
+    "displaced",
     "follow",
     "gravity_stiffness",
     "gravity_torque",
     "joint_margin",
     "load_stiffness",
+    "matrices",
     "on_branch",
-    "refine",
+    "posture",
+    "product",
     "smallest_singular_value",
     "status_of",
     "tcp",
-    "tcp_and_weight",
     "turn_of",
+    "twist_between",
 ]

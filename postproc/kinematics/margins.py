@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc.frames import Array
-from postproc.kinematics.chain import tcp
+from postproc.kinematics.forward import tcp
 from postproc.robot import RobotModel
 
 _LOOKED_AT = 10_000

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from postproc import kinematics, toolpath
+from postproc import kinematics
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector
 from postproc.kinematics import JointPath
@@ -63,14 +63,11 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
         )
 
 
-def singularities(
-    program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, q: Array, pose: Array
-) -> Iterator[Issue]:
+def singularities(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, q: Array) -> Iterator[Issue]:
     """The path must stay clear of wrist, elbow and shoulder singularities, and no joint may jump.
 
     :param path: of the nominal targets.
     :param q: (N, 6) commanded [rad].
-    :param pose: (N, 4, 4) commanded tool frame in `$BASE` [m].
     """
     form = kinematics.closed_form(robot)
     advice = f"Move the part or {_turn_the_tool(program)}."
@@ -83,8 +80,7 @@ def singularities(
     yield from _first(
         program, sample.motion, elbow, "elbow-singularity", f"elbow singularity: the arm is stretched out. {advice}"
     )
-    centre = toolpath.flange_points(program, sample.motion, pose, form.wrist_in_flange)
-    shoulder = linear & (np.abs(form.wrist_reach(centre, q[:, 0])) < _SHOULDER)
+    shoulder = linear & (np.abs(form.reach(q)) < _SHOULDER)
     yield from _first(
         program,
         sample.motion,

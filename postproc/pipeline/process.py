@@ -27,8 +27,6 @@ _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
 _ROUNDS = 5
 """How often targets are inserted where the simulation of the written program leaves the tolerance."""
-_FEW = 16
-"""Of so many neighbouring targets one is solved first, for a guess."""
 _NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
@@ -121,7 +119,7 @@ def process(
             if not _blocked(issues):
                 simulated = verify.simulate(
                     program, sampled.path, sampled.load, targets, sampled.sample.pose[row, :3, 3], text, place, row,
-                    sampled.command, sampled.joints.branch, corrected=mode != "nominal",
+                    sampled.command.theta, sampled.joints.branch, corrected=mode != "nominal",
                 )  # fmt: skip
         if mode == "nominal" or simulated is None or len(simulated.missed[0]) == 0:
             break
@@ -287,7 +285,7 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
         *checks.posture(program, robot, sample, sampled.joints, place.cell.start_joints),
         *checks.status_and_turn(program, robot, sample, sampled.joints.q),
         *checks.joint_limits(program, robot, sample, q),
-        *checks.singularities(program, robot, sample, sampled.joints, q, sampled.command.pose),
+        *checks.singularities(program, robot, sample, sampled.joints, q),
         *checks.joint_speeds(program, robot, sample, sampled.path.turn, q, position),
         *checks.correction_size(program, sample.motion, correction, place.cell.output.max_correction_mm * M_PER_MM),
     ]
@@ -392,20 +390,8 @@ def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints) 
 
 def _tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array) -> Array:
     """Return the tip (n, 3) in the root [m] under a wrench."""
-    if len(q) == 0:
-        return np.zeros((0, 3))
-    few = np.arange(0, len(q), _FEW)
-    some_tool = tool if tool.ndim == 2 else tool[few]
-    # the springs give way a little differently here than at the target; along the path the difference changes slowly:
-    # solved for a few, it makes a guess for all that one evaluation confirms
-    try:
-        more = elastostatics.deflect(robot, q[few], some_tool, wrench[few], guess[few]).theta - guess[few]
-    except NotConvergedError as cause:
-        raise NotConvergedError(str(cause), few[list(cause.rows)].tolist()) from None
-    every = np.arange(len(q))
-    guess = guess + np.stack([np.interp(every, few, column) for column in more.T], axis=1)
-    nowhere = np.broadcast_to(np.eye(4), (len(q), 4, 4))  # where the tip rests is not asked for
-    return elastostatics.deflect(robot, q, tool, wrench, guess, nowhere).pose[:, :3, 3]
+    x = elastostatics.spread(robot, q.T)
+    return elastostatics.solve_equilibrium(robot, x, kinematics.components(tool), wrench.T, guess.T).tip.T
 
 
 def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:

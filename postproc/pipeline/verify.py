@@ -13,7 +13,6 @@ import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.chunks import in_chunks
-from postproc.compensation import Compensation
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
@@ -21,7 +20,6 @@ from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
 from postproc.pipeline import blending, checks
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
-from postproc.robot import RobotModel
 from postproc.toolpath import Segments
 
 _PRINTED = 1e-6
@@ -41,8 +39,6 @@ _UNEVEN = 0.2
 at there as often as on such runs; else at its middle and end."""
 _ON_RAMPS = 4
 """Places looked at on such runs."""
-_REACHED = 1e-9
-"""How near joint angles must come to a commanded pose [m, rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +70,7 @@ def simulate(
     text: Written,
     place: InRoot,
     sample: Ints,
-    command: Compensation,
+    theta: Array,
     branch: Ints,
     *,
     corrected: bool,
@@ -87,7 +83,7 @@ def simulate(
     :param text: the program as written.
     :param place: robot, cell and start.
     :param sample: (K,) which of the N samples of the path each target is.
-    :param command: the N commands as computed: where the search for those of the text begins.
+    :param theta: (N, nv) deflections of the springs as computed: where the search for those of the text begins.
     :param branch: (N,) branch of the inverse kinematics of each.
     :param corrected: the program claims to hold the tolerance.
     """
@@ -124,13 +120,13 @@ def simulate(
     def simulated(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
         nominal = toolpath.at(program, path, motion, t)
         wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
-        near = command.at(sample)
-        printed = toolpath.at(written, written_path, on, share).pose
-        q = near.q
-        if (share < 1.0).any():  # between targets the joint angles are not known yet
-            q = kinematics.on_branch(place.robot, toolpath.flange_from_tcp(written, on, printed), branch[sample], q)
-        commanded, tool = place.pose(written, on, printed), place.tool(written, on)
-        tip = _tip(place.robot, commanded, tool, place.wrench(written, on, wrench), q, near.theta)
+        commanded = toolpath.at(written, written_path, on, share).pose
+        q = kinematics.on_branch(place.robot, toolpath.flange_from_tcp(written, on, commanded), branch[sample])
+        if np.isnan(q).any():
+            raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
+        force, tool = place.wrench(written, on, wrench), kinematics.components(place.tool(written, on))
+        x = elastostatics.spread(place.robot, q.T)
+        tip = elastostatics.solve_equilibrium(place.robot, x, tool, force.T, theta[sample].T).tip.T
         return (place.points_back(written, on, tip) - nominal.pose[:, :3, 3],)
 
     try:
@@ -159,16 +155,6 @@ def _unusable(targets: Targets, issue: Issue) -> Simulated:
     nowhere = np.zeros(0, dtype=np.int64), np.zeros(0)
     unknown = np.full(count, np.nan)
     return Simulated(unknown, np.inf, np.full((count, 6), np.nan), unknown, nowhere, (issue,))
-
-
-def _tip(robot: RobotModel, commanded: Array, tool: Array, wrench: Array, q: Array, theta: Array) -> Array:
-    """Return the loaded tip (n, 3) in the root [m] under commanded poses (n, 4, 4) in the root."""
-    q, pose, _ = kinematics.refine(robot.nominal, q, range(6), tool, commanded)
-    missed = largest(twist_between(pose, commanded)) > _REACHED
-    if missed.any():
-        raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(missed).tolist())
-    unloaded = pose if robot.geometry_is_nominal else None
-    return elastostatics.deflect(robot, q, tool, wrench, guess=theta, unloaded=unloaded).pose[:, :3, 3]
 
 
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:

@@ -1,8 +1,4 @@
-"""Kinematics of the arm for many thousand configurations at once, in plain numpy.
-
-The planner asks for joint axes and origins too, which `kinematics.tcp` does not give. Same geometry (the controller's),
-same signs; a plan needs it to a millimetre only.
-"""
+"""Joint axes and origins of the arm in many thousand configurations at once, by the controller's geometry."""
 
 from __future__ import annotations
 
@@ -12,50 +8,28 @@ import numpy as np
 
 from postproc import kinematics
 from postproc.frames import Array
-from postproc.robot import FLANGE, RobotModel
+from postproc.robot import Chain, RobotModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """Six revolute joints in a chain.
+    """Six revolute joints in a chain."""
 
-    :param placement: (6, 4, 4) of each joint on the link before it [m].
-    :param axis: (6, 3) unit axis of each joint in its own frame.
-    :param flange: (4, 4) on the last link [m].
-    """
-
-    placement: Array
-    axis: Array
-    flange: Array
+    chain: Chain
 
     @classmethod
     def of(cls, robot: RobotModel) -> Arm:
         """Take the controller's geometry of a robot."""
-        model = robot.nominal
-        placement = np.array([place.homogeneous for place in model.jointPlacements][1:])
-        _, jacobian = kinematics.tcp(model, np.zeros((1, 6)), np.eye(4))
-        turned, axis = np.eye(3), np.empty((6, 3))
-        for index in range(6):
-            turned = turned @ placement[index, :3, :3]
-            axis[index] = turned.T @ jacobian[0, 3:, index]
-        return cls(placement, axis, model.frames[model.getFrameId(FLANGE)].placement.homogeneous.copy())
+        return cls(robot.nominal)
 
     def pose(self, q: Array) -> Posed:
         """Return where everything is at configurations q (N, 6) [rad]."""
-        here = np.broadcast_to(np.eye(4), (len(q), 4, 4))
-        origin, direction = np.empty((len(q), 6, 3)), np.empty((len(q), 6, 3))
-        for index in range(6):
-            x, y, z = self.axis[index]
-            hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            turn = np.zeros((len(q), 4, 4))
-            angle = q[:, index, None, None]
-            turn[:, :3, :3] = np.eye(3) + np.sin(angle) * hat + (1.0 - np.cos(angle)) * (hat @ hat)
-            turn[:, 3, 3] = 1.0
-            here = here @ self.placement[index]
-            origin[:, index] = here[:, :3, 3]
-            direction[:, index] = here[:, :3, :3] @ self.axis[index]
-            here = here @ turn
-        return Posed(origin, direction, here @ self.flange)
+        state = kinematics.posture(self.chain, q.T)
+        origin, axis = (
+            np.array([np.broadcast_to(vector, (3, len(q))) for vector in vectors]).transpose(2, 0, 1)
+            for vectors in (state.origin, state.axis)
+        )
+        return Posed(origin, axis, kinematics.matrices(state.flange))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

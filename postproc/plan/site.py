@@ -142,5 +142,5 @@ def _normals(experiment: Experiment) -> Array:
 def _torque_limit(robot: RobotModel, given: tuple[float, ...] | None) -> Array | None:
     if given is not None:
         return np.array(given)
-    effort = np.asarray(robot.nominal.effortLimit, dtype=float)
+    effort = robot.nominal.effort
     return effort if np.isfinite(effort).all() and (effort > 0.0).all() else None

@@ -1,6 +1,6 @@
 """A robot is a folder: `robot.urdf` (geometry, limits, speeds, masses) and `model.toml` (what was identified).
 
-`load` reads the folder into a `RobotModel`: two Pinocchio models (the controller's nominal geometry, and the actual
+`load` reads the folder into a `RobotModel`: two chains (the controller's nominal geometry, and the actual
 one with the calibrated geometry), the springs, the compensator, the covariance, and where each value comes from.
 """
 
@@ -12,13 +12,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from postproc import files
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.robot import urdf
+from postproc.robot.chain import Chain
 from postproc.robot.flexible import LINK_AXES, VirtualSpring, elastic_chain
 from postproc.robot.model_file import (
     BASE,
@@ -36,6 +37,7 @@ __all__ = [
     "FLANGE",
     "JOINTS",
     "LINK_AXES",
+    "Chain",
     "Covariance",
     "Displacement",
     "GearStiffening",
@@ -109,9 +111,9 @@ class RobotModel:
 
     name: str
     title: str
-    nominal: pin.Model
-    actual: pin.Model
-    loaded: pin.Model
+    nominal: Chain
+    actual: Chain
+    loaded: Chain
     stiffness: Array
     actuated: tuple[int, ...]
     compensator: Compensator | None
@@ -137,29 +139,13 @@ class RobotModel:
     @cached_property
     def geometry_is_nominal(self) -> bool:
         """True if the actual geometry is the controller's."""
-        if self.link_springs:
-            sample = np.random.default_rng(0).uniform(-1.0, 1.0, (8, len(JOINTS)))
-            return all(
-                np.abs(_flange_pose(self.nominal, q) - _flange_pose(self.actual, self._spread(q))).max() < 1e-12
-                for q in sample
-            )
-        return all(
-            frame.placement.isApprox(other.placement, 0.0)
-            for frame, other in zip(self.nominal.frames, self.actual.frames, strict=True)
-        ) and all(
-            one.isApprox(other, 0.0)
-            for one, other in zip(self.nominal.jointPlacements, self.actual.jointPlacements, strict=True)
-        )
-
-    def _spread(self, q: Array) -> Array:
-        full = np.zeros(self.actual.nv)
-        full[list(self.actuated)] = q
-        return full
+        plain = elastic_chain(self.nominal, self.link_springs)[0]
+        return bool((plain.placement == self.actual.placement).all() and (plain.flange == self.actual.flange).all())
 
     @cached_property
     def has_weight(self) -> bool:
         """True if links or payload have mass."""
-        return any(inertia.mass > 0.0 for inertia in list(self.loaded.inertias)[1:])
+        return bool((self.loaded.mass > 0.0).any())
 
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.
@@ -169,12 +155,7 @@ class RobotModel:
         """
         if mass == 0.0:
             return self
-        loaded = self.loaded.copy()
-        flange = loaded.frames[loaded.getFrameId(FLANGE)]
-        loaded.appendBodyToJoint(
-            flange.parentJoint, pin.Inertia(mass, np.asarray(centre, dtype=float), np.zeros((3, 3))), flange.placement
-        )
-        return replace(self, loaded=loaded)
+        return replace(self, loaded=self.loaded.with_payload(mass, np.asarray(centre, dtype=float)))
 
 
 def shipped() -> dict[str, Path]:
@@ -226,24 +207,24 @@ def load(folder: str | Path) -> RobotModel:
         if sum(part.compliance_urad_per_Nm for part in spring.stiffening) > spring.compliance_urad_per_Nm * (1 + 1e-6):
             raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
     _check_covariance(content.covariance, where)
-    nominal = _nominal(folder / "robot.urdf")
+    path = folder / "robot.urdf"
+    nominal = urdf.read(files.read_text(path, ModelError), str(path))
     return assemble(folder.resolve().name, content, nominal)
 
 
-def assemble(name: str, content: ModelFile, nominal: pin.Model, rigid_too: Sequence[VirtualSpring] = ()) -> RobotModel:
+def assemble(name: str, content: ModelFile, nominal: Chain, rigid_too: Sequence[VirtualSpring] = ()) -> RobotModel:
     """Build a `RobotModel` from the content of `model.toml` and the controller's geometry.
 
     :param rigid_too: link springs that get a coordinate even where the content holds no compliance for them
         (identification looks at how they would move).
     """
-    actual = nominal.copy()
+    placement, flange = nominal.placement.copy(), nominal.flange
     for place, entry in content.geometry.items():
         if place == FLANGE:
-            frame = actual.frames[actual.getFrameId(FLANGE)]
-            frame.placement = frame.placement * _placement(entry)
+            flange = flange @ _placement(entry)
         else:
-            joint = actual.getJointId(place)
-            actual.jointPlacements[joint] = actual.jointPlacements[joint] * _placement(entry)
+            placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
+    actual = replace(nominal, placement=placement, flange=flange)
     compliance = {
         VirtualSpring(link, axis): value for link, springs in content.links.items() for axis, value in _axes(springs)
     }
@@ -281,9 +262,9 @@ def assemble(name: str, content: ModelFile, nominal: pin.Model, rigid_too: Seque
         actuated=actuated,
         compensator=content.compensator.law() if content.compensator else None,
         subtract_reference=content.gravity.reference == "calibrated",
-        lower=nominal.lowerPositionLimit.copy(),
-        upper=nominal.upperPositionLimit.copy(),
-        speed=nominal.velocityLimit.copy(),
+        lower=nominal.lower,
+        upper=nominal.upper,
+        speed=nominal.speed,
         covariance=content.covariance,
         provenance=tuple(_provenance(content, nominal)),
         stiffening=stiffening,
@@ -299,44 +280,11 @@ def _axes(springs: LinkSprings) -> Iterator[tuple[str, float]]:
             yield axis, value
 
 
-def _placement(entry: Displacement) -> pin.SE3:
-    rotation = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
-    return pin.SE3(rotation, np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM)
-
-
-def _flange_pose(model: pin.Model, q: Array) -> Array:
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    pose: Array = data.oMf[model.getFrameId(FLANGE)].homogeneous.copy()
+def _placement(entry: Displacement) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
+    pose[:3, 3] = np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM
     return pose
-
-
-def _nominal(path: Path) -> pin.Model:
-    text = files.read_text(path, ModelError)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as cause:
-        raise ModelError(f"not a URDF that Pinocchio reads: {cause}", file=str(path)) from cause
-    if tuple(model.names)[1:] != JOINTS or model.nq != len(JOINTS):
-        raise ModelError(
-            f"joints are {', '.join(list(model.names)[1:])}",
-            file=str(path),
-            advice=f"The robot must be a chain of six revolute joints named {', '.join(JOINTS)}.",
-        )
-    if not model.existFrame(FLANGE):
-        raise ModelError(f"no link named {FLANGE!r}", file=str(path), advice="The last frame must be `flange`.")
-    masses = [inertia.mass for inertia in list(model.inertias)[1:]]
-    limits = np.array([model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit])
-    if not (np.isfinite(limits).all() and (limits[0] < limits[1]).all() and (limits[2] > 0).all()):
-        raise ModelError(
-            "joint limits are missing or impossible",
-            file=str(path),
-            advice="Every joint needs <limit lower upper velocity> in radians, lower < upper, velocity > 0.",
-        )
-    placements = [p.homogeneous for p in model.jointPlacements]
-    if not (np.isfinite(placements).all() and np.isfinite(masses).all()):
-        raise ModelError("a number is not finite", file=str(path))
-    return model
 
 
 def _check_covariance(covariance: Covariance | None, where: str) -> None:
@@ -352,7 +300,7 @@ def _check_covariance(covariance: Covariance | None, where: str) -> None:
         raise ModelError("[covariance] matrix is not symmetric positive semidefinite", file=where)
 
 
-def _provenance(content: ModelFile, nominal: pin.Model) -> Iterator[Provenance]:
+def _provenance(content: ModelFile, nominal: Chain) -> Iterator[Provenance]:
     for name in JOINTS:
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
@@ -376,7 +324,7 @@ def _provenance(content: ModelFile, nominal: pin.Model) -> Iterator[Provenance]:
             f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
         )
         yield Provenance(f"calibrated {name}", value, entry.source, entry.assumed)
-    masses = ", ".join(f"{inertia.mass:g}" for inertia in list(nominal.inertias)[1:])
+    masses = ", ".join(f"{mass:g}" for mass in nominal.mass)
     for label, value, entry_source in (
         ("link masses", f"{masses} kg", content.masses),
         ("geometry, limits, speeds", "robot.urdf", content.geometry_nominal),

@@ -1,23 +1,17 @@
-"""Flexible links: one Pinocchio coordinate for each spring between the joints of a chain."""
+"""Flexible links: one coordinate for each spring between the joints of a chain."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import pinocchio as pin
+import numpy as np
 
-from postproc.robot.model_file import BASE, FLANGE, JOINTS
+from postproc.frames import Array
+from postproc.robot.chain import Chain
+from postproc.robot.model_file import BASE, JOINTS
 
 LINK_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
-_JOINT_OF_AXIS = {
-    "X": pin.JointModelPX,
-    "Y": pin.JointModelPY,
-    "Z": pin.JointModelPZ,
-    "RX": pin.JointModelRX,
-    "RY": pin.JointModelRY,
-    "RZ": pin.JointModelRZ,
-}
 
 
 class VirtualSpring(NamedTuple):
@@ -27,7 +21,7 @@ class VirtualSpring(NamedTuple):
     axis: str
 
 
-def elastic_chain(model: pin.Model, springs: Sequence[VirtualSpring]) -> tuple[pin.Model, tuple[int, ...], list[int]]:
+def elastic_chain(chain: Chain, springs: Sequence[VirtualSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
     """Insert one coordinate per link spring into a chain of six joints.
 
     Springs where a link begins follow its joint (for `base`: the root), springs where it ends stand at the place of
@@ -35,36 +29,57 @@ def elastic_chain(model: pin.Model, springs: Sequence[VirtualSpring]) -> tuple[p
 
     :returns: the chain, the coordinates of A1…A6 in it, and those of `springs`.
     """
-    chain = pin.Model()
-    chain.name = model.name
-    chain.gravity = model.gravity
-    flange = model.frames[model.getFrameId(FLANGE)]
     rows: dict[VirtualSpring, int] = {}
     actuated: list[int] = []
-    parent, place, at_next = 0, pin.SE3.Identity(), False
+    placement: list[Array] = []
+    from_joint: list[int] = []
+    axis: list[Array] = []
+    turns: list[bool] = []
+    carried: dict[int, int] = {}
+    place = np.eye(4)
 
-    def add(kind: Any, name: str) -> int:
-        nonlocal parent, place
-        parent = chain.addJoint(parent, kind, place, name)
-        place = pin.SE3.Identity()
-        return int(chain.joints[parent].idx_v)
+    def add(direction: Array, turning: bool, joint: int = -1) -> int:
+        nonlocal place
+        placement.append(place)
+        axis.append(direction)
+        turns.append(turning)
+        from_joint.append(joint)
+        place = np.eye(4)
+        return len(axis) - 1
+
+    def add_spring(spring: VirtualSpring) -> None:
+        rows[spring] = add(np.eye(3)["XYZ".index(spring.axis[-1])], "R" in spring.axis)
 
     for index, link in enumerate((BASE, *JOINTS)):
         if index:
-            place = place * (model.jointPlacements[index] if not at_next else pin.SE3.Identity())
-            actuated.append(add(model.joints[index], link))
-        at_next = False
-        for spring in springs:
-            if spring.link == link and not spring.axis.startswith("end_"):
-                rows[spring] = add(_JOINT_OF_AXIS[spring.axis](), f"{link}.{spring.axis}")
+            actuated.append(add(chain.axis[index - 1], True, index - 1))
+        own = [spring for spring in springs if spring.link == link]
+        for spring in own:
+            if not spring.axis.startswith("end_"):
+                add_spring(spring)
         if index:
-            chain.appendBodyToJoint(parent, model.inertias[index], pin.SE3.Identity())
-        ends = [spring for spring in springs if spring.link == link and spring.axis.startswith("end_")]
-        if ends:
-            place = flange.placement if link == JOINTS[-1] else model.jointPlacements[index + 1]
-            at_next = True
-            for spring in ends:
-                rows[spring] = add(_JOINT_OF_AXIS[spring.axis.removeprefix("end_")](), f"{link}.{spring.axis}")
-    placement = pin.SE3.Identity() if at_next else flange.placement
-    chain.addFrame(pin.Frame(FLANGE, parent, placement, pin.FrameType.BODY))
-    return chain, tuple(actuated), [rows[spring] for spring in springs]
+            carried[len(axis) - 1] = index - 1
+        place = place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
+        for spring in own:
+            if spring.axis.startswith("end_"):
+                add_spring(spring)
+
+    def spread(values: Array, source: dict[int, int], otherwise: float) -> Array:
+        out = np.full((len(axis), *values.shape[1:]), otherwise)
+        out[list(source)] = values[list(source.values())]
+        return out
+
+    joints = {row: joint for row, joint in enumerate(from_joint) if joint >= 0}
+    longer = Chain(
+        placement=np.array(placement),
+        axis=np.array(axis),
+        turns=np.array(turns),
+        flange=place,
+        mass=spread(chain.mass, carried, 0.0),
+        centre=spread(chain.centre, carried, 0.0),
+        lower=spread(chain.lower, joints, -np.inf),
+        upper=spread(chain.upper, joints, np.inf),
+        speed=spread(chain.speed, joints, np.inf),
+        effort=spread(chain.effort, joints, 0.0),
+    )
+    return longer, tuple(actuated), [rows[spring] for spring in springs]

@@ -1,0 +1,199 @@
+"""Closed-form inverse kinematics of arms with parallel axes 2 and 3 and a spherical wrist, and KUKA's status.
+
+The wrist centre fixes A1…A3 (a turn about the vertical, then two bars in a plane), the orientation A4…A6 (Pieper 1968).
+A branch 0…7 says which of the two solutions is taken: bit 0, the wrist centre behind A1; bit 1, A3 at or past the
+stretched arm; bit 2, A5 on the negative side of where A4 and A6 are in line. On KUKA arms these are the bits of S.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from postproc.errors import ModelError
+from postproc.frames import Array, sine_and_cosine
+from postproc.kinematics.components import combination, components
+from postproc.kinematics.forward import clean, posture, tcp
+from postproc.program import Ints
+from postproc.robot import RobotModel
+
+_TURN = 2.0 * np.pi
+_SAME = 1e-6
+_IN_LINE = 1e-6
+"""A5 within this of where A4 and A6 are in line [rad] counts as on the side of A5 > 0: its sign is rounding."""
+_NO_TURN = 1e-12
+"""Sine of A5 below which only the sum of A4 and A6 means something: A4 is then 0."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedForm:
+    """The nominal geometry, read off at A1…A6 = 0. The plane of the arm is spanned by `ahead` and the vertical.
+
+    Lengths in metres; directions by their components along ahead, across (the axis of A2 up to its sign) and up.
+
+    :param axes: (3, 3) rows: ahead, across, up, in root axes.
+    :param base: (3,) a point of the A1 axis at the height of A2.
+    :param aside: how far the wrist centre stands from the plane through the A1 axis.
+    :param shoulder: how far A2 stands ahead of the A1 axis.
+    :param upper_arm: from A2 to A3.
+    :param forearm: from A3 to the wrist centre.
+    :param tilt: (2,) of upper arm and forearm against the vertical [rad].
+    :param sign: (3,) of A1, A2, A3 about up, across, across.
+    :param wrist: (3, 1) the wrist centre in the flange frame.
+    :param before_wrist: (3, 3) rows: the wrist's own X, Y (along A5), Z (along A4).
+    :param hand: (3, 3) the same axes in the flange, turned so that Z lies along A6.
+    :param bend: A5 at which A4 and A6 are in line, with the other sign [rad].
+    """
+
+    axes: Array
+    base: Array
+    aside: float
+    shoulder: float
+    upper_arm: float
+    forearm: float
+    tilt: Array
+    sign: Array
+    wrist: Array
+    before_wrist: Array
+    hand: Array
+    bend: float
+
+    @property
+    def elbow_stretched(self) -> float:
+        """A3 [rad] at which the wrist centre lies on the line through axes 2 and 3."""
+        return float(_wrapped(self.sign[2] * (self.tilt[0] - self.tilt[1])))
+
+    def reach(self, q: Array) -> Array:
+        """Return how far ahead of the A1 axis the wrist centre stands (N,) [m] at angles (N, 6); negative: overhead."""
+        upper = self.tilt[0] + self.sign[1] * q[:, 1]
+        fore = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
+        return np.asarray(self.shoulder + self.upper_arm * np.sin(upper) + self.forearm * np.sin(fore))
+
+    def branch_of(self, q: Array) -> Ints:
+        """Return the branch (N,) on which joint angles (N, 6) lie; with A5 in line that of A5 > 0."""
+        behind = self.reach(q) < 0.0
+        past = _wrapped(q[:, 2] - self.elbow_stretched) >= 0.0
+        flipped = _wrapped(q[:, 4] + self.bend) < -_IN_LINE
+        return np.asarray(behind * 1 + past * 2 + flipped * 4, dtype=np.int64)
+
+    def branches(self, pose_flange_in_root: Array) -> Array:
+        """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""
+        flange = components(pose_flange_in_root)
+        return np.stack([self.solve(flange, branch).T for branch in range(8)], axis=1)
+
+    def solve(self, flange: Array, branch: int | Ints) -> Array:
+        """Return joint angles (6, n) [rad] of flange poses (3, 4, n) [m] on branches; NaN out of reach."""
+        behind, past, flipped = (np.asarray(branch) >> bit & 1 for bit in range(3))
+        columns = [flange[:, k] for k in range(3)]
+        ahead, across, height = self.axes @ (combination(columns, self.wrist) + flange[:, 3] - self.base[:, None])
+        a, b = self.upper_arm, self.forearm
+        with np.errstate(invalid="ignore"):
+            far = (1 - 2 * behind) * np.sqrt(ahead * ahead + across * across - self.aside**2)
+            heading = np.arctan2(across * far - ahead * self.aside, ahead * far + across * self.aside)
+            far = far - self.shoulder
+            cosine = (far * far + height * height - (a * a + b * b)) / (2.0 * a * b)
+            sine = self.sign[2] * (2 * past - 1) * np.sqrt((1.0 - cosine) * (1.0 + cosine))
+        elbow = np.arctan2(sine, cosine)
+        along, aside = a + b * cosine, b * sine
+        upper = np.arctan2(far * along - height * aside, height * along + far * aside)
+
+        hand = np.concatenate([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
+        x, y, z = (self.axes @ hand).reshape(3, 3, -1)
+        sine, cosine = sine_and_cosine(heading)
+        x, y = x * cosine + y * sine, y * cosine - x * sine
+        sine, cosine = sine_and_cosine(upper + elbow - self.tilt[1])
+        x, z = x * cosine - z * sine, z * cosine + x * sine
+        # what the wrist has to turn is Rz(A4)·Ry(A5 + bend)·Rz(A6)
+        m = (self.before_wrist @ np.stack([x, y, z]).reshape(3, -1)).reshape(3, 3, -1)
+        side = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
+        unique = side > _NO_TURN
+        turn = (1 - 2 * flipped) / np.where(unique, side, 1.0)
+        cosine, sine = np.where(unique, m[0, 2] * turn, 1.0), np.where(unique, m[1, 2] * turn, 0.0)
+        return np.stack(
+            [
+                self.sign[0] * heading,
+                self.sign[1] * (upper - self.tilt[0]),
+                self.sign[2] * (elbow + self.tilt[0] - self.tilt[1]),
+                np.arctan2(sine, cosine),
+                np.arctan2(cosine * m[0, 2] + sine * m[1, 2], m[2, 2]) - self.bend,
+                np.arctan2(cosine * m[1, 0] - sine * m[0, 0], cosine * m[1, 1] - sine * m[0, 1]),
+            ]
+        )
+
+
+@lru_cache(maxsize=16)
+def closed_form(robot: RobotModel) -> ClosedForm:
+    """Read the parameters of the closed form off the robot's nominal geometry.
+
+    :raises ModelError: the arm has no vertical A1, no parallel A2 and A3, or no spherical wrist: forward and
+        inverse kinematics do not agree.
+    """
+    chain = robot.nominal
+    zero = posture(chain, np.zeros((6, 1)))
+    axis, origin = (np.array([vector[:, 0] for vector in vectors]) for vectors in (zero.axis, zero.origin))
+    flange = zero.flange[..., 0]
+    up = np.array([0.0, 0.0, 1.0])
+    across = axis[1]
+    if abs(across @ up) > _SAME or abs(abs(axis[0] @ up) - 1.0) > _SAME:
+        raise _no_closed_form(robot)
+    ahead = np.cross(across, up)
+    if (origin[1] - origin[0]) @ ahead < 0.0:
+        across, ahead = -across, -ahead
+    axes = np.array([ahead, across, up])
+    wrist = _crossing(origin[3], axis[3], origin[4], axis[4])
+    bars = np.array([origin[2] - origin[1], wrist - origin[2]]) @ axes.T
+    own = np.array([np.cross(axis[4], axis[3]), axis[4], axis[3]])
+    bend = float(np.arctan2(axis[5] @ own[0], axis[5] @ own[2]))
+    about_y = np.array([[np.cos(bend), 0, np.sin(bend)], [0, 1, 0], [-np.sin(bend), 0, np.cos(bend)]])
+    form = ClosedForm(
+        axes=axes,
+        base=np.append(origin[0, :2], origin[1, 2]),
+        aside=float((wrist - origin[0]) @ across),
+        shoulder=float((origin[1] - origin[0]) @ ahead),
+        upper_arm=float(np.hypot(bars[0, 0], bars[0, 2])),
+        forearm=float(np.hypot(bars[1, 0], bars[1, 2])),
+        tilt=np.arctan2(bars[:, 0], bars[:, 2]),
+        sign=np.sign([axis[0] @ up, axis[1] @ across, axis[2] @ across]),
+        wrist=clean(flange[:, :3].T @ (wrist - flange[:, 3])[:, None]),
+        before_wrist=clean(own @ axes.T),
+        hand=clean(flange[:, :3].T @ own.T @ about_y),
+        bend=bend,
+    )
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 6))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
+    if not np.abs(_wrapped(found - q)).max() < _SAME:
+        raise _no_closed_form(robot)
+    return form
+
+
+def _no_closed_form(robot: RobotModel) -> ModelError:
+    return ModelError(
+        f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
+        advice="Only such arms (all common KUKA six-axis robots) are supported.",
+    )
+
+
+def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
+    """Return the point of the first line (p, u) nearest to the second (r, v)."""
+    normal = np.cross(u, v)
+    if normal @ normal < _SAME:
+        return r
+    along: Array = p + u * (np.cross(r - p, v) @ normal) / (normal @ normal)
+    return along
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray((angle + np.pi) % _TURN - np.pi)
+
+
+def status_of(robot: RobotModel, q: Array) -> Ints:
+    """Return KUKA S (N,) of configurations (N, 6).
+
+    Bit 0: wrist centre behind A1; bit 1: A3 at or beyond the stretched position; bit 2: A5 < 0.
+    """
+    form = closed_form(robot)
+    beyond = _wrapped(q[:, 2] - form.elbow_stretched) >= 0.0
+    return np.asarray((form.reach(q) < 0.0) * 1 + beyond * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)

@@ -1,0 +1,87 @@
+"""Poses by components, the sample index LAST: (3, 4, n), the columns X, Y, Z of the rotation and the position.
+
+Each component is then one array, and an operation on all samples runs through contiguous memory. What is the same for
+all samples has n = 1; its zeros cost nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from postproc import frames
+from postproc.frames import Array
+
+_SMALL_STEP = 5e-3
+"""Below this rotation [rad] series to the fifth power are exact to 1e-16."""
+
+
+def components(pose: Array) -> Array:
+    """Return poses (4, 4) or (n, 4, 4) as (3, 4, 1) or (3, 4, n)."""
+    if pose.ndim == 2:
+        pose = pose[None]
+    elif pose.strides[0] == 0:
+        pose = pose[:1]
+    return np.ascontiguousarray(np.moveaxis(pose[:, :3], 0, -1))
+
+
+def matrices(pose: Array) -> Array:
+    """Return poses (3, 4, n) as (n, 4, 4)."""
+    out = np.zeros((pose.shape[-1], 4, 4))
+    out[:, :3] = np.moveaxis(pose, -1, 0)
+    out[:, 3, 3] = 1.0
+    return out
+
+
+def combination(columns: Sequence[Array], factors: Array) -> Array:
+    """Return Σ columns[k]·factors[k] (3, n) of three columns (3, n) and factors (3, n)."""
+    out: Array | None = None
+    for column, factor in zip(columns, factors, strict=True):
+        constant = float(factor[0]) if len(factor) == 1 else None
+        if constant == 0.0:
+            continue
+        term = column if constant == 1.0 else column * factor
+        out = term if out is None else out + term
+    return np.zeros((3, 1)) if out is None else out
+
+
+def product(one: Array, other: Array) -> Array:
+    """Return the poses one·other, each (3, 4, n) or (3, 4, 1)."""
+    out = np.empty(np.broadcast_shapes(one.shape, other.shape))
+    columns = [one[:, k] for k in range(3)]
+    for column in range(4):
+        out[:, column] = combination(columns, other[:, column])
+    out[:, 3] += one[:, 3]
+    return out
+
+
+def cross(a: Array, b: Array, out: Array | None = None) -> Array:
+    """Return the cross products (3, n) of vectors (3, n) or (3, 1)."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape)) if out is None else out
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        np.multiply(a[j], b[k], out=out[i])
+        out[i] -= a[k] * b[j]
+    return out
+
+
+def twist_between(one: Array, other: Array) -> Array:
+    """Return (6, n) as `frames.twist_between`, poses (3, 4, n)."""
+    apart = other[:, :3] - one[:, :3]
+    if not np.abs(apart).max(initial=0.0) < _SMALL_STEP:
+        return np.ascontiguousarray(frames.twist_between(matrices(one), matrices(other)).T)
+    sine = cross(one[:, 0], apart[:, 0]) + cross(one[:, 1], apart[:, 1]) + cross(one[:, 2], apart[:, 2])
+    sine *= 0.5  # R₂·R₁ᵀ less its transpose is Σ x₁ × x₂ over the columns
+    square = (sine * sine).sum(axis=0)
+    return np.concatenate([other[:, 3] - one[:, 3], sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))])
+
+
+def displaced(pose: Array, twist: Array) -> Array:
+    """Return poses (3, 4, n) moved by twists (6, n), as `frames.displaced`."""
+    out = np.empty_like(pose)
+    turned = np.moveaxis(frames.rotation_from_vector(twist[3:].T), 0, -1)
+    for column in range(3):
+        out[:, column] = combination([turned[:, k] for k in range(3)], pose[:, column])
+    out[:, 3] = pose[:, 3] + twist[:3]
+    return out

@@ -1,0 +1,198 @@
+"""Forward kinematics, Jacobian and torques of the weights of a chain, for many configurations at once.
+
+The chain is walked once for all samples, each component of a vector an array with the sample index LAST (`components`).
+Between two joints stands what Denavit and Hartenberg (1955) found to be enough: an offset, a tilt about X and a turn
+about Z, which adds to the angle of the joint; made from the model once.
+
+Jacobians are those of (TCP position, rotation) in root axes. The tests hold them against
+Pinocchio, which is not needed here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from postproc.frames import Array, sine_and_cosine
+from postproc.kinematics.components import combination, components, cross, matrices, product
+from postproc.robot import Chain
+
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s²], along −Z of the root."""
+_ZERO = 1e-15
+"""A sine or cosine below this is zero: a right angle that a file gives by sixteen digits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """From one joint's frame to the next: moved by `offset`, tilted about X, then the joint, which is about Z.
+
+    :param offset: (3, 1) [m].
+    :param cosine: of the tilt.
+    :param sine: of the tilt.
+    :param turn: what is added to the joint's angle [rad].
+    :param turns: whether the joint turns; else it slides.
+    :param mass: of the link that the joint carries [kg].
+    :param centre: (3, 1) its centre of mass in the joint's frame [m].
+    """
+
+    offset: Array
+    cosine: float
+    sine: float
+    turn: float
+    turns: bool
+    mass: float
+    centre: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posture:
+    """A chain in n configurations; vectors (3, n), or (3, 1) where they are the same for all.
+
+    :param axis: of each of the nv joints.
+    :param origin: of each joint [m].
+    :param turns: whether each joint turns.
+    :param flange: (3, 4, n) [m].
+    :param mass: of each link [kg].
+    :param moment: mass times centre of mass of each link, where asked for [kg·m].
+    """
+
+    axis: list[Array]
+    origin: list[Array]
+    turns: list[bool]
+    flange: Array
+    mass: list[float]
+    moment: list[Array]
+
+    def jacobian(self, point: Array) -> Array:
+        """Return (6, nv, n): how a point (3, n) of the last link moves and turns with each coordinate."""
+        out = np.zeros((6, len(self.axis), point.shape[-1]))
+        for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):
+            if self.turns[joint]:
+                cross(axis, point - origin, out=out[:3, joint])
+                out[3:, joint] = axis
+            else:
+                out[:3, joint] = axis
+        return out
+
+    def weight(self) -> Array:
+        """Return ∇U_g (nv, n): torques that hold the weights of the links."""
+        out = np.zeros((len(self.axis), self.flange.shape[-1]))
+        mass, moment = 0.0, np.zeros((2, 1))
+        for joint in reversed(range(len(out))):  # what a joint carries is all behind it
+            mass += self.mass[joint]
+            if self.mass[joint]:
+                moment = moment + self.moment[joint][:2]
+            if mass and self.turns[joint]:
+                (x, y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
+                out[joint] = GRAVITY * (x * lever[1] - y * lever[0])
+            elif mass:
+                out[joint] = GRAVITY * mass * self.axis[joint][2]
+        return out
+
+
+def posture(chain: Chain, q: Array, *, weigh: bool = False) -> Posture:
+    """Return a chain in configurations q (nv, n) [rad, m]; `weigh`: with the moments of the masses."""
+    first, steps, flange = _steps(chain)
+    frame, at = [*np.moveaxis(first, 1, 0)], np.zeros((3, 1))
+    out = Posture([], [], [step.turns for step in steps], flange, [step.mass for step in steps], [])
+    for step, value in zip(steps, q, strict=True):
+        at = at + combination(frame, step.offset)
+        x, y, z = frame
+        if step.cosine != 1.0:
+            y, z = y * step.cosine + z * step.sine, z * step.cosine - y * step.sine
+        out.axis.append(z)
+        out.origin.append(at)
+        angle = value + step.turn if step.turns else np.full(1, step.turn)
+        if not step.turns:
+            at = at + z * value
+        sine, cosine = sine_and_cosine(angle)
+        frame = [x * cosine + y * sine, y * cosine - x * sine, z]
+        if weigh:
+            out.moment.append(step.mass * (at + combination(frame, step.centre)))
+    end = np.empty((3, 4, q.shape[-1]))
+    for column in range(4):
+        end[:, column] = combination(frame, flange[:, column])
+    end[:, 3] += at
+    return replace(out, flange=end)
+
+
+def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
+    """Return pose and Jacobian of the tool frame.
+
+    :param chain: of `RobotModel`: `nominal`, `actual` or `loaded`.
+    :param q: (N, nv) coordinates [rad, m].
+    :param tool: (4, 4) or (N, 4, 4) tool frame in the flange frame [m].
+    :returns: pose in the root frame (N, 4, 4) [m]; Jacobian (N, 6, nv), rows: position [m], rotation [rad], root axes.
+    """
+    state = posture(chain, by_coordinate(q))
+    pose = product(state.flange, components(tool))
+    return matrices(pose), np.moveaxis(state.jacobian(pose[:, 3]), -1, 0)
+
+
+def gravity_torque(chain: Chain, q: Array) -> Array:
+    """Return ∇U_g (N, nv): torques that hold the weights of the links at configurations q (N, nv)."""
+    return posture(chain, by_coordinate(q), weigh=True).weight().T
+
+
+def by_coordinate(rows: Array) -> Array:
+    """Return rows (n, k) as (k, n), each coordinate in contiguous memory."""
+    return np.ascontiguousarray(np.transpose(rows), dtype=float)
+
+
+@lru_cache(maxsize=16)
+def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
+    """Return the turn about Z that comes first (3, 3, 1), the steps, and the flange (3, 4, 1) in the last frame.
+
+    With A_i any rotation that carries Z to the axis of joint i, what lies between two joints is a rotation
+    A_iᵀ·R·A_(i+1) = Rz(a)·Rx(b)·Rz(c): a adds to the angle of the joint before, c to that of the joint behind.
+    """
+    upright = np.array([_upright(axis) for axis in chain.axis])
+    before, turned, made = np.eye(3), [], []
+    for joint in range(chain.nv):
+        offset = before.T @ chain.placement[joint, :3, 3]
+        between = before.T @ chain.placement[joint, :3, :3] @ upright[joint]
+        sine = float(np.hypot(between[0, 2], between[1, 2]))
+        a = float(np.arctan2(between[0, 2], -between[1, 2])) if sine > _ZERO else 0.0
+        rest = _about_z(-a) @ between  # Rx(b)·Rz(c)
+        turned.append((a, float(np.arctan2(-rest[0, 1], rest[0, 0]))))
+        made.append((_about_z(-a) @ offset, float(rest[2, 2]), -float(rest[1, 2])))
+        before = upright[joint]
+    steps = []
+    for joint, (offset, cosine, sine) in enumerate(made):
+        back = turned[joint + 1][0] if joint + 1 < chain.nv else 0.0
+        centre = _about_z(-back) @ upright[joint].T @ chain.centre[joint]
+        steps.append(
+            _Step(
+                offset=clean(offset)[:, None],
+                cosine=float(clean(np.array(cosine))),
+                sine=float(clean(np.array(sine))),
+                turn=turned[joint][1] + back,
+                turns=bool(chain.turns[joint]),
+                mass=float(chain.mass[joint]),
+                centre=clean(centre)[:, None],
+            )
+        )
+    flange = before.T @ chain.flange[:3]
+    return clean(_about_z(turned[0][0]))[..., None], tuple(steps), clean(flange)[..., None]
+
+
+def _upright(axis: Array) -> Array:
+    """Return a rotation (3, 3) that carries Z to a unit axis (3,)."""
+    least = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(least, axis)
+    x /= np.sqrt(x @ x)
+    return np.stack([x, np.cross(axis, x), axis], axis=1)
+
+
+def _about_z(angle: float) -> Array:
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def clean(values: Array) -> Array:
+    """Return values with those below the last digit set to zero, and those as near to ±1 set to that."""
+    nearest = np.round(values)
+    return np.where((np.abs(values - nearest) < _ZERO) & (np.abs(nearest) <= 1.0), nearest, values)

@@ -1,0 +1,186 @@
+"""Strict reader of a URDF that holds a six-axis arm: revolute joints A1…A6 in series, the flange fixed to A6.
+
+Fixed joints may stand anywhere; what they carry belongs to the link before them. Shapes are not looked at. Anything
+else is refused. Source: the URDF specification (wiki.ros.org/urdf/XML); rpy is R = Rz(yaw)·Ry(pitch)·Rx(roll).
+"""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from postproc.errors import ModelError
+from postproc.frames import Array, rotation_from_angles
+from postproc.robot.chain import Chain
+from postproc.robot.model_file import FLANGE, JOINTS
+
+
+def read(text: str, file: str) -> Chain:
+    """Return the arm that a URDF describes.
+
+    :raises ModelError: it is none, or a number is missing, no number or not finite; the message names the joint.
+    """
+    try:
+        return _Reader(text).chain()
+    except _RefusedError as cause:
+        raise ModelError(cause.problem, file=file, advice=cause.advice) from None
+
+
+class _RefusedError(Exception):
+    def __init__(self, problem: str, advice: str | None = None) -> None:
+        super().__init__(problem)
+        self.problem, self.advice = problem, advice
+
+
+_NO_TREE = _RefusedError("the links are not one tree", "Each link but the first must hang on one joint.")
+
+
+class _Reader:
+    """Walks from link to link and puts down what each joint carries."""
+
+    def __init__(self, text: str) -> None:
+        try:
+            robot = ET.fromstring(text)
+        except ET.ParseError as cause:
+            raise _RefusedError(f"not a URDF: {cause}", "The file must be XML with one <robot>.") from None
+        if robot.tag != "robot":
+            raise _RefusedError(f"not a URDF: its outermost element is <{robot.tag}>, not <robot>")
+        self.links = {_attribute(link, "name"): link for link in robot.findall("link")}
+        joints = {_attribute(joint, "name"): joint for joint in robot.findall("joint")}
+        if len(self.links) < len(robot.findall("link")) or len(joints) < len(robot.findall("joint")):
+            raise _RefusedError("two links or two joints have the same name")
+        self.below: dict[str, list[ET.Element]] = {name: [] for name in self.links}
+        children = []
+        for joint in joints.values():
+            parent, child = (_attribute(_element(joint, end), "link") for end in ("parent", "child"))
+            for link in (parent, child):
+                if link not in self.links:
+                    raise _RefusedError(f"joint {joint.get('name')} names link {link!r}, which the file does not have")
+            self.below[parent].append(joint)
+            children.append(child)
+        roots = set(self.links) - set(children)
+        if len(roots) != 1 or len(children) != len(set(children)):
+            raise _NO_TREE
+        self.root = roots.pop()
+        self.visited = 0
+        self.joints: list[ET.Element] = []
+        self.placement: list[Array] = []
+        self.moments: list[tuple[float, Array]] = []
+        self.flange: Array | None = None
+
+    def chain(self) -> Chain:
+        """Return the chain."""
+        self._visit(self.root, np.eye(4), -1)
+        if self.visited < len(self.links):
+            raise _NO_TREE
+        names = tuple(str(joint.get("name")) for joint in self.joints)
+        if names != JOINTS:
+            raise _RefusedError(
+                f"joints are {', '.join(names) or 'none'}",
+                f"The robot must be a chain of six revolute joints named {', '.join(JOINTS)}.",
+            )
+        if self.flange is None:
+            raise _RefusedError(f"no link named {FLANGE!r} on A6", "The last frame must be `flange`, fixed to A6.")
+        mass = np.array([mass for mass, _ in self.moments])
+        moment = np.array([moment for _, moment in self.moments])
+        limits = np.array([_limits(joint) for joint in self.joints]).T
+        return Chain(
+            placement=np.array(self.placement),
+            axis=np.array([_axis(joint) for joint in self.joints]),
+            turns=np.ones(len(self.joints), dtype=np.bool_),
+            flange=self.flange,
+            mass=mass,
+            centre=np.divide(moment, mass[:, None], out=np.zeros_like(moment), where=mass[:, None] > 0.0),
+            lower=limits[0],
+            upper=limits[1],
+            speed=limits[2],
+            effort=limits[3],
+        )
+
+    def _visit(self, link: str, pose: Array, carrier: int) -> None:
+        """Put down a link at `pose` in the frame of joint `carrier` (−1: the root), and what it carries."""
+        self.visited += 1
+        inertial = self.links[link].find("inertial")
+        if inertial is not None and carrier >= 0:
+            mass = _numbers(_element(inertial, "mass"), "value", 1)[0]
+            if mass < 0.0:
+                raise _RefusedError(f"link {link} has a negative mass")
+            before, moment = self.moments[carrier]
+            self.moments[carrier] = before + mass, moment + mass * (pose @ _origin(inertial))[:3, 3]
+        if link == FLANGE and carrier == len(JOINTS) - 1:
+            self.flange = pose
+        for joint in self.below[link]:
+            name, kind = joint.get("name"), joint.get("type")
+            child, place = _attribute(_element(joint, "child"), "link"), pose @ _origin(joint)
+            if kind == "fixed":
+                self._visit(child, place, carrier)
+                continue
+            if kind != "revolute" or joint.find("mimic") is not None:
+                raise _RefusedError(
+                    f"joint {name} is {kind if kind != 'revolute' else 'a mimic of another'}",
+                    f"Only revolute joints {', '.join(JOINTS)} and fixed ones are possible.",
+                )
+            if carrier != len(self.joints) - 1:
+                raise _RefusedError(f"joint {name} stands beside {self.joints[carrier + 1].get('name')}, not behind it")
+            self.joints.append(joint)
+            self.placement.append(place)
+            self.moments.append((0.0, np.zeros(3)))
+            self._visit(child, np.eye(4), len(self.joints) - 1)
+
+
+def _attribute(element: ET.Element, name: str) -> str:
+    value = element.get(name)
+    if value is None:
+        raise _RefusedError(f"a <{element.tag}> has no {name}")
+    return value
+
+
+def _element(parent: ET.Element, tag: str) -> ET.Element:
+    element = parent.find(tag)
+    if element is None:
+        raise _RefusedError(f"{parent.tag} {parent.get('name', '')} has no <{tag}>".replace("  ", " "))
+    return element
+
+
+def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> Array:
+    text = element.get(name, default) if default is not None else _attribute(element, name)
+    try:
+        values = np.array([float(word) for word in str(text).split()])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count:
+        raise _RefusedError(f'<{element.tag} {name}="{text}">: {count} number{"s" * (count > 1)} expected')
+    if not np.isfinite(values).all():
+        raise _RefusedError(f'<{element.tag} {name}="{text}">: a number is not finite')
+    return values
+
+
+def _origin(parent: ET.Element) -> Array:
+    pose, origin = np.eye(4), parent.find("origin")
+    if origin is not None:
+        pose[:3, :3] = rotation_from_angles(_numbers(origin, "rpy", 3, "0 0 0")[::-1])
+        pose[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
+    return pose
+
+
+def _axis(joint: ET.Element) -> Array:
+    element = joint.find("axis")
+    axis = np.array([1.0, 0.0, 0.0]) if element is None else _numbers(element, "xyz", 3)
+    length = float(np.sqrt(axis @ axis))
+    if length < 1e-6:
+        raise _RefusedError(f"joint {joint.get('name')} has no axis")
+    return np.asarray(axis / length)
+
+
+def _limits(joint: ET.Element) -> Array:
+    """Return lower, upper, velocity and effort."""
+    limit = joint.find("limit")
+    problem = "joint limits are missing or impossible"
+    advice = "Every joint needs <limit lower upper velocity> in radians, lower < upper, velocity > 0."
+    if limit is None:
+        raise _RefusedError(problem, advice)
+    values = np.array([_numbers(limit, name, 1, "0")[0] for name in ("lower", "upper", "velocity", "effort")])
+    if not (values[0] < values[1] and values[2] > 0.0):
+        raise _RefusedError(problem, advice)
+    return values
