@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from postproc import frames, toolpath
@@ -82,3 +84,16 @@ def test_a_change_of_base_keeps_the_start_in_space():
     np.testing.assert_allclose(start[:3, 3], [0, 0.1, 0], atol=1e-15)
     back = bases[1] @ start
     np.testing.assert_allclose(back[:3, :3], DOWN, atol=1e-15)
+
+
+def test_a_point_of_the_flange_is_the_same_seen_through_its_pose():
+    made = program(ARC)
+    path = toolpath.segments(made, np.eye(4))
+    sample = toolpath.at(made, path, np.array([0, 1, 2]), np.array([1.0, 0.3, 0.7]))
+    frame = frames.pose_from_xyzabc([100.0, -200.0, 300.0, 20.0, 40.0, -70.0])
+    moved = replace(made, bases=np.stack([frame, made.bases[0]]), tools=np.stack([made.tools[0], frame]))
+    point = np.array([0.1, -0.2, 0.3])
+    for other in (made, replace(made, bases=frame[None], tools=frame[None]), moved):
+        expected = toolpath.flange_from_tcp(other, sample.motion, sample.pose) @ np.append(point, 1.0)
+        found = toolpath.flange_points(other, sample.motion, sample.pose, point)
+        np.testing.assert_allclose(found, expected[:, :3], atol=1e-12)

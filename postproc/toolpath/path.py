@@ -100,6 +100,16 @@ def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array) -> 
     return np.asarray(program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]])
 
 
+def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array) -> Array:
+    """Return where a point (3,) of the flange frame stands in the robot root (N, 3) [m]; poses as `flange_from_tcp`."""
+    m = program.motions
+    in_tool = inverse(program.tools) @ np.append(point, 1.0)
+    if len(program.bases) == len(program.tools) == 1:
+        return np.asarray((pose_tcp_in_base @ in_tool[0]) @ program.bases[0, :3].T)
+    in_base = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
+    return np.asarray((program.bases[m.base[motion], :3] @ in_base)[..., 0])
+
+
 def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:
     """Return where motions start: `end` returns their ends (n, 4, 4); the robot stands at a flange (4, 4) first."""
     m = program.motions
