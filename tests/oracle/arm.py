@@ -1,5 +1,6 @@
 """An elastic arm that shares no code with the package: URDF by ElementTree, forward kinematics in plain numpy,
-equilibrium as the stationary point of the potential V(θ) of physics.md, derivatives by the complex step.
+equilibrium as the stationary point of the potential V(θ) of ARCHITECTURE.md, "The model", derivatives by the complex
+step.
 
 SI units, root frame, KUKA signs. One configuration at a time; slow and simple on purpose.
 """
