@@ -296,6 +296,18 @@ class Targets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TargetForces:
+    """The wrench at each of K targets, as a written program is to be given it.
+
+    :param wrench: (K, 6) Fx…Mz [N, N·m] in the axes that `frame` names.
+    :param frame: (K,) place in `FORCE_FRAMES`.
+    """
+
+    wrench: Array
+    frame: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Written:
     """A program as text, before it is released.
 

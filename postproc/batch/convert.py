@@ -17,6 +17,7 @@ from postproc import robot as robots
 from postproc.batch import outputs
 from postproc.batch.inputs import dialect_of, read_documents
 from postproc.batch.job import Job
+from postproc.batch.marking import marked
 from postproc.batch.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.cell import Cell
 from postproc.dialects.krl.names import fault_of
@@ -116,6 +117,7 @@ def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Resu
     program = read_program(job.program, robot, cell, job.dialect, job.stem)
     rows = None if job.forces is None else read_force_csv(job.forces)
     result = pipeline.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
+    result = marked(result, job, settings, cell)
     fault = fault_of(job.program.stem)
     if settings.mode != "predict" and job.dialect == "gcode" and fault is not None:
         note = f"written as {job.stem}.src: the controller does not accept the name {job.program.stem!r}, {fault}."
@@ -133,6 +135,9 @@ def _contents(
     name = job.report(settings.mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
+    forces = report.forces_csv(result)
+    if forces is not None:
+        contents[f"{stem}forces.csv"] = forces
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     contents[f"{stem}report.html"] = report.page(result, tolerance)
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)

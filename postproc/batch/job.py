@@ -45,6 +45,8 @@ class Job:
         reports = [f"{report}{kind}" for kind in ("report.json", "targets.csv", "report.html")]
         if mode == "predict":
             return reports
+        if self.forces is not None:
+            reports.insert(1, f"{report}forces.csv")
         if self.dialect == "krl":
             return [self.program.name, *(path.name for path in data_beside(self.program)[:1]), *reports]
         return [f"{self.stem}.src", *reports]

@@ -38,6 +38,17 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
+def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
+    """Return the FEED axes (n, 3, 3) of tool orientations (n, 3, 3) and travel directions (n, 3), all in `$BASE`.
+
+    :returns: the axes as columns, and (n,) False where the travel is along the spindle: there they mean nothing.
+    """
+    column, sign = _SPINDLE[axis]
+    z = -sign * orientation[:, :, column]
+    x, sine = _square_to(z, travel)
+    return np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(sine >= _PARALLEL)
+
+
 def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Bools]:
     """Return the travel direction of the last motion before each that had one across the spindle.
 

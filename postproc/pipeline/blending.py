@@ -21,6 +21,8 @@ from postproc.toolpath import Segments
 
 _SHARE = 0.2
 """Of the tolerance, what rounding may use up at inserted targets."""
+_PRINTED = 7
+"""Decimals of positions [m] in the written text: on short arcs they turn the direction."""
 _STEPS = np.array([1.0, 2.0, 5.0])
 
 
@@ -59,12 +61,12 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     return np.asarray((after >= 0) & same & (kind != PTP) & np.append(kind[1:] != PTP, False))
 
 
-def of_targets(program: Program, targets: Targets, start: Array) -> Corners:
-    """Return the corners of a path as it is to be written.
+def of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
+    """Return the corners of a path as it is to be written, and the direction in which it comes to them (K, 3).
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
-    end = targets.pose[:, :3, 3]
+    end, via, start = (np.round(spot, _PRINTED) for spot in (targets.pose[:, :3, 3], targets.via, start))
     first = np.append(True, np.diff(targets.motion) != 0)[: len(end)]
     begin = np.where(first[:, None], start[targets.motion], np.roll(end, 1, axis=0))
     step = end - begin
@@ -73,12 +75,12 @@ def of_targets(program: Program, targets: Targets, start: Array) -> Corners:
     arrive = leave.copy()
     arcs = np.flatnonzero(targets.kind == CIRC)
     if len(arcs):
-        _, radial, across, angle = circle_through(begin[arcs], targets.via[arcs], end[arcs])
+        _, radial, across, angle = circle_through(begin[arcs], via[arcs], end[arcs])
         radius, sine, cosine = norm(radial), np.sin(angle)[:, None], np.cos(angle)[:, None]
         leave[arcs] = across / radius[:, None]
         arrive[arcs] = (cosine * across - sine * radial) / radius[:, None]
         length[arcs] = radius * angle
-    return _corners(arrive, leave, length, _joined(program, targets.motion, targets.kind))
+    return _corners(arrive, leave, length, _joined(program, targets.motion, targets.kind)), arrive
 
 
 def of_motions(program: Program, path: Segments, motion: Ints) -> Corners:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postproc import elastostatics, forces, kinematics, toolpath
+from postproc import elastostatics, forces, kinematics, provenance, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.compensation import Compensation, compensate, uncorrected
@@ -19,7 +19,7 @@ from postproc.kinematics import JointPath, UnreachableError
 from postproc.pipeline import blending, bounds, checks, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath
 
@@ -94,6 +94,9 @@ def process(
     :returns: a result; with an issue of level error it holds no documents.
     :raises ForceError: forces that cannot be given to the motions.
     """
+    told = _of_origin(program, mode)
+    if _blocked(told):
+        return _nothing(program, robot, mode, told[0])
     place = InRoot.of(robot, cell)
     arcs: Pieces | None = None
     also: tuple[Ints, Array] | None = None
@@ -105,12 +108,13 @@ def process(
                 sampled = _sample(program, place, rows, mode, linearize_arcs, arcs, also)
         except _BlockedError as cause:
             return _nothing(program, robot, mode, cause.issue)
-        targets, row = _targets(program, place, sampled, linearize_arcs)
-        issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
-        text, simulated = None, None
+        targets, row, arrive = _targets(program, place, sampled, linearize_arcs)
+        issues = [*told, *program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
+        text, simulated, carried = None, None, None
         if not _blocked(issues):
+            carried = forces.of_targets(sampled.path, sampled.load, targets, arrive, sampled.wrench[row], place.axis)
             try:
-                text = krl.rewrite(program, targets) if program.dialect == "krl" else krl.emit(program, targets, cell)
+                text = _written(program, cell, targets, carried if program.notes and rows is None else None)
             except ProgramError:
                 if mode == "predict":
                     break
@@ -133,7 +137,7 @@ def process(
     if mode == "predict":  # it was corrected only to find the places
         sampled = replace(sampled, command=_as_it_stands(program, place, sampled.sample, sampled.joints))
         targets, text = replace(targets, pose=sampled.sample.pose[row]), None
-        issues = [*program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
+        issues = [*told, *program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         everywhere = np.arange(len(sampled.sample))
     try:
         before, deflection = _uncorrected(program, place, sampled, everywhere)
@@ -182,9 +186,33 @@ def process(
         between=between,
         rounding=rounding,
         programmed=programmed,
+        carried=carried if documents and rows is not None else None,
         largest_correction=float(norm(correction).max(initial=0.0)),
         issues=group_issues(issues),
     )
+
+
+def _of_origin(program: Program, mode: Mode) -> list[Issue]:
+    """Return what there is to say about a program that postproc wrote: it is not corrected a second time."""
+    origin = provenance.of(program.documents) if program.dialect == "krl" else provenance.Provenance("none")
+    if origin.state == "none":
+        return []
+    if mode != "predict" and origin.mode != "nominal":
+        message = (
+            f"this program was corrected by postproc {origin.version} before: its targets are commands already, and "
+            "would be corrected twice. Convert the program that it was made from."
+        )
+        return [Issue("error", "corrected-before", message, origin.line)]
+    if origin.state == "changed":
+        message = f"this program was changed since postproc {origin.version} wrote it."
+        return [Issue("warning", "changed-since", message, origin.line)]
+    return []
+
+
+def _written(program: Program, cell: Cell, targets: Targets, comments: TargetForces | None) -> Written:
+    if program.dialect == "krl":
+        return krl.rewrite(program, targets, comments)
+    return krl.emit(program, targets, cell, comments)
 
 
 def _blocked(issues: Sequence[Issue]) -> bool:
@@ -329,8 +357,8 @@ def _divided(program: Program, place: InRoot, sampled: _Sampled) -> Pieces:
     return select.pieces_needed(sampled.arcs, sampled.sample, position, start, _SHARE_OF_TOLERANCE * place.tolerance)
 
 
-def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs: bool) -> tuple[Targets, Ints]:
-    """Choose what to write; return the targets and the row of each among the samples."""
+def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs: bool) -> tuple[Targets, Ints, Array]:
+    """Choose what to write; return the targets, the row of each among the samples, and the direction to it (K, 3)."""
     m, sample = program.motions, sampled.sample
     whole, kept = _unchanged(program, sampled)
     position, start = sampled.command.pose[:, :3, 3], _starts(program, place, sampled)
@@ -347,8 +375,8 @@ def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs:
     keep = kept[motion] & (sample.t[row] == 1.0)
     pose = sampled.command.pose[row]
     targets = Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn, m.blend[motion])
-    corners = blending.of_targets(program, targets, start)
-    return replace(targets, blend=blending.distances(program, targets, corners, place.cell)), row
+    corners, arrive = blending.of_targets(program, targets, start)
+    return replace(targets, blend=blending.distances(program, targets, corners, place.cell)), row, arrive
 
 
 def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:
@@ -419,6 +447,7 @@ def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> R
         between=np.nan,
         rounding=none,
         programmed=none,
+        carried=None,
         largest_correction=np.nan,
         issues=group_issues([*program.issues, issue]),
     )

@@ -1,5 +1,7 @@
 """Results as text, JSON, CSV and HTML: pure functions of a result; no file is read or written here."""
 
+from postproc.report.forces import COLUMNS as FORCE_COLUMNS
+from postproc.report.forces import forces_csv
 from postproc.report.html import page
 from postproc.report.summary import FileEntry, Summary, issue_entry, summary, to_json
 from postproc.report.targets import COLUMNS, targets_csv
@@ -7,8 +9,10 @@ from postproc.report.text import issue_line, of_many, of_one
 
 __all__ = [
     "COLUMNS",
+    "FORCE_COLUMNS",
     "FileEntry",
     "Summary",
+    "forces_csv",
     "issue_entry",
     "issue_line",
     "of_many",

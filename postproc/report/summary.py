@@ -8,6 +8,7 @@ from typing import NotRequired, TypedDict
 
 import numpy as np
 
+from postproc import provenance
 from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.pipeline import Mode, Result, Statistics, statistics
@@ -41,6 +42,14 @@ class Blending(TypedDict):
     max_mm: float
     programmed_max_mm: float
     source_line: int | None
+
+
+class Origin(TypedDict):
+    """What a KRL program says of where it comes from: is it still what postproc wrote, and which mode and version."""
+
+    state: provenance.State
+    mode: str | None
+    version: str | None
 
 
 class Limits(TypedDict):
@@ -84,6 +93,7 @@ class Summary(TypedDict):
     tolerance_mm: float | None
     tolerance_held: bool | None
     blending: Blending
+    provenance: Origin
     max_correction_mm: float | None
     max_force_N: float
     limits: Limits
@@ -119,6 +129,7 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
         tolerance_held=_held(result, after, tolerance),
         blending=_blending(result),
+        provenance=_origin(result),
         max_correction_mm=_finite(result.largest_correction * MM_PER_M),
         max_force_N=float(force.max(initial=0.0)),
         limits={
@@ -150,6 +161,13 @@ def _blending(result: Result) -> Blending:
         "programmed_max_mm": float(result.programmed[cuts].max()) * MM_PER_M,
         "source_line": int(result.source_line[worst]),
     }
+
+
+def _origin(result: Result) -> Origin:
+    said = provenance.of(result.program.documents) if result.program.dialect == "krl" else None
+    if said is None or said.state == "none":
+        return {"state": "none", "mode": None, "version": None}
+    return {"state": said.state, "mode": said.mode or None, "version": said.version or None}
 
 
 def _cuts(result: Result) -> Bools:

@@ -55,6 +55,9 @@ def _facts(content: Summary) -> list[str]:
         own = blending["programmed_max_mm"]
         told = f"line {blending['source_line']}" + (f"; the program itself by {number(own, 3)} mm" if own else "")
         facts.append(f"approximation (C_DIS) rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
+    origin = content["provenance"]
+    if origin["state"] == "intact":
+        facts.append(f"written by postproc {origin['version']} ({origin['mode']}), unchanged since")
     limits = content["limits"]
     facts.append(
         f"smallest joint margin {number(limits['min_joint_margin_deg'], 1)}°, "

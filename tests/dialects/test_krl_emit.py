@@ -245,12 +245,12 @@ def test_approximation_follows_the_motions_and_never_zero():
 @pytest.mark.parametrize(
     ("name", "problem", "advice"),
     [
-        ("1001", "does not begin with a letter", "P_1001"),
+        ("1001", "does not begin with a letter", "P1001"),
         ("Part-A roughing", "other characters", "Part_A_roughing"),
         ("a_name_that_is_far_too_long", "27 characters", "a_name_that_is_far_too_lo"[:24]),
         ("Loop", "word of KRL", "P_Loop"),
         ("$part", "does not begin", "part"),
-        ("ä", "does not begin", "PROGRAM"),
+        ("ä", "does not begin", "ae"),
         ("", "does not begin", "PROGRAM"),
     ],
 )

@@ -296,10 +296,10 @@ def test_inserted_targets_of_an_inline_form_stand_inside_its_fold_with_numbers()
     assert dat[1].endswith(",S 2,T 10,E1 5.0}")
 
 
-def test_a_force_on_the_line_also_acts_on_inserted_targets():
+def test_a_comment_is_not_repeated_on_inserted_targets():
     source = body(FULL, "LIN {X 1,Y 2,Z 3,A 0,B 0,C 0} C_DIS ; FORCE FX=5", "LIN {X 9} ;note")
     (lines, *_), _ = rewritten(source, pieces={1: [0.5], 2: [0.5]})
-    assert [line.partition(";")[2] for line in lines[4:8]] == [" FORCE FX=5", " FORCE FX=5", "", "note"]
+    assert [line.partition(";")[2] for line in lines[4:8]] == ["", " FORCE FX=5", "", "note"]
 
 
 LONG = "LIN {X 200,Y 20,Z 30,A 10,B 20,C 170}"  # 100 mm from FULL

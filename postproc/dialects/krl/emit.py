@@ -20,13 +20,15 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.chunks import chunks
 from postproc.decimals import Bytes, fixed, lines
+from postproc.dialects.krl import forces
+from postproc.dialects.krl.forces import where
 from postproc.dialects.krl.names import fault_of, valid
 from postproc.dialects.krl.positions import CARTESIAN
 from postproc.dialects.krl.statements import written
 from postproc.dialects.krl.wanted import DECIMALS, printed
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, TargetForces, Targets, Written
 
 _END = "\r\n"
 _SPEED_DECIMALS = 6
@@ -53,12 +55,13 @@ _INITIALISATION = (
 _NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool": "no-tool-change-lines"}
 
 
-def emit(program: Program, targets: Targets, cell: Cell) -> Written:
+def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces | None = None) -> Written:
     """Return a program read from G-code as KRL for the cell's controller.
 
     :param program: its motions, frames, events and name.
     :param targets: what is to be commanded.
     :param cell: start position, approximation, lines for events, controller.
+    :param carried: forces to be written as comments, on the lines of their targets.
     :returns: one document, ``NAME.src``, CR LF.
     :raises ProgramError: the name is not one of KRL; a move has no feed, or one that would be printed as 0.
     :raises ValueError: a number is too large to be written.
@@ -70,18 +73,19 @@ def emit(program: Program, targets: Targets, cell: Cell) -> Written:
             file=program.documents[0].name,
             advice=f"Rename the file, for example to {valid(program.name)}.",
         )
-    return _Emitter(program, targets, cell).written()
+    return _Emitter(program, targets, cell, carried).written()
 
 
 class _Emitter:
     """Collects what stands between the targets, then prints all targets at once."""
 
-    def __init__(self, program: Program, targets: Targets, cell: Cell) -> None:
-        self.program, self.targets, self.cell = program, targets, cell
+    def __init__(self, program: Program, targets: Targets, cell: Cell, carried: TargetForces | None) -> None:
+        self.program, self.targets, self.cell, self.carried = program, targets, cell, carried
         self.row = targets.motion
         self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
         self.before: defaultdict[int, list[str]] = defaultdict(list)
         self.stops: set[int] = {len(self.row)}
+        self.noted = np.zeros(len(self.row), dtype=np.bool_)
         self.issues: list[Issue] = []
 
     def written(self) -> Written:
@@ -91,6 +95,9 @@ class _Emitter:
         self._events()
         approximated = self._approximation()
         self._speeds()
+        none = np.full(len(self.row), -1)
+        if self.carried is not None:
+            self.noted = forces.needed(self.carried, self.targets.kind, none, (), np.nan)
         printed = [self._print(kind, approximated) for kind in (LIN, CIRC, PTP)]
         text, output_line = self._joined(head, printed)
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
@@ -223,7 +230,10 @@ class _Emitter:
         """Return the lines of some targets of a kind."""
         numbers = xyzabc_from_pose(self.targets.pose[k])
         end = _aggregate(numbers)
-        tail: list[Bytes | bytes] = [_where(b" C_DIS", approximated), b"\r\n"]
+        tail: list[Bytes | bytes] = [where(b" C_DIS", approximated)]
+        if self.carried is not None and self.noted[k].any():
+            tail += [where(b" ", self.noted[k]), *forces.columns(self.carried, k, self.noted[k])]
+        tail.append(b"\r\n")
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]
             end = [*end[:-1], *_bits(b",S ", status), *_bits(b",T ", turn), b"}"]
@@ -263,15 +273,10 @@ def _aggregate(numbers: Array) -> list[Bytes | bytes]:
     return [*parts, b"}"]
 
 
-def _where(text: bytes, rows: Bools) -> Bytes:
-    """Return a text in some rows and nothing in the others."""
-    return np.where(rows[:, None], np.frombuffer(text, dtype=np.uint8), np.uint8(0)).astype(np.uint8)
-
-
 def _bits(prefix: bytes, values: Ints) -> list[Bytes]:
     """Return S or T where they are given."""
     given = values >= 0
-    return [_where(prefix, given), fixed(np.where(given, values, np.nan), 0)]
+    return [where(prefix, given), fixed(np.where(given, values, np.nan), 0)]
 
 
 def _frame(pose: Array) -> str:

@@ -19,41 +19,44 @@ from operator import attrgetter
 
 import numpy as np
 
+from postproc.dialects.krl.forces import needed, texts
 from postproc.dialects.krl.geometry import same_orientation
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.lines import Lines
 from postproc.dialects.krl.moves import Move, Operand
 from postproc.dialects.krl.points import Points, Use, mentions
-from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.source import Source, comment_start
 from postproc.dialects.krl.splice import Edits
 from postproc.dialects.krl.statements import Statements, edits, written
 from postproc.dialects.krl.triggers import Trigger, placed
 from postproc.dialects.krl.wanted import DECIMALS, wanted
 from postproc.errors import Issue, group_issues
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, TargetForces, Targets, Written
 
 
-def rewrite(program: Program, targets: Targets) -> Written:
+def rewrite(program: Program, targets: Targets, carried: TargetForces | None = None) -> Written:
     """Return a KRL program with other targets.
 
     :param program: as `read` returned it.
     :param targets: what is to be commanded; axis targets have no rows.
+    :param carried: forces that its comments must give to the targets; None leaves the comments as they are.
     :returns: the documents of the program. Reading them gives the targets, rounded to 0.1 µm and 1e-5°, in order.
     :raises ValueError: the program was not read from KRL; a number is too large to be written.
     """
     layout = program.layout
     if not isinstance(layout, Layout):
         raise ValueError("only a program read from KRL can be rewritten")  # noqa: TRY004
-    return _Rewriter(program, layout, targets).written()
+    return _Rewriter(program, layout, targets, carried).written()
 
 
 class _Rewriter:
     """Collects the edits of all documents."""
 
-    def __init__(self, program: Program, layout: Layout, targets: Targets) -> None:
-        self.program, self.layout, self.targets = program, layout, targets
+    def __init__(self, program: Program, layout: Layout, targets: Targets, carried: TargetForces | None) -> None:
+        self.program, self.layout, self.targets, self.carried = program, layout, targets, carried
         self.sources = [Source.of(document, index) for index, document in enumerate(program.documents)]
         self.source, self.text = self.sources[0], self.sources[0].text
+        self.noted = {note.line for note in program.notes}
         self.edits = [Edits() for _ in self.sources]
         self.issues: list[Issue] = []
         self.row = targets.motion
@@ -166,17 +169,39 @@ class _Rewriter:
                 self.edits[0].add(*piece)
 
     def _insert(self) -> Ints:
-        """Put inserted targets on lines of their own; return the line of every target, (K,)."""
+        """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
         line = self.program.motions.line[self.row]
         lines = Lines(self.source, self.edits[0])
         at, moved = self._around_triggers()
-        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), list(moved))).tolist():
+        forces = self._forces(line, at)
+        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), [*moved, *forces])).tolist():
             before = at.get(k, int(line[k]))
             for trigger, text in moved.get(k, ()):
                 lines.move(trigger.line, before, text)
+            if k in forces and not self._replaced_comment(k, forces[k]):
+                lines.add(before, forces[k] + self.statements.line_end(int(line[k])))
             if not self.last[k]:
                 lines.add(before, self.statements.inserted(int(self.row[k]), k), k)
         return lines.numbers(line)
+
+    def _forces(self, line: Ints, at: Mapping[int, int]) -> dict[int, str]:
+        """Return the force comments that targets need beyond those of the program."""
+        if self.carried is None:
+            return {}
+        seen = line + self.last  # a comment on the line of a motion holds for it, but not for what is inserted before
+        seen[list(at)] = list(at.values())
+        note = np.searchsorted([note.line for note in self.program.notes], seen) - 1
+        rows = np.flatnonzero(needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
+        return dict(zip(rows.tolist(), texts(self.carried, rows), strict=True))
+
+    def _replaced_comment(self, k: int, text: str) -> bool:
+        """Put a force comment in place of the one on the line of a motion; return whether there is one."""
+        line = int(self.program.motions.line[self.row[k]])
+        if not self.last[k] or line not in self.noted:
+            return False
+        start, stop = int(self.source.starts[line - 1]), int(self.source.stops[line - 1])
+        self.edits[0].add(comment_start(self.text, start, stop), stop, text)
+        return True
 
     def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
         """Return the lines before which targets stand, and the TRIGGERs that are moved there, where these matter."""

@@ -19,7 +19,6 @@ from postproc.program import CIRC, LIN, PTP, Targets
 _WORD = re.compile(r"[A-Za-z_]+")
 _RELATIVE = re.compile("_REL$", re.IGNORECASE)
 _APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
-_FORCE = re.compile(r"[ \t]*;[ \t]*FORCE\b", re.IGNORECASE)
 _BINARY = re.compile(r"'[Bb]([01]+)'")
 
 
@@ -196,7 +195,7 @@ class Statements:
         """Return an inserted target as a line of its own, with its line end.
 
         It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
-        the target is to stop too. Of comments only a force is repeated: it acts on the whole motion.
+        the target is to stop too. Comments are not repeated.
         """
         layout = self.layout
         keyword = int(layout.keyword[row])
@@ -205,11 +204,9 @@ class Statements:
         tail = self.text[slice(*layout.tail[row].tolist())]
         if self.targets.blend[k] > 0.0 and not _APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
-        comment = self.text[layout.tail[row, 1] : self.source.stops[line - 1]]
-        tail += comment if _FORCE.match(comment) else ""
-        return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self._line_end(line)
+        return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
-    def _line_end(self, line: int) -> str:
+    def line_end(self, line: int) -> str:
         """Return how a line ends."""
         starts, stops = self.source.starts, self.source.stops
         return self.text[stops[line - 1] : starts[line]]  # a motion is never the last line: END follows

@@ -1,0 +1,33 @@
+"""A written program is marked with what it was made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from postproc import provenance
+from postproc import robot as robots
+from postproc.batch.job import Job
+from postproc.batch.outcome import Settings
+from postproc.cell import Cell
+from postproc.pipeline import Result
+
+
+def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
+    """Return a result whose program says where it comes from; one that came back byte for byte says nothing new."""
+    source = [document.to_bytes() for document in result.program.documents]
+    if not result.documents or [document.to_bytes() for document in result.documents] == source:
+        return result
+    folder = robots.find(cell.robot, Path(cell.folder))
+    origin = provenance.Origin(
+        version=version("postproc"),
+        mode="nominal" if settings.mode == "nominal" else "corrected",
+        source=provenance.digest(source),
+        cell=provenance.digest([settings.cell.read_bytes()]),
+        model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
+        forces="-" if job.forces is None else provenance.digest([job.forces.read_bytes()]),
+    )
+    documents, moved = provenance.marked(result.documents, origin)
+    line = result.output_line
+    return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)

@@ -1,0 +1,73 @@
+"""Force comments of a written program: their text, and which targets need one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from postproc import decimals
+from postproc.decimals import Bytes, fixed
+from postproc.frames import Array
+from postproc.program import FORCE_FRAMES, PTP, Bools, ForceNote, Ints, TargetForces
+
+_NAMES = (b"FX", b"FY", b"FZ", b"MX", b"MY", b"MZ")
+_DECIMALS = np.array([3, 3, 3, 4, 4, 4])
+"""A millinewton moves the tool of a robot by some nanometres."""
+_BASE = FORCE_FRAMES.index("BASE")
+
+
+def rounded(forces: TargetForces) -> Array:
+    """Return the wrenches (K, 6) as they are printed."""
+    scale = 10.0**_DECIMALS
+    return np.asarray(np.rint(forces.wrench * scale) / scale + 0.0)
+
+
+def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNote], start: float) -> Bools:
+    """Return which targets need a comment (K,): those for which another force is in force than they are to have.
+
+    :param kind: (K,) PTP targets carry none, and change nothing.
+    :param note: (K,) the last of the program's own `notes` at each target, −1 before the first.
+    :param start: what is in force before the first of these: 0, or NaN for what must not be relied on.
+    """
+    out = np.zeros(len(kind), dtype=np.bool_)
+    rows = np.flatnonzero(kind != PTP)
+    if not len(rows):
+        return out
+    wanted = np.column_stack([forces.frame, rounded(forces)])[rows]
+    state = np.concatenate([np.full((1, 7), start), wanted[:-1]])
+    fresh = np.flatnonzero(np.diff(note[rows], prepend=-1) != 0)
+    if len(fresh):
+        given = np.array([(FORCE_FRAMES.index(own.frame), *own.wrench) for own in notes])[note[rows[fresh]]]
+        given[:, 0] = np.where(given[:, 1:].any(axis=1) & (given[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
+        state[fresh] = given
+    out[rows] = ~(np.abs(wanted - state) <= [0.0, *(0.6 * 0.1**_DECIMALS)]).all(axis=1)
+    return out
+
+
+def columns(forces: TargetForces, rows: Ints, shown: Bools) -> list[Bytes | bytes]:
+    """Return the parts of the comments of some targets (n,); nothing where they are not `shown` (n,)."""
+    wrench, frame = rounded(forces)[rows] if len(rows) else np.zeros((0, 6)), forces.frame[rows]
+    acts = shown & wrench.any(axis=1)
+    turns = acts & wrench[:, 3:].any(axis=1)
+    parts: list[Bytes | bytes] = [where(b";FORCE OFF", shown & ~acts), where(b";FORCE", acts)]
+    for name, values, places, given in zip(
+        _NAMES, wrench.T, _DECIMALS.tolist(), (acts,) * 3 + (turns,) * 3, strict=True
+    ):
+        parts += [where(b" " + name + b"=", given), fixed(np.where(given, values, np.nan), places)]
+    for code, label in enumerate(FORCE_FRAMES):
+        if code != _BASE:
+            parts.append(where(f" FRAME={label}".encode(), acts & (frame == code)))
+    return parts
+
+
+def texts(forces: TargetForces, rows: Ints) -> list[str]:
+    """Return the comments of some targets."""
+    if not len(rows):
+        return []
+    return decimals.lines([*columns(forces, rows, np.ones(len(rows), np.bool_)), b"\n"]).decode().splitlines()
+
+
+def where(text: bytes, rows: Bools) -> Bytes:
+    """Return a text in some rows and nothing in the others."""
+    return np.where(rows[:, None], np.frombuffer(text, dtype=np.uint8), np.uint8(0)).astype(np.uint8)

@@ -1,0 +1,127 @@
+"""Where a written program comes from: one comment line near its head, and whether the text is still what was written.
+
+;POSTPROC 1 version=0.1.0 mode=corrected text=… source=… cell=… model=… forces=…
+
+1 is the number of this format. `text` is the SHA-256 of the program without this line: of its `.src`, and of its `.dat`
+behind it. The others are those of the files that it was made from; ``-`` where there was none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from postproc.program import Document
+
+FORMAT = 1
+State = Literal["intact", "changed", "none"]
+_LINE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*;[ \t]*POSTPROC\b([^\r\n]*)(?:\r{0,2}\n|\r|\Z)", re.IGNORECASE)
+_DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
+_END = re.compile(r"\r{0,2}\n|\r")
+_CONTENT = re.compile(r"\s*(\d+)((?:\s+\w+=\S+)*)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a program was made by and from.
+
+    :param version: of postproc.
+    :param mode: ``"corrected"`` or ``"nominal"``.
+    :param source: SHA-256 of the program as read, of its files one behind the other; `cell`, `model` and `forces`
+        likewise; ``"-"`` where there was none.
+    """
+
+    version: str
+    mode: Literal["corrected", "nominal"]
+    source: str
+    cell: str
+    model: str
+    forces: str = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What a program says of where it comes from.
+
+    :param state: ``"intact"``: the text is what was written; ``"changed"``: it was edited since, or says what this
+        version does not understand; ``"none"``: nothing is said.
+    :param mode: ``"corrected"`` or ``"nominal"``; empty if it is not said.
+    :param version: of postproc; likewise.
+    :param line: 1-based line that says it; 0 if there is none.
+    """
+
+    state: State
+    mode: str = ""
+    version: str = ""
+    line: int = 0
+
+
+def digest(contents: Iterable[bytes]) -> str:
+    """Return the SHA-256 of some contents, one behind the other, in hexadecimal digits."""
+    total = hashlib.sha256()
+    for content in contents:
+        total.update(content)
+    return total.hexdigest()
+
+
+def of(documents: Sequence[Document]) -> Provenance:
+    """Return what the files of a KRL program, the `.src` first, say of where they come from."""
+    found = list(_LINE.finditer(documents[0].text))
+    if not found:
+        return Provenance("none")
+    line = _line_at(documents[0].text, found[0].start())
+    content = _CONTENT.fullmatch(found[0][1])
+    if content is None or len(found) > 1 or int(content[1]) != FORMAT:
+        return Provenance("changed", line=line)
+    said = dict(part.split("=", 1) for part in content[2].split())
+    state: State = "intact" if said.get("text") == _text(documents, found[0]) else "changed"
+    return Provenance(state, said.get("mode", ""), said.get("version", ""), line)
+
+
+def marked(documents: Sequence[Document], origin: Origin) -> tuple[tuple[Document, ...], int]:
+    """Return the files of a KRL program with the line that says where they come from.
+
+    It stands below the first DEF, or in place of the line that an earlier run wrote.
+
+    :returns: the files, and the 1-based line from which on lines of the `.src` have moved down by one; 0 if none has.
+    """
+    main, *others = documents
+    old = _LINE.search(main.text)
+    if old is not None:
+        start, stop, end = old.start(), old.end(), _ending(old[0])
+    else:
+        head = _DEF.search(main.text)
+        start = stop = head.end() if head else 0
+        end = head[1] if head else "\r\n"
+    said = {
+        "version": origin.version,
+        "mode": origin.mode,
+        "text": digest([_without(main, start, stop), *(document.to_bytes() for document in others)]),
+        "source": origin.source,
+        "cell": origin.cell,
+        "model": origin.model,
+        "forces": origin.forces,
+    }
+    line = f";POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
+    text = main.text[:start] + line + main.text[stop:]
+    moved = 0 if old is not None else _line_at(main.text, start)
+    return (replace(main, text=text), *others), moved
+
+
+def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
+    return digest([_without(documents[0], *line.span()), *(document.to_bytes() for document in documents[1:])])
+
+
+def _without(document: Document, start: int, stop: int) -> bytes:
+    return replace(document, text=document.text[:start] + document.text[stop:]).to_bytes()
+
+
+def _line_at(text: str, offset: int) -> int:
+    return len(_END.findall(text, 0, offset)) + 1
+
+
+def _ending(line: str) -> str:
+    return line[len(line.rstrip("\r\n")) :]

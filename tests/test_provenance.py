@@ -1,0 +1,148 @@
+"""The line that says where a program comes from: what it covers and notices; nothing is corrected twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+
+import pytest
+from click.testing import CliRunner
+
+from postproc import provenance
+from postproc.cli import main
+from postproc.dialects.text import decode
+from postproc.provenance import Origin
+from tests.test_end_to_end import SAMPLES
+
+CELL = SAMPLES / "cell_kr270.toml"
+GCODE = "G90 G21\n(FORCE FX=300 FZ=200)\nS1000 F600\nG0 X0 Y0 Z10\nG1 Z0\nG1 X20\nG1 X40 Y20\nM2\n"
+ORIGIN = Origin("9.9", "corrected", "a" * 64, "b" * 64, "c" * 64)
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Folder with part.nc and out/part.src."""
+    (tmp_path / "part.nc").write_text(GCODE)
+    run("convert", tmp_path / "part.nc", "--cell", CELL, "-o", tmp_path / "out")
+    return tmp_path
+
+
+def sha(data):
+    return hashlib.sha256(data).hexdigest()
+
+
+def test_the_line_holds_the_sums_of_the_files_it_names(written):
+    data = (written / "out" / "part.src").read_bytes()
+    (line,) = [line for line in data.splitlines(keepends=True) if line.startswith(b";POSTPROC")]
+    assert data.splitlines(keepends=True)[4] == line
+    said = dict(part.split("=") for part in line.decode().split()[2:])
+    assert said["mode"] == "corrected"
+    assert said["text"] == sha(data.replace(line, b""))
+    assert said["source"] == sha(GCODE.encode())
+    assert said["cell"] == sha(CELL.read_bytes())
+    folder = SAMPLES.parent / "robot_models" / "kuka_kr270"
+    assert said["model"] == sha((folder / "robot.urdf").read_bytes() + (folder / "model.toml").read_bytes())
+    assert said["forces"] == "-"
+    forces = written / "f.csv"
+    forces.write_text("line,Fx,Fy,Fz\n6,1,2,3\n")
+    run("convert", written / "part.nc", "--cell", CELL, "-o", written / "out", "--forces", forces)
+    assert f"forces={sha(forces.read_bytes())}" in (written / "out" / "part.src").read_text()
+
+
+def test_lines_of_the_targets_are_those_of_the_marked_text(written):
+    text = (written / "out" / "part.src").read_text().splitlines()
+    rows = (written / "out" / "part.targets.csv").read_text().splitlines()[1:]
+    for row in rows:
+        line, x = row.split(",")[0], row.split(",")[10]
+        assert f"X {x}," in text[int(line) - 1]
+
+
+def test_a_corrected_program_is_not_corrected_again_even_when_it_was_edited(written):
+    src = written / "out" / "part.src"
+    for change in ("", "; a comment more\n"):
+        src.write_text(src.read_text() + change)
+        output = run("convert", src, "--cell", CELL, "-o", written / "again", code=1)
+        assert "part.src:5: this program was corrected" in output
+        assert "corrected twice" in output
+        assert not (written / "again" / "part.src").exists()
+
+
+def test_a_nominal_program_can_be_corrected_and_says_so_then(written):
+    run("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
+    src = written / "nominal" / "part.src"
+    assert " mode=nominal " in src.read_text()
+    run("convert", src, "--cell", CELL, "-o", written / "again")
+    text = (written / "again" / "part.src").read_text()
+    assert text.count(";POSTPROC") == 1
+    assert " mode=corrected " in text
+    same = re.compile("LIN .*")
+    assert same.findall(text.partition("LIN")[2])[-1] == same.findall((written / "out" / "part.src").read_text())[-1]
+
+
+def test_predict_tells_whether_the_text_is_what_was_written(written):
+    src = written / "out" / "part.src"
+    output = run("predict", src, "--cell", CELL, "-o", written / "p")
+    assert "written by postproc" in output
+    assert "(corrected), unchanged since" in output
+    said = json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]
+    assert said["state"] == "intact"
+    assert said["mode"] == "corrected"
+    src.write_bytes(src.read_bytes().replace(b"$VEL.CP=0.01", b"$VEL.CP=0.02"))
+    output = run("predict", src, "--cell", CELL, "-o", written / "p")
+    assert "unchanged" not in output
+    assert "part.src:5: this program was changed since postproc" in output
+    assert json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]["state"] == "changed"
+
+
+def test_a_program_that_comes_back_byte_for_byte_is_not_marked(tmp_path):
+    src = b"DEF part( )\r\n$VEL.CP=0.05\r\nLIN {X 100,Y 0,Z 50,A 180,B 0,C 180}\r\nEND\r\n"
+    (tmp_path / "part.src").write_bytes(src)
+    for options in ([], ["--nominal"]):
+        run("convert", tmp_path / "part.src", "--cell", CELL, "-o", tmp_path / "out", *options)
+        assert (tmp_path / "out" / "part.src").read_bytes() == src
+
+
+def documents(text, data="DEFDAT part\nENDDAT\n"):
+    return decode("part.src", text.encode()), decode("part.dat", data.encode())
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r\r\n"])
+def test_marking_keeps_every_other_byte_and_the_line_ends(end):
+    text = f"&ACCESS RVP{end}  def Part ( ){end};x{end}END{end}"
+    marked, moved = provenance.marked(documents(text), ORIGIN)
+    assert moved == 3
+    (line,) = [line for line in marked[0].text.split(end) if "POSTPROC" in line]
+    assert marked[0].text.replace(line + end, "") == text
+    assert provenance.of(marked) == provenance.Provenance("intact", "corrected", "9.9", 3)
+    again, moved = provenance.marked(marked, ORIGIN)
+    assert (again[0].text, moved) == (marked[0].text, 0)
+
+
+def test_any_change_is_noticed_in_either_file():
+    text = "DEF part( )\r\nLIN XP1\r\nEND\r\n"
+    marked, _ = provenance.marked(documents(text), ORIGIN)
+    assert provenance.of(marked).state == "intact"
+    src, dat = (document.text for document in marked)
+    line = src.splitlines(keepends=True)[1]
+    for other in (
+        documents(src.replace("XP1", "XP2"), dat),
+        documents(src + "\n", dat),
+        documents(src.replace("\r\n", "\n"), dat),
+        documents(src, dat.replace("part", "Part")),
+        documents(src, dat)[:1],
+        documents(src.replace(line, line + line), dat),
+        documents(src.replace("POSTPROC 1", "POSTPROC 2"), dat),
+        documents(src.replace("text=", "text=0"), dat),
+        documents(src.replace(line, ";POSTPROC\r\n"), dat),
+    ):
+        assert provenance.of(other).state == "changed"
+    assert provenance.of(documents(src.replace(line, line + "\r\n").replace("\r\n\r\n", "\r\n"), dat)).state == "intact"
+    assert provenance.of(documents(src.replace("1 version", "1  version"), dat)).state == "intact"
+    assert provenance.of(documents(text.replace("LIN", ";POSTPROCESSED\r\nLIN"))).state == "none"
