@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
+import re
 import time
-from asyncio import CancelledError
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +20,7 @@ from postproc.errors import PostprocError
 
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
+_ADDRESS = re.compile(r"(tcp|tls)://(\[[\da-fA-F:.]+\]|[\w.-]+):\d{1,5}")
 _POLL = 0.2
 """Seconds between two looks at the cluster and at whether a signal came."""
 
@@ -64,10 +65,13 @@ def _connected(cluster: Cluster) -> Any:
         raise PostprocError(
             "--scheduler needs dask.distributed, which is not installed. Install it with: pip install 'postproc[dask]'"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it has to say about a lost peer, we say
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what it has to say about a lost peer, we say
     address = cluster.address
+    if not _ADDRESS.fullmatch(address):
+        raise PostprocError(f"{address} is no address of a Dask scheduler. Give tcp://HOST:PORT or tls://HOST:PORT.")
+    security = _security(cluster)
     try:
-        security = _security(cluster)
         client: Any = distributed.Client(address, security=security, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError, TypeError) as cause:
         raise PostprocError(f"no Dask scheduler answers at {address} ({cause})") from cause
@@ -89,8 +93,12 @@ def _security(cluster: Cluster) -> Any:
     if not cluster.address.startswith("tls://"):
         return None
     given = {"tls_ca_file": cluster.ca, "tls_client_cert": cluster.certificate, "tls_client_key": cluster.key}
-    security = Security(require_encryption=True, **{name: str(path) for name, path in given.items() if path})
-    if security.get_connection_args("client").get("ssl_context") is None:
+    try:
+        security = Security(require_encryption=True, **{name: str(path) for name, path in given.items() if path})
+        context = security.get_connection_args("client").get("ssl_context")
+    except OSError as cause:  # ssl.SSLError too
+        raise PostprocError(f"the certificates for {cluster.address} cannot be used ({cause})") from cause
+    if context is None:
         raise PostprocError(
             f"{cluster.address} needs certificates. Give --tls-ca, --tls-cert and --tls-key, or name them in Dask's "
             "configuration (distributed.comm.tls)."
@@ -110,7 +118,7 @@ def _outcomes(client: Any, jobs: Sequence[Job], settings: Settings, cluster: Clu
     while waiting:
         with suppress(Empty):
             future = done.get(timeout=_POLL)
-            yield _outcome(future, waiting.pop(future))
+            yield _outcome(future, waiting.pop(future), cluster)
             continue
         if interrupts.came():
             client.cancel(list(waiting))
@@ -118,15 +126,9 @@ def _outcomes(client: Any, jobs: Sequence[Job], settings: Settings, cluster: Clu
         if client.status == "running" and client.scheduler_info()["workers"]:
             alive = time.monotonic()
         elif time.monotonic() > alive + _PATIENCE:
-            yield from _given_up(client, waiting, cluster)
+            for job in waiting.values():
+                yield _lost(job, cluster)
             return
-
-
-def _given_up(client: Any, waiting: Mapping[Any, Job], cluster: Cluster) -> Iterator[Outcome]:
-    lost = "its workers" if client.status == "running" else "the connection to it"
-    for job in waiting.values():
-        message = f"{job.program}: the Dask scheduler at {cluster.address} lost {lost}; the program may be unfinished."
-        yield Outcome(str(job.program), FAILED, message=message)
 
 
 def _absolute(job: Job) -> Job:
@@ -134,10 +136,17 @@ def _absolute(job: Job) -> Job:
     return replace(job, program=job.program.resolve(), output=job.output.resolve(), forces=forces)
 
 
-def _outcome(future: Any, job: Job) -> Outcome:
+def _outcome(future: Any, job: Job, cluster: Cluster) -> Outcome:
     """Return what came of a job, with the name the user knows."""
+    if future.cancelled():
+        return _lost(job, cluster)
     try:
         outcome: Outcome = future.result(timeout=_PATIENCE)
-    except (Exception, CancelledError) as cause:
+    except Exception as cause:
         return Outcome(str(job.program), FAILED, message=f"{job.program}: the cluster could not do it: {cause!r}")
     return replace(outcome, program=str(job.program))
+
+
+def _lost(job: Job, cluster: Cluster) -> Outcome:
+    message = f"{job.program}: the Dask scheduler at {cluster.address} or all its workers are gone."
+    return Outcome(str(job.program), FAILED, message=message)
