@@ -54,9 +54,9 @@ class Held:
         self.place = Path("held").absolute()
         self.place.mkdir()
         (self.place / "sitecustomize.py").write_text(_CUSTOMIZE)
-        environment = os.environ | {"PYTHONPATH": str(self.place), "HELD_AT": at}
+        self.environment = os.environ | {"PYTHONPATH": str(self.place), "HELD_AT": at}
         self.process = subprocess.Popen(
-            [*COMMAND, *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            [*COMMAND, *arguments], env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             start_new_session=True,
         )  # fmt: skip
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from postproc import batch
-from postproc.batch import Cluster, Job, Settings, convert_all, convert_one, find_jobs
+from postproc.batch import Job, Settings, convert_all, convert_one, find_jobs
 from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError
 from tests import fabricated
 
@@ -270,25 +270,3 @@ def test_an_unusable_cell_is_one_error_for_all(folder):
     _touch("a.nc", "b.nc")
     with pytest.raises(PostprocError, match="no such file"):
         list(convert_all(find_jobs(["a.nc", "b.nc"]), Settings(Path("none.toml")), workers=2))
-
-
-def test_a_scheduler_without_dask_says_what_to_install(folder, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    _touch("a.nc")
-    with pytest.raises(PostprocError, match=r"pip install 'postproc\[dask\]'"):
-        list(convert_all(find_jobs(["a.nc"]), Settings(CELL), cluster=Cluster("tcp://127.0.0.1:1")))
-
-
-def test_a_cluster_does_the_same_work(folder):
-    distributed = pytest.importorskip("distributed")
-    for name in ("a.nc", "b.nc"):
-        Path(name).write_bytes((CELL.parent / "pocket.nc").read_bytes())
-    Path("bad.nc").write_text("G999 X1\n")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        jobs = find_jobs(["a.nc", "b.nc", "bad.nc"], output=Path("out"))
-        outcomes = {
-            outcome.program: outcome
-            for outcome in convert_all(jobs, Settings(CELL), cluster=Cluster(cluster.scheduler_address))
-        }
-    assert {name: outcome.code for name, outcome in outcomes.items()} == {"a.nc": 0, "b.nc": 0, "bad.nc": 1}
-    assert len(list(Path("out").iterdir())) == 8

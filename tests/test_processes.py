@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import CELL_16, COMMAND, LONG, Held, programs, written
+from tests.plan import setting
+from tests.processes import CELL_16, COMMAND, LONG, SAMPLES, Held, programs, written
 
 resource = pytest.importorskip("resource", reason="POSIX")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices")
@@ -219,6 +220,22 @@ def _mounted(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     script = f"set -e; {before}; {shlex.join([*COMMAND, *arguments])}"
     command = ["unshare", "--mount", "sh", "-c", script]
     return subprocess.run(command, capture_output=True, text=True, timeout=LONG, check=False)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 128 + signal.SIGTERM)])
+def test_ctrl_c_ends_the_search_of_plan_with_the_best_plan_and_a_termination_without(tmp_path, number, code):
+    setting.experiment(tmp_path)
+    Path("poses.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
+    size = ("--configurations", "6", "--q2-levels", "3")
+    held = Held("postproc.plan.baselines:random_values:1", "plan", "--experiment", "experiment.toml", "--cell",
+                str(SAMPLES / "cell_kr270.toml"), "--poses", "poses.csv", *size, "-o", "out/plan.csv")  # fmt: skip
+    held.waiting()
+    held.signal(number)
+    ended, stdout, stderr = held.end()
+    assert ended == code, stderr
+    assert ("interrupted: this is the best plan so far" in stdout + stderr) == (code == 0)
+    assert Path("out/plan.csv").exists() == (code == 0)
+    assert code == 0 or stderr == "Interrupted.\n"
 
 
 def test_where_no_process_can_be_started_the_work_goes_on_in_this_one():
