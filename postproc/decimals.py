@@ -1,6 +1,7 @@
-"""Fixed-point text of whole arrays at once: what makes writing 10⁵ targets cheap.
+"""Fixed-point text of whole arrays at once: what makes writing and reading 10⁵ targets cheap.
 
-`%`-formatting costs about 0.15 µs a number; laying the digits out in one byte array about 0.03 µs.
+`%`-formatting costs about 0.15 µs a number; laying the digits out in one byte array about 0.03 µs. Reading eight digits
+at once, as one number of 64 bits, costs about 0.05 µs, `float` 0.3 µs.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from postproc.frames import Array
 
 Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
 _ABSENT = 0  # marks bytes to leave out; never part of a text
 
 
@@ -76,6 +78,58 @@ def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDA
 def _fours(out: Bytes, end: int) -> NDArray[np.uint32]:
     """Return the four bytes before column `end` of each row (n,) as one number each."""
     return np.ndarray(len(out), np.uint32, out, end - 4, out.shape[1:])
+
+
+def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
+    """Return the numbers (n,) that stand in a text, as `float` reads them; None if one of them is not plain.
+
+    Plain are an optional sign and at most eight digits on either side of an optional point, together at most 15.
+
+    :param text: (l,) bytes; every point in it belongs to a number.
+    :param starts: (n,) offsets, ascending; `stops` (n,) those behind.
+
+    >>> parsed(np.frombuffer(b"X 1.5 Y -.25", dtype=np.uint8), np.array([2, 8]), np.array([5, 12])).tolist()
+    [1.5, -0.25]
+    """
+    points = np.flatnonzero(text == ord("."))
+    if len(points) != len(starts) or (points < starts).any() or (points >= stops).any():
+        point = np.append(points, len(text))[np.searchsorted(points, starts)]
+        point = np.minimum(point, stops)
+        if np.count_nonzero(point < stops) != len(points):
+            return None
+        points = point
+    first = text[starts]
+    negative = first == ord("-")
+    whole = points - starts - (negative | (first == ord("+")))
+    places = np.maximum(stops - points - 1, 0)
+    digits = whole + places
+    if not ((whole <= 8) & (places <= 8) & (digits > 0) & (digits <= 15)).all():
+        return None
+    padded = np.concatenate([np.full(8, ord("0"), dtype=np.uint8), text])
+    words = np.ndarray(len(text) + 1, np.uint64, padded, 0, (1,))  # of the eight bytes before each offset
+    before, behind = words[points] & _LAST[whole], words[stops] & _LAST[places]
+    if ((before ^ _ZEROS & _LAST[whole]) & _HIGH).any() or ((behind ^ _ZEROS & _LAST[places]) & _HIGH).any():
+        return None
+    scale = _POWER[places]
+    value: Array = (_number(before) * scale + _number(behind)).astype(np.float64) / scale
+    return np.where(negative, -value, value)
+
+
+_ZEROS, _HIGH = np.uint64(0x3030303030303030), np.uint64(0xF0F0F0F0F0F0F0F0)
+_LAST = np.array([(2**64 - 1) >> 8 * k << 8 * k for k in range(8, -1, -1)], dtype=np.uint64)
+"""Masks of the last 0 … 8 of eight bytes."""
+_POWER = np.array([10**k for k in range(9)], dtype=np.uint64)
+
+
+def _number(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return the numbers that eight digits (little-endian; 0 is the digit 0 too) stand for: pairs, fours, eight."""
+    for mask, factor, shift in (
+        (0x0F0F0F0F0F0F0F0F, 10 * 2**8 + 1, 8),
+        (0x00FF00FF00FF00FF, 100 * 2**16 + 1, 16),
+        (0x0000FFFF0000FFFF, 10_000 * 2**32 + 1, 32),
+    ):
+        words = (words & np.uint64(mask)) * np.uint64(factor) >> np.uint64(shift)
+    return words
 
 
 def lines(parts: Sequence[Bytes | bytes]) -> bytes:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from postproc.decimals import fixed, lines
+from postproc.decimals import fixed, lines, parsed
 
 
 def texts(values, decimals):
@@ -49,3 +49,34 @@ def test_lines_join_texts_and_numbers():
 def test_a_number_that_cannot_be_written_digit_by_digit_is_an_error():
     with pytest.raises(ValueError, match="too large"):
         fixed(np.array([1e300]), 3)
+
+
+def test_numbers_are_read_as_float_reads_them():
+    rng = np.random.default_rng(4)
+    texts = [
+        "0",
+        "-0.0",
+        "+7.",
+        ".5",
+        "-.25",
+        "12345678.1234567",
+        "00000001.00",
+        "99999999",
+        "-1.0000000",
+        "0.1",
+        "8.3",
+    ]
+    texts += [f"{value:.{places}f}" for places in range(8) for value in rng.uniform(-9999, 9999, 300)]
+    text, starts = " ".join(texts), np.cumsum([0, *(len(word) + 1 for word in texts)])
+    raw = np.frombuffer(text.encode(), dtype=np.uint8)
+    found = parsed(raw, starts[:-1], starts[1:] - 1)
+    np.testing.assert_array_equal(found, [float(word) for word in texts])
+    np.testing.assert_array_equal(np.signbit(found), [word.startswith("-") for word in texts])
+
+
+@pytest.mark.parametrize(
+    "text", ["1.2.3", "1-2", "--5", ".", "+", "1E5", "123456789", "0.123456789", "1234567.12345678 9"]
+)
+def test_what_is_no_plain_number_is_not_read(text):
+    raw = np.frombuffer(f"1.5 {text}".encode(), dtype=np.uint8)
+    assert parsed(raw, np.array([0, 4]), np.array([3, len(raw)])) is None

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.frames import Array, rotation_from_vector
+from postproc.frames import Array, norm
 from postproc.pipeline import Result
 from postproc.program import CIRC, Ints
 
-_STEP = np.radians(10.0)
+_STEP = tuple(np.radians([10.0, 20.0]))
+"""Smallest and largest angle of a chord that an arc is drawn by."""
+_UNSEEN = 1.0 / 2000.0
+"""Of the extent of the path, what a chord may leave the arc by."""
 
 
 def drawn_path(result: Result) -> tuple[Array, Ints]:
@@ -26,21 +29,23 @@ def drawn_path(result: Result) -> tuple[Array, Ints]:
         same = (arcs > 0) & (result.motion[arcs - 1] == motion)
         begin = np.where(same, result.t[arcs - 1], 0.0)
         angle = moved.sweep[motion] * (result.t[arcs] - begin)
+        normal, spoke = moved.normal[motion], end[arcs] - moved.centre[motion]
+        height = np.einsum("ni,ni->n", spoke, normal)[:, None] * normal
+        radial, across = spoke - height, np.cross(normal, spoke)
+        axis = moved.centre[motion] + height
+        before = end[np.maximum(arcs - 1, 0)]
+        rise = (np.einsum("ni,ni->n", end[arcs] - before, normal) * (arcs > 0))[:, None] * normal
+        unseen = _UNSEEN * float(np.ptp(end, axis=0).max())
+        step = 2.0 * np.arccos(np.clip(1.0 - unseen / np.maximum(norm(radial), unseen), -1.0, 1.0))
         count = np.ones(len(result), dtype=np.int64)
-        count[arcs] = np.maximum(np.ceil(angle / _STEP), 1.0).astype(np.int64)
+        count[arcs] = np.maximum(np.ceil(angle / np.clip(step, *_STEP)), 1.0).astype(np.int64)
         row = np.repeat(row, count)
         left = 1.0 - (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
-        angles = np.zeros(len(result))
-        angles[arcs] = angle
         back = np.flatnonzero(left > 0.0)
-        target = row[back]
-        normal, centre = moved.normal[result.motion[target]], moved.centre[result.motion[target]]
-        turn = rotation_from_vector(-(angles[target] * left[back])[:, None] * normal)
-        spoke = np.einsum("nij,nj->ni", turn, end[target] - centre)
-        before = end[np.maximum(target - 1, 0)]
-        rise = np.einsum("ni,ni->n", end[target] - before, normal) * left[back] * (target > 0)
+        arc, left = np.searchsorted(arcs, row[back]), left[back]
+        cos, sin = np.cos(angle[arc] * left)[:, None], np.sin(angle[arc] * left)[:, None]
         end = end[row]
-        end[back] = centre + spoke - rise[:, None] * normal
+        end[back] = axis[arc] + cos * radial[arc] - sin * across[arc] - left[:, None] * rise[arc]
     bases = result.program.bases
     if len(bases) > 1:
         base = bases[moved.base[result.motion[row]]]

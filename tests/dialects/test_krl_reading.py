@@ -143,6 +143,18 @@ def test_long_programs_of_circles_are_read_in_bulk():
     assert calls_for_each(lambda count: partial(read, body(FULL, *lines[:count]))) < 0.1
 
 
+def test_lines_that_are_alike_but_for_one_are_told_apart():
+    """Lines that differ in their numbers only are decided at once: what is no number must not pass with them."""
+    for odd in ("LIN {X #,Y 2,Z 3}", "LIN {X \1,Y 2,Z 3}", "LIN {X ,Y 2,Z 3}", "LIN {X 1 1,Y 2,Z 3}"):
+        with pytest.raises(ProgramError):
+            read(body(FULL, *["LIN {X 1,Y 2,Z 3}"] * 3, odd, "LIN {X 1,Y 2,Z 3}"))
+    for component, fine, odd in (("S", "2", "99"), ("T", "35", "64"), ("E1", "0", "0 0")):
+        line = "PTP {{X 1,Y 2,Z 3,A 0,B 0,C 0,{} {}}}"
+        read(body(FULL, line.format(component, fine)))
+        with pytest.raises(ProgramError):
+            read(body(FULL, line.format(component, fine), line.format(component, odd)))
+
+
 def test_bulk_lines_with_a_false_number_are_told_like_any_other():
     for text in ("1.2.3", "--5", ".", "1E", "5E+", "-E5"):
         with pytest.raises(ProgramError) as caught:

@@ -1,6 +1,7 @@
 """Plain motion lines, all at once: ``LIN {X …,Y …,Z …,A …,B …,C …} C_DIS`` a hundred thousand times, and circles.
 
-One regular expression decides which lines are plain; their numbers are then found and converted by numpy. What it does
+One regular expression decides which lines are plain. Lines that differ in their numbers only are decided at once; the
+numbers are then found and converted by numpy. What it does
 not take (other orders of components, names, CA) is left to `moves`, which reads these lines too, with the same result.
 """
 
@@ -11,7 +12,7 @@ import warnings
 
 import numpy as np
 
-from postproc.decimals import Bytes
+from postproc.decimals import Bytes, parsed
 from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, no_circles, none
 from postproc.dialects.krl.source import Source
 from postproc.dialects.text import line_spans
@@ -25,8 +26,8 @@ _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
 _NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 
 
-def _runs_of(number: str) -> re.Pattern[str]:
-    """Return the expression for lines in sequence that are plain, with a given expression for their numbers."""
+def _line_of(number: str) -> re.Pattern[str]:
+    """Return the expression for a plain line, with a given expression for its numbers."""
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
     all_six = r"[ \t]*+,[ \t]*+".join(position) + _NEXT  # so common that trying it first is faster
     some = "".join(f"(?:{component}{_NEXT})?+" for component in position)
@@ -42,11 +43,15 @@ def _runs_of(number: str) -> re.Pattern[str]:
         rf"|[Cc][Ii][Rr][Cc][ \t]*+{begin}{point}\}}[ \t]*+,[ \t]*+{begin}{point}{rest}"
         r")(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
     )
-    return re.compile(rf"^(?:{line})++", re.MULTILINE)
+    return re.compile(line)
 
 
-_RUNS, _RUNS_STRICT = _runs_of(_LOOSE), _runs_of(_STRICT)
+_LINE, _LINE_STRICT = _line_of(_LOOSE), _line_of(_STRICT)
 
+_MARK = 1
+_NUMBER = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
+_OWN = re.compile(rb"[SsTtEe][ \t]*\x01")
+"""Components that may have certain values or names only, so that lines with them are decided one by one."""
 _COMMENT = re.compile(rb";[^\r\n]*")
 _COLUMN = np.full(256, -1, dtype=np.int64)
 _COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(NUMBERS)
@@ -68,38 +73,59 @@ def scan(source: Source) -> list[Rows]:
 
 def _plain(text: str, lines: int, characters: int) -> Rows:
     """Return the plain motions of a piece of text; so many lines and characters stand before it."""
+    codes = text.encode("ascii", "replace")
     starts, _ = line_spans(text)
-    plain = _scan(text, starts, _RUNS)  # is right unless something that looks like a number is none, such as 1.2.3
-    if plain is None:
-        plain = _scan(text, starts, _RUNS_STRICT) or none()
+    alike = _alike(text, codes, starts)
+    plain = _scan(codes, starts, alike)
+    if plain is None:  # something that looks like a number is none, such as 1.2.3
+        strict = [index for index in alike.tolist() if _LINE_STRICT.match(text, int(starts[index]))]
+        plain = _scan(codes, starts, np.array(strict, dtype=np.int64)) or none()
     endless = np.flatnonzero(np.isinf(plain.numbers).any(axis=1))  # 1E999: refused where it is read with the statements
     if len(endless):
         plain = plain.take(np.delete(np.arange(len(plain)), endless))
     return plain.shifted(lines, characters)
 
 
-def _scan(text: str, line_starts: Ints, expression: re.Pattern[str]) -> Rows | None:
-    """Return the lines that an expression takes; None if one of their numbers cannot be read."""
-    runs = [match.span() for match in expression.finditer(text)]
-    if not runs:
+def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
+    """Return which lines (P,) are plain, if what looks like a number is one."""
+    marked = np.frombuffer(codes.translate(_NUMBER), dtype=np.uint8)
+    number = marked == _MARK
+    number[1:] &= number[:-1].copy()
+    number[:1] = False
+    forms = marked[~number].tobytes().split(b"\n")  # each number is one mark
+    begins = np.append(0, np.flatnonzero(marked == ord("\n")) + 1).tolist()
+    example = dict(zip(reversed(forms), reversed(begins), strict=True))
+    decided = {form: _LINE.match(text, begin) is not None for form, begin in example.items()}
+    plain = np.array([decided[form] for form in forms])
+    own = {form for form, good in decided.items() if good and _OWN.search(form)}
+    if own:
+        for index in [index for index, form in enumerate(forms) if form in own]:
+            plain[index] = _LINE.match(text, begins[index]) is not None
+    return np.asarray(np.searchsorted(starts, np.array(begins)[plain]))
+
+
+def _scan(codes: bytes, line_starts: Ints, index: Ints) -> Rows | None:
+    """Return the motions of plain lines (P,); None if one of their numbers cannot be read."""
+    if not len(index):
         return none()
-    edges = np.array(runs)
-    first = np.searchsorted(line_starts, edges[:, 0])
-    count = np.searchsorted(line_starts, edges[:, 1]) - first
-    index = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
-    body = b"".join([text[start:stop].encode("ascii", "replace") for start, stop in runs])
+    line_ends = np.append(line_starts[1:], len(codes))
+    length = (line_ends - line_starts)[index]
+    begins = np.cumsum(length) - length
+    shift = line_starts[index] - begins
+    body = codes
+    if len(index) < len(line_starts):
+        body = np.frombuffer(codes, dtype=np.uint8)[np.repeat(shift, length) + np.arange(length.sum())].tobytes()
     if b";" in body:
         body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
     raw = np.frombuffer(body, dtype=np.uint8)
-    before = np.cumsum(edges[:, 1] - edges[:, 0]) - (edges[:, 1] - edges[:, 0])
-    shift = np.repeat(edges[:, 0] - before, count)
-    begins = line_starts[index] - shift
 
     digits = _digits(body)
-    values = _values(digits)
     number = digits != ord(" ")
     borders = np.flatnonzero(number[1:] != number[:-1]) + 1
     starts, stops = borders[0::2], borders[1::2]
+    values = parsed(digits, starts, stops)
+    if values is None:
+        values = _values(digits)
     if len(values) != len(starts):
         return None
     points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
