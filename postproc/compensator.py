@@ -13,6 +13,9 @@ import numpy as np
 from postproc.errors import ModelError
 from postproc.frames import Array, sine_and_cosine
 
+_NO_SPRING = 1e-12
+"""Stiffness [N/m] that stands for none where one is divided by it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Compensator:
@@ -62,3 +65,24 @@ class Compensator:
         """Return U_c″ [N·m/rad]: what Eq. (4) adds to K⁰_θ2."""
         a_l, sin, cos, s = self._parts(q2)
         return self.stiffness * a_l * (self.free_length / s * (a_l / s**2 * sin**2 + cos) - cos)
+
+    def gradient_columns(self, q2: Array) -> Array:
+        """Return U_c′ (…, 2) per unit of K_c and of K_c·s₀, in both of which it is linear."""
+        a_l, sin, _, s = self._parts(q2)
+        return np.stack([a_l * sin, -a_l / s * sin], axis=-1)
+
+    def stiffness_columns(self, q2: Array) -> Array:
+        """Return U_c″ (…, 2) per unit of K_c and of K_c·s₀: the columns of the first Eq. (10) beside the ones."""
+        a_l, sin, cos, s = self._parts(q2)
+        return np.stack([-a_l * cos, a_l / s * (a_l / s**2 * sin**2 + cos)], axis=-1)
+
+    def with_spring(self, stiffness: float, preload: float) -> Compensator:
+        """Return the law with K_c [N/m] and K_c·s₀ [N], unchecked: on its way a fit may pass what no spring has."""
+        made = object.__new__(Compensator)
+        stiffness = stiffness if abs(stiffness) > _NO_SPRING else _NO_SPRING
+        free_length = preload / stiffness
+        for name, value in (("stiffness", stiffness), ("free_length", free_length)):
+            object.__setattr__(made, name, value)
+        for name in ("L", "ax", "ay"):
+            object.__setattr__(made, name, getattr(self, name))
+        return made

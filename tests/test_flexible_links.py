@@ -1,5 +1,6 @@
 """Springs of links and gears that stiffen: the folder, the equilibrium forward and inverse, the bound u95."""
 
+import re
 from dataclasses import replace
 
 import msgspec
@@ -94,7 +95,7 @@ def newton_step(model, q, wrench):
         return torque
 
     rest = held(model.actual, x0)
-    feels = -rest if model.subtract_reference and model.stiffening.carries_weight else 0.0 * rest
+    feels = -rest if model.subtract_reference and model.carries_weight else 0.0 * rest
 
     def given(theta):
         _, jacobian = kinematics.tcp(model.loaded, x0 + theta, TOOL)
@@ -154,7 +155,7 @@ def test_gears_grow_stiffer_with_load_and_never_softer():
 
 def test_sensitivity_of_the_bound_is_that_of_the_deflection():
     """Central differences in each parameter, at small load, where first order is exact to a per cent."""
-    covariance = robot.Covariance(PARAMETERS, np.eye(len(PARAMETERS)).tolist())
+    covariance = robot.Covariance.of(PARAMETERS, np.eye(len(PARAMETERS)))
     model = replace(flexible(), covariance=covariance)
     q, wrench = cases(force=100.0)
     slopes = elastostatics.sensitivity(model, q, TOOL, wrench)
@@ -210,7 +211,7 @@ def test_95_percent_of_random_parameters_stay_within_the_bound():
     spread = 0.05
     names = ["k1", "k2", "k3", "k4", "k5", "k6"]
     values = np.array([CONTENT.joints[j].compliance_urad_per_Nm for j in robot.JOINTS])
-    model = replace(PLAIN, covariance=robot.Covariance(names, np.diag((spread * values) ** 2).tolist()))
+    model = replace(PLAIN, covariance=robot.Covariance.of(names, np.diag((spread * values) ** 2)))
     q, wrench = cases(30, 600.0)
     bound = elastostatics.position_bound(model, q, TOOL, wrench)
     nominal = elastostatics.deflect(model, q, TOOL, wrench).twist[:, :3]
@@ -224,10 +225,14 @@ def test_95_percent_of_random_parameters_stay_within_the_bound():
     assert elastostatics.position_bound(PLAIN, q, TOOL, wrench) is None
 
 
-def test_covariance_that_names_an_unknown_parameter_is_refused():
-    model = replace(PLAIN, covariance=robot.Covariance(["k9"], [[1.0]]))
-    with pytest.raises(ModelError, match="k9"):
-        elastostatics.position_bound(model, *(lambda c: (c[0], TOOL, c[1]))(cases(2)))
+@pytest.mark.parametrize("name", ["k9", "A2.RQ", "k2@x", "K_theta2_0", "A2.RX"])  # A2.RX: the robot has no such spring
+def test_covariance_that_names_what_the_model_does_not_have_is_refused(tmp_path, name):
+    (tmp_path / "robot.urdf").write_bytes((FOLDER / "robot.urdf").read_bytes())
+    text = (FOLDER / "model.toml").read_text(encoding="utf-8")
+    table = f'\n[covariance]\nparameters = ["{name}"]\nmatrix = [[1.0]]\n'
+    (tmp_path / "model.toml").write_text(text + table, encoding="utf-8")
+    with pytest.raises(ModelError, match=re.escape(name)):
+        robot.load(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ moment [N·m] on the tool, root axes.
 """
 
 from postproc.elastostatics.balance import Balance, asked, held
+from postproc.elastostatics.by_parameter import given_way_by
 from postproc.elastostatics.equilibrium import (
     Deflection,
     Equilibrium,
@@ -22,8 +23,6 @@ from postproc.elastostatics.equilibrium import (
 )
 from postproc.elastostatics.springs import (
     coordinates,
-    fading,
-    fading_slope,
     joint_stiffness,
     spread,
     spring_deflection,
@@ -39,8 +38,7 @@ __all__ = [
     "cartesian_stiffness",
     "coordinates",
     "deflect",
-    "fading",
-    "fading_slope",
+    "given_way_by",
     "held",
     "joint_stiffness",
     "linear_deflection",

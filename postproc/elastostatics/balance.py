@@ -101,7 +101,7 @@ def held(robot: RobotModel, q: Array) -> Array:
 
 def felt(robot: RobotModel, held: Array) -> Array:
     """Return the torque at rest (nv, n) that a gear which stiffens feels besides the load."""
-    carries = robot.stiffening is not None and robot.stiffening.carries_weight and robot.subtract_reference
+    carries = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
     return -held if carries else np.zeros((len(held), 1))
 
 

@@ -39,35 +39,21 @@ def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = 
     """Return θ (N, nv) of the virtual springs under torques, and its derivative, the tangent compliance (N, nv).
 
     :param torque: (N, nv) on the springs, beyond what they hold at rest [N·m, N].
-    :param at_rest: (N, nv) torque at rest, where θ = 0; it matters only to gears that stiffen.
+    :param at_rest: (N, nv) torque at rest, where θ = 0; it matters only to springs that are not linear.
     """
     theta, slope = given_way(robot, torque.T, np.zeros((torque.shape[1], 1)) if at_rest is None else at_rest.T)
     return theta.T, slope.T
 
 
 def given_way(robot: RobotModel, torque: Array, at_rest: Array) -> tuple[Array, Array]:
-    """Return θ (nv, n) and the tangent compliance (nv, n) as `spring_deflection`; `at_rest` (nv, n) or (nv, 1).
-
-    Gears that stiffen follow `robot.GearStiffening`; all others are linear.
-    """
-    compliance = robot.compliance[:, None]
-    if robot.stiffening is None:
-        return compliance * torque, np.broadcast_to(compliance, torque.shape)
-    theta, slope = compliance * torque, np.repeat(compliance, torque.shape[1], axis=1)
-    law = robot.stiffening
-    for row, limit, part in zip(law.row, law.torque, law.compliance, strict=True):
-        before = at_rest[row] / limit
-        u = torque[row] / limit + before
-        theta[row] -= part * limit * (u - before - fading(u) + fading(before))
-        slope[row] -= part * (1.0 - fading_slope(u))
+    """Return θ (nv, n) and the tangent compliance (nv, n) as `spring_deflection`; `at_rest` (nv, n) or (nv, 1)."""
+    steady = robot.steady[:, None]
+    if not robot.terms:
+        return steady * torque, np.broadcast_to(steady, torque.shape)
+    theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
+    for parameter, value in robot.terms:
+        row = parameter.row(robot)
+        share, tangent = parameter.effect(torque[row], at_rest[row])
+        theta[row] += value * share
+        slope[row] += value * tangent
     return theta, slope
-
-
-def fading(u: Array) -> Array:
-    """Return f(u) of `robot.GearStiffening`: the deflection, over c·T, of the part of a gear that fades with load."""
-    return np.asarray(np.arcsinh(u))
-
-
-def fading_slope(u: Array) -> Array:
-    """Return f′(u)."""
-    return np.asarray(1.0 / np.sqrt(1.0 + u**2))

@@ -14,13 +14,13 @@ import numpy as np
 from postproc.compensator import Compensator
 from postproc.errors import PostprocError
 from postproc.frames import Array
-from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS, Structure
 from postproc.identification.errors import MeasurementError
 from postproc.identification.fit import Fit, gauss_newton
 from postproc.identification.measurements import Measurements
 from postproc.identification.observability import NotObservable, levels_of, not_observable
 from postproc.identification.placement import Placement
-from postproc.robot import RobotModel
+from postproc.identification.structure import LevelCompliance, Structure
+from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, CompensatorStiffness, Parameter, RobotModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,12 +53,13 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
     """
     level = levels_of(data)
     count = int(level.max()) + 1
-    names = ("k1", *(f"k2#{index}" for index in range(count)), "k3", "k4", "k5", "k6")
-    if 3 * len(data.loaded) * len(data.points) <= len(names):
+    levels = (LevelCompliance(JOINT_COMPLIANCES[1].joint, index) for index in range(count))
+    parameters = (JOINT_COMPLIANCES[0], *levels, *JOINT_COMPLIANCES[2:])
+    if 3 * len(data.loaded) * len(data.points) <= len(parameters):
         return None
-    structure = Structure(names, replace(robot, compensator=None), level)
+    structure = Structure(parameters, replace(robot, compensator=None), level)
     try:
-        fit = gauss_newton(structure, data, placement, start=np.zeros(len(names)))
+        fit = gauss_newton(structure, data, placement, start=np.zeros(len(parameters)))
     except PostprocError:
         return None
     q2 = np.array([data.q[level == index, 1].mean() for index in range(count)])
@@ -79,10 +80,7 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     stiffness = 1.0 / k
     slope = -(stiffness**2)
     covariance = levels.covariance[np.ix_(good, good)] * np.outer(slope, slope)
-    unit = replace(law, stiffness=1.0, free_length=0.0)
-    constant = unit.stiffness_about_joint(levels.q2[good])
-    long = replace(unit, free_length=1.0).stiffness_about_joint(levels.q2[good]) - constant
-    c = np.column_stack([np.ones_like(k), constant, long])
+    c = np.column_stack([np.ones_like(k), law.stiffness_columns(levels.q2[good])])
     weight = np.linalg.inv(covariance)
     normal = c.T @ weight @ c
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -99,33 +97,31 @@ def fit_joints(
 
     :raises MeasurementError: there are fewer readings than unknowns.
     """
-    names: list[str] = list(JOINT_NAMES)
-    if robot.compensator is not None:
-        names += [STIFFNESS, PRELOAD]
+    wanted: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
     readings = 3 * len(data.loaded) * len(data.points)
-    if readings <= len(JOINT_NAMES):
+    if readings <= len(JOINT_COMPLIANCES):
         raise MeasurementError(
-            f"{readings} loaded coordinates for {len(JOINT_NAMES)} compliances",
+            f"{readings} loaded coordinates for {len(JOINT_COMPLIANCES)} compliances",
             file=data.file,
             advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
         )
     missing: list[NotObservable] = []
     first = True
     while True:
-        structure = Structure(tuple(names), robot)
+        structure = Structure(tuple(wanted), robot)
         values = structure.start()
-        if first and start is not None and STIFFNESS in names and start.values[0] > 0.0:
+        if first and start is not None and CompensatorStiffness() in wanted and start.values[0] > 0.0:
             values[1], values[6], values[7] = 1.0 / start.values[0], start.values[1], start.values[2]
         fit = _attempt(structure, data, placement, values)
-        left = [entry for entry in not_observable(fit, data) if entry.name in names]
+        left = not_observable(fit, data)
         if not left:
             return fit, missing
         worst = left[0]
         missing.append(worst)
-        gone = (STIFFNESS, PRELOAD) if worst.name == STIFFNESS else (worst.name,)
-        names = [name for name in names if name not in gone]
+        gone = COMPENSATOR if worst.parameter in COMPENSATOR else (worst.parameter,)
+        wanted = [parameter for parameter in wanted if parameter not in gone]
         first = False
-        if not names:
+        if not wanted:
             raise MeasurementError(
                 "none of the compliances can be determined", file=data.file, advice=missing[0].advice
             )

@@ -7,10 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import Array
-from postproc.identification.elastic import Structure, measured_displacements, predict, visible, whitening
+from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
-from postproc.robot import RobotModel
+from postproc.identification.prediction import predict
+from postproc.identification.structure import Structure
+from postproc.robot import Parameter, RobotModel
+
+NORMAL_95 = 1.959964
+"""Half width of a 95 % interval of a normal distribution, in standard deviations."""
 
 _ITERATIONS = 25
 _WORSE = 1.5
@@ -54,11 +59,12 @@ class Fit:
     @property
     def ci95(self) -> Array:
         """Half widths (p,) of the 95 % intervals."""
-        return np.asarray(1.959964 * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(NORMAL_95 * np.sqrt(np.diag(self.covariance)))
 
-    def value(self, name: str) -> float:
-        """Return one parameter."""
-        return float(self.values[self.structure.names.index(name)])
+    @property
+    def given(self) -> dict[Parameter, float]:
+        """The values by parameter, SI."""
+        return dict(zip(self.structure.parameters, self.values.tolist(), strict=True))
 
 
 def gauss_newton(
@@ -75,7 +81,7 @@ def gauss_newton(
     """
     values = structure.start() if start is None else start.copy()
     displacement, w = measured_displacements(data, placement), whitening(data)
-    size = len(structure.names)
+    size = len(structure.parameters)
     previous, smallest = values, np.inf
     for _ in range(iterations):
         moved, slopes = predict(structure, values, data, placement)
@@ -85,7 +91,7 @@ def gauss_newton(
             continue
         previous, smallest = values, min(cost, smallest)
         design = whiten(w, slopes).reshape(-1, size)
-        design[:, np.linalg.norm(design, axis=0) * structure.typical() < _DEAD] = 0.0
+        design[:, np.linalg.norm(design, axis=0) * structure.usual() < _DEAD] = 0.0
         target = whiten(w, displacement - moved).ravel() + design @ values
         new = solve(design, target, ridge)
         scale = np.linalg.norm(design, axis=0)
@@ -100,18 +106,13 @@ def gauss_newton(
     return Fit(
         structure,
         values,
-        covariance_of(design, structure.typical(), ridge),
+        covariance_of(design, structure.usual(), ridge),
         left,
         float(white @ white),
         int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0)) - size,
         design,
         white + design @ values,
     )
-
-
-def whiten(w: Array, values: Array) -> Array:
-    """Apply (P, L, L) to the states of values (L, P, …)."""
-    return np.asarray(np.einsum("plm,mp...->lp...", w, values))
 
 
 def solve(design: Array, target: Array, ridge: Array | None = None) -> Array:

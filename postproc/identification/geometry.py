@@ -19,12 +19,13 @@ from postproc import elastostatics, kinematics
 from postproc.errors import PostprocError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
 from postproc.identification.errors import MeasurementError
+from postproc.identification.fit import NORMAL_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
-from postproc.robot import Chain, RobotModel, assemble
+from postproc.robot import LINK_AXES, Chain, RobotModel, assemble
 from postproc.robot.model_file import JOINTS, Displacement, Gravity, ModelFile
 
-_AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
+_AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN = 1e-3, 2e-3
 """What a joint of a real robot is off by, at most usually [m, rad]: prior standard deviations."""
 _STEPS = 8
@@ -73,7 +74,7 @@ class Geometry:
     @property
     def ci95(self) -> Array:
         """Half widths (n,) of the 95 % intervals [m, rad]."""
-        return np.asarray(1.959964 * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(NORMAL_95 * np.sqrt(np.diag(self.covariance)))
 
 
 def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
@@ -177,7 +178,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             taken = label
             break
     solution = fits[taken][0]
-    half = 1.959964 * np.sqrt(np.diag(solution.covariance))
+    half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
     usual = _prior(solution.parameters)
     return Geometry(
         solution.parameters,
@@ -188,7 +189,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         "with sag" in taken,
         rms,
         taken,
-        tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * 1.959964 * u),
+        tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * NORMAL_95 * u),
     )
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from postproc.frames import MM_PER_M, Array
 from postproc.identification import outliers
-from postproc.identification.elastic import JOINT_NAMES, STIFFNESS
+from postproc.identification.choice import Choice, choose
+from postproc.identification.displacements import measured_displacements
 from postproc.identification.enhanced import (
     Levels,
     SpringOfJoint2,
@@ -24,8 +25,7 @@ from postproc.identification.observability import NotObservable, not_observable
 from postproc.identification.placement import Placement, locate
 from postproc.identification.plausibility import check_frames, check_loads, check_points
 from postproc.identification.serial import fit_serial
-from postproc.identification.structure import Choice, choose
-from postproc.robot import RobotModel
+from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness, RobotModel
 
 Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
@@ -145,23 +145,19 @@ def identify(
 
 def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
     """Return what a fit with more springs leaves open: K_c unless it holds it, joints whose compliance is zero."""
-    names = fit.structure.names
-    whole = {
-        joint: sum(v for name, v in zip(names, fit.values, strict=True) if name.partition("@")[0] == joint)
-        for joint in JOINT_NAMES
-    }
-    known = {entry.name: entry for entry in missing}
-    found = [entry for entry in missing if entry.name == STIFFNESS and STIFFNESS not in names]
-    for joint, value in whole.items():
-        if joint not in names and joint in known:
+    known, spring = {entry.parameter: entry for entry in missing}, CompensatorStiffness()
+    found = [known[spring]] if spring in known and spring not in fit.given else []
+    for joint in JOINT_COMPLIANCES:
+        whole, _ = joint.in_file(fit.given | {joint: fit.given.get(joint, 0.0)})
+        if joint not in fit.given and joint in known:
             found.append(known[joint])
-        elif value <= 0.0:
+        elif whole <= 0.0:
             found.append(
                 known.get(joint)
                 or NotObservable(
                     joint,
                     "beside the springs of the links the fit leaves it no compliance",
-                    f"Measure configurations that put more torque on A{joint[1]} alone.",
+                    f"Measure configurations that put more torque on {joint.joint} alone.",
                 )
             )
     return found
@@ -183,11 +179,11 @@ def _serial(
     prior: RobotModel, data: Measurements, placement: Placement, left_out: list[str], warnings: list[str]
 ) -> Identification:
     fit = fit_serial(prior, data, placement)
-    missing = [entry for entry in not_observable(fit, data, scaled=True) if entry.name != "K_c"]
+    missing = not_observable(fit, data, scaled=True)
     values, covariance = fit.values.copy(), fit.covariance.copy()
     for entry in missing:
-        index = fit.structure.names.index(entry.name)
-        values[index] = prior.compliance[index]
+        index = fit.structure.parameters.index(entry.parameter)
+        values[index] = entry.parameter.of(prior)
         covariance[index] = covariance[:, index] = 0.0
     fit = replace(fit, values=values, covariance=covariance)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
@@ -235,8 +231,6 @@ def _cleaned(
 
 def before_and_after(result: Identification) -> tuple[Array, Array]:
     """Return the RMS distance (C,) of the points of each configuration without and with the model [m]."""
-    from postproc.identification.elastic import measured_displacements
-
     seen = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
     left = np.sum(result.fit.residual**2, axis=2).mean(axis=1)
     config = result.data.state_config[result.data.loaded]

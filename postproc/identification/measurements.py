@@ -18,10 +18,11 @@ from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.identification.errors import MeasurementError
 from postproc.identification.site import Body, Box, Floor, MeshFile, Rig, Tracker
 from postproc.program import Bools, Ints
+from postproc.robot import JOINTS
 
 _COLUMNS = (
     *("config", "load", "repeat", "point"),
-    *("A1", "A2", "A3", "A4", "A5", "A6"),
+    *JOINTS,
     *("Fx", "Fy", "Fz", "Mx", "My", "Mz"),
     *("X", "Y", "Z"),
 )

@@ -13,181 +13,99 @@ import numpy as np
 from postproc import files
 from postproc.errors import InputError, ModelError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
-from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS
-from postproc.identification.fit import Fit
+from postproc.identification.choice import summary
+from postproc.identification.fit import NORMAL_95, Fit
 from postproc.identification.identify import Identification, before_and_after
 from postproc.identification.placement import describe, describe_points
-from postproc.identification.structure import summary
+from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter, file_slopes
 from postproc.robot.model_file import (
-    JOINTS,
     CompensatorEntry,
-    Covariance,
+    CovarianceTable,
     Gravity,
     JointSpring,
     LinkSprings,
     ModelFile,
-    Stiffening,
 )
-
-_URAD = 1e6
-_Z95 = 1.959964
+from postproc.robot.parameters import PER_URAD
 
 
-def to_file_units(fit: Fit) -> tuple[list[str], Array, Array]:
-    """Return names, values and covariance of the parameters as `model.toml` holds them.
+def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
+    """Return parameters, values and covariance of a fit as `model.toml` holds them, in its units.
 
-    k1…k6 [µrad/(N·m)] are compliances at small torque, fading parts included; parts ``k1@800`` and springs of links
-    [µrad/(N·m), µm/N] only where they are not zero; K_c [N/m] and s_0 [mm].
+    k1…k6 are compliances at small torque, fading parts included; s₀ stands for K_c·s₀; of the parameters of which some
+    are looked for only those that are not zero.
     """
-    names = fit.structure.names
-    kept: list[str] = []
-    rows: list[Array] = []
-    for index, name in enumerate(names):
-        row = np.zeros(len(names))
-        if name in JOINT_NAMES:
-            row[[other.partition("@")[0] == name for other in names]] = _URAD
-        elif name == STIFFNESS:
-            row[index] = 1.0
-        elif name == PRELOAD:
-            stiffness, preload = fit.value(STIFFNESS), fit.values[index]
-            row[index] = MM_PER_M / stiffness if stiffness > 0.0 else 0.0
-            row[names.index(STIFFNESS)] = -MM_PER_M * preload / stiffness**2 if stiffness > 0.0 else 0.0
-        elif fit.values[index] <= 0.0:
-            continue
-        else:
-            row[index] = _URAD
-        kept.append("s_0" if name == PRELOAD else name)
-        rows.append(row)
-    matrix = np.array(rows).reshape(len(rows), len(names))
-    values = matrix @ fit.values
-    if PRELOAD in names:
-        values[kept.index("s_0")] = MM_PER_M * fit.value(PRELOAD) / max(fit.value(STIFFNESS), 1e-300)
-    covariance = matrix @ np.where(np.isfinite(fit.covariance), fit.covariance, 0.0) @ matrix.T
-    return kept, values, 0.5 * (covariance + covariance.T)
+    slopes = file_slopes(fit.structure.parameters, fit.given)
+    covariance = slopes @ np.where(np.isfinite(fit.covariance), fit.covariance, 0.0) @ slopes.T
+    kept = [index for index, (p, value) in enumerate(fit.given.items()) if value > 0.0 or not p.sparse]
+    parameters = tuple(fit.structure.parameters[index] for index in kept)
+    values = np.array([parameter.in_file(fit.given)[0] for parameter in parameters])
+    covariance = covariance[np.ix_(kept, kept)]
+    return parameters, values, 0.5 * (covariance + covariance.T)
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
     """Return the content of `model.toml`: identified values with intervals, the prior's where none was identified."""
-    names, values, covariance = to_file_units(result.fit)
-    half = _Z95 * np.sqrt(np.diag(covariance))
-    given = dict(zip(names, zip(values, half, strict=True), strict=True))
-    unknown = {entry.name for entry in result.missing}
+    parameters, values, covariance = to_file_units(result.fit)
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    unknown = {entry.parameter for entry in result.missing}
+    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}}
+    for parameter, value, reach in zip(parameters, values.tolist(), half.tolist(), strict=True):
+        parameter.write(tables, value, reach, source)
     joints = {}
-    for joint, name in zip(JOINTS, JOINT_NAMES, strict=True):
-        parts = [
-            Stiffening(torque_Nm=float(n.partition("@")[2]), compliance_urad_per_Nm=float(v))
-            for n, (v, _) in given.items()
-            if n.startswith(f"{name}@") and v > 0.0
-        ]
-        if name in given and name not in unknown and given[name][0] > 0.0:
-            value, ci = given[name]
-            joints[joint] = JointSpring(
-                source=source, compliance_urad_per_Nm=float(value), ci95=float(ci), stiffening=parts
-            )
+    for joint in JOINT_COMPLIANCES:
+        table = tables["joints"].get(joint.joint)
+        if table is not None and joint not in unknown and table["compliance_urad_per_Nm"] > 0.0:
+            joints[joint.joint] = msgspec.convert(table, JointSpring)
         else:
-            old = prior.joints[joint]
-            joints[joint] = JointSpring(
+            old = prior.joints[joint.joint]
+            joints[joint.joint] = JointSpring(
                 source=f"prior, not observable in {source}: {old.source}",
                 assumed=True,
                 compliance_urad_per_Nm=old.compliance_urad_per_Nm,
             )
-    links: dict[str, LinkSprings] = {}
-    for joint in ("base", *JOINTS):
-        found: dict[str, Any] = {}
-        for name in names:
-            if name.startswith(f"{joint}."):
-                axis = name.partition(".")[2]
-                unit = "um_per_N" if axis in "XYZ" else "urad_per_Nm"
-                found[f"{axis}_{unit}"] = float(given[name][0])
-        if found:
-            links[joint] = LinkSprings(source=source, **found)
-    kept = [i for i, name in enumerate(names) if name not in unknown]
+    kept = [index for index, parameter in enumerate(parameters) if parameter not in unknown]
     return ModelFile(
         name=prior.name,
         date=prior.date,
         joints=joints,
         gravity=Gravity(reference=prior.gravity.reference, in_gears=result.fit.structure.in_gears),
-        compensator=_compensator(result, prior, given, source, geometry_source),
+        compensator=_compensator(result, prior, tables["compensator"], source, geometry_source),
         geometry=prior.geometry,
-        links=links,
-        covariance=Covariance(
-            [names[i] for i in kept], [[float(v) for v in row] for row in covariance[np.ix_(kept, kept)]]
-        ),
+        links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
+        covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
         masses=prior.masses,
         geometry_nominal=prior.geometry_nominal,
     )
 
 
 def _compensator(
-    result: Identification,
-    prior: ModelFile,
-    given: dict[str, tuple[Any, Any]],
-    source: str,
-    geometry_source: str | None,
+    result: Identification, prior: ModelFile, identified: dict[str, Any], source: str, geometry_source: str | None
 ) -> CompensatorEntry | None:
     law = result.fit.structure.prior.compensator
-    identified = STIFFNESS in given
-    if law is None or (prior.compensator is None and not identified):
+    old = prior.compensator
+    if law is None or (old is None and not identified):
         return None
-    old, old_geometry = ("", "") if prior.compensator is None else (
-        prior.compensator.source, prior.compensator.geometry_source
-    )  # fmt: skip
-    stiffness, free = (
-        (given[STIFFNESS][0], given["s_0"][0]) if identified else (law.stiffness, law.free_length * MM_PER_M)
-    )
+    spring = identified or {
+        "stiffness_N_per_m": max(law.stiffness, 0.0),
+        "free_length_mm": max(law.free_length * MM_PER_M, 0.0),
+        "source": f"prior, not observable in {source}: {'' if old is None else old.source}",
+        "assumed": True,
+    }
     return CompensatorEntry(
         L_mm=law.L * MM_PER_M,
         a_x_mm=law.ax * MM_PER_M,
         a_y_mm=law.ay * MM_PER_M,
-        geometry_source=geometry_source or old_geometry,
-        stiffness_N_per_m=float(max(stiffness, 0.0)),
-        free_length_mm=float(max(free, 0.0)),
-        source=source if identified else f"prior, not observable in {source}: {old}",
-        assumed=not identified,
+        geometry_source=geometry_source or ("" if old is None else old.geometry_source),
+        **spring,
     )
 
 
 def report_data(result: Identification) -> dict[str, Any]:
     """Return the content of `identification.json`."""
-    names, values, covariance = to_file_units(result.fit)
-    half = _Z95 * np.sqrt(np.diag(covariance))
-    unknown = {entry.name: str(entry) for entry in result.missing}
-    given = dict(zip(names, zip(values, half, strict=True), strict=True))
-    parameters: dict[str, Any] = {}
-
-    priors = {name: float(c * _URAD) for name, c in zip(JOINT_NAMES, result.prior.compliance, strict=True)}
-    if (old := result.prior.compensator) is not None:
-        priors |= {"K_c": old.stiffness, "s_0": old.free_length * MM_PER_M}
-    priors["K_theta2_0"] = _URAD / priors["k2"]
-
-    def put(name: str, value: float | None, ci: float | None, unit: str, observable: bool) -> None:
-        entry: dict[str, Any] = {"value": value, "ci95": ci, "unit": unit, "observable": observable}
-        if name in priors:
-            entry["prior"] = priors[name]
-        if not observable:
-            entry["source"] = "prior"
-        parameters[name] = entry
-
-    for index, name in enumerate(JOINT_NAMES):
-        if name in given and name not in unknown:
-            put(name, float(given[name][0]), float(given[name][1]), "urad/(N·m)", observable=True)
-        else:
-            put(name, float(result.prior.compliance[index] * _URAD), None, "urad/(N·m)", observable=False)
-    k2 = parameters["k2"]
-    stiffness = _URAD / k2["value"]
-    ci = None if k2["ci95"] is None else _URAD * k2["ci95"] / k2["value"] ** 2
-    put("K_theta2_0", stiffness, ci, "N·m/rad", observable=bool(k2["observable"]))
-    law = result.fit.structure.prior.compensator
-    if STIFFNESS in given:
-        put("K_c", float(given["K_c"][0]), float(given["K_c"][1]), "N/m", observable=True)
-        put("s_0", float(given["s_0"][0]), float(given["s_0"][1]), "mm", observable=True)
-    elif law is not None:
-        put("K_c", law.stiffness, None, "N/m", observable=False)
-        put("s_0", law.free_length * MM_PER_M, None, "mm", observable=False)
-    for name, (value, ci_here) in given.items():
-        if name not in parameters:
-            unit = "um/N" if name.endswith((".X", ".Y", ".Z")) else "urad/(N·m)"
-            put(name, float(value), float(ci_here), unit, observable=True)
+    known, values, covariance = to_file_units(result.fit)
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    entries = _entries_of(result, dict(zip(known, zip(values.tolist(), half.tolist(), strict=True), strict=True)))
     before, after = before_and_after(result)
     residual = np.linalg.norm(result.fit.residual, axis=2)
     levels = []
@@ -196,15 +114,15 @@ def report_data(result: Identification) -> dict[str, Any]:
         levels = [
             {
                 "q2_deg": float(q * DEG_PER_RAD),
-                "value": float(k * _URAD),
-                "ci95": float(_Z95 * d * _URAD) if np.isfinite(d) else None,
+                "value": float(k * PER_URAD),
+                "ci95": float(NORMAL_95 * d * PER_URAD) if np.isfinite(d) else None,
             }
             for q, k, d in zip(result.levels.q2, result.levels.compliance, deviation, strict=True)
         ]
     data: dict[str, Any] = {
         "method": result.method,
         "robot": result.prior.name,
-        "parameters": parameters,
+        "parameters": entries,
         "k2_levels": levels,
         "k2_curve": _k2_curve(result),
         "residual": {
@@ -226,18 +144,49 @@ def report_data(result: Identification) -> dict[str, Any]:
             {"name": entry.name, "reason": entry.reason, "advice": entry.advice} for entry in result.missing
         ],
         "outliers": list(result.left_out),
-        "correlation": {"names": names, "matrix": _correlation(covariance)},
+        "correlation": {"names": [parameter.name for parameter in known], "matrix": _correlation(covariance)},
         "warnings": list(result.warnings),
     }
     if result.spring is not None:
         deviation = np.sqrt(np.diag(result.spring.covariance))
         data["from_levels"] = {
-            name: {"value": float(v), "ci95": float(_Z95 * d)}
+            name: {"value": float(v), "ci95": float(NORMAL_95 * d)}
             for name, v, d in zip(("K_theta2_0", "K_c", "K_c*s_0"), result.spring.values, deviation, strict=True)
         }
     if result.choice is not None:
         data["structure"] = {"reason": result.choice.reason, "tried": summary(result.choice.candidates)}
     return data
+
+
+def _entries_of(result: Identification, given: dict[Parameter, tuple[float, float]]) -> dict[str, dict[str, Any]]:
+    """Return the parameters as `identification.json` holds them: k1…k6, K⁰_θ2, K_c, s₀ always, the others if found."""
+    prior, unknown = result.prior, {entry.parameter for entry in result.missing}
+    springs = COMPENSATOR if prior.compensator is not None else ()
+    of_prior: dict[Parameter, float] = {p: p.of(prior) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
+    always = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
+    entries: dict[str, dict[str, Any]] = {}
+
+    def put(name: str, found: tuple[float, float] | None, value: float, unit: str, before: float | None) -> None:
+        entry: dict[str, Any] = {"value": value, "ci95": None}
+        if found is not None:
+            entry = dict(zip(("value", "ci95"), found, strict=True))
+        entry |= {"unit": unit, "observable": found is not None}
+        if before is not None:
+            entry["prior"] = before
+        if found is None:
+            entry["source"] = "prior"
+        entries[name] = entry
+
+    for parameter in dict.fromkeys((*always, *given)):
+        found = None if parameter in unknown else given.get(parameter)
+        before = parameter.in_file(of_prior)[0] if parameter in always else None
+        put(parameter.name, found, np.nan if before is None else before, parameter.unit, before)
+        if parameter == JOINT_COMPLIANCES[-1]:
+            k2 = entries[JOINT_COMPLIANCES[1].name]
+            stiffness, reach = PER_URAD / k2["value"], k2["ci95"]
+            inverse = None if reach is None else (stiffness, PER_URAD * reach / k2["value"] ** 2)
+            put("K_theta2_0", inverse, stiffness, "N·m/rad", PER_URAD / k2["prior"])
+    return entries
 
 
 def _k2_curve(result: Identification) -> list[list[float]]:
@@ -248,7 +197,7 @@ def _k2_curve(result: Identification) -> list[list[float]]:
     q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
     stiffness = 1.0 / model.compliance[model.actuated[1]]
     added = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
-    return [[float(a), float(c)] for a, c in zip(q2 * DEG_PER_RAD, _URAD / (stiffness + added), strict=True)]
+    return [[float(a), float(c)] for a, c in zip(q2 * DEG_PER_RAD, PER_URAD / (stiffness + added), strict=True)]
 
 
 def _correlation(covariance: Array) -> list[list[float]]:

@@ -8,13 +8,19 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.frames import RAD_PER_DEG, Array
-from postproc.identification.elastic import JOINT_NAMES, PRELOAD, STIFFNESS
 from postproc.identification.fit import Fit
 from postproc.identification.measurements import Measurements
 from postproc.program import Ints
-from postproc.robot import RobotModel
+from postproc.robot import (
+    JOINT_COMPLIANCES,
+    CompensatorPreload,
+    CompensatorStiffness,
+    JointCompliance,
+    Parameter,
+    RobotModel,
+)
 
-_UNCERTAIN = 0.5
+UNCERTAIN = 0.5
 """Half width of the 95 % interval over the value beyond which a parameter counts as not determined."""
 _NO_TORQUE = 0.02
 """Largest torque on a joint over the largest on any, below which the loads do not reach it."""
@@ -27,9 +33,14 @@ _LONGEST_SPRING = 3.0
 class NotObservable:
     """A parameter that the data do not determine; the model keeps the robot's prior value."""
 
-    name: str
+    parameter: Parameter
     reason: str
     advice: str
+
+    @property
+    def name(self) -> str:
+        """Return the name of the parameter in files."""
+        return self.parameter.name
 
     def __str__(self) -> str:
         return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
@@ -43,46 +54,47 @@ def not_observable(fit: Fit, data: Measurements, scaled: bool = False) -> list[N
     robot = fit.structure.prior
     torque = joint_torques(robot, data)
     found = []
-    names = fit.structure.names
     # what the structure does not explain widens the intervals
     wider = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if not scaled and fit.chi2 > 2.0 * fit.dof > 0 else 1.0
-    prior = dict(zip(JOINT_NAMES, robot.compliance, strict=True))
     correlation = _correlation(fit.covariance)
-    for index, name in enumerate(names):
-        if name not in JOINT_NAMES:
+    for index, parameter in enumerate(fit.structure.parameters):
+        if not isinstance(parameter, JointCompliance):
             continue
+        prior = robot.compliance[parameter.row(robot)]
         half = float(fit.ci95[index] * wider)
         # an interval against the larger of value and prior: a noisy small value must not look determined
-        if half <= _UNCERTAIN * max(abs(fit.values[index]), prior[name]) and fit.values[index] > 0.0:
+        if half <= UNCERTAIN * max(abs(fit.values[index]), prior) and fit.values[index] > 0.0:
             continue
-        joint = JOINT_NAMES.index(name)
-        found.append((half, _joint_reason(name, joint, torque, fit, index, half, correlation)))
-    if STIFFNESS in names and (entry := _compensator(fit, data, wider, any(e.name == "k2" for _, e in found))):
-        found.append((np.inf, entry))
+        found.append((half, _joint_reason(parameter, torque, fit, index, half, correlation)))
+    spring = CompensatorStiffness()
+    if spring in fit.structure.parameters:
+        k2_is_open = any(entry.parameter == JOINT_COMPLIANCES[1] for _, entry in found)
+        if entry := _compensator(fit, data, wider, k2_is_open):
+            found.append((np.inf, entry))
     # the compensator first: without it k2 is determined again
-    return [entry for _, entry in sorted(found, key=lambda pair: (pair[1].name != STIFFNESS, -pair[0]))]
+    return [entry for _, entry in sorted(found, key=lambda pair: (pair[1].parameter != spring, -pair[0]))]
 
 
 def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> NotObservable | None:
-    index = fit.structure.names.index(STIFFNESS)
+    index = fit.structure.parameters.index(CompensatorStiffness())
     value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
     levels = int(levels_of(data).max()) + 1
     if levels < 3 or k2_is_open:
         return NotObservable(
-            STIFFNESS,
+            CompensatorStiffness(),
             f"K_theta2_0, K_c and s_0 are three unknowns, and there are {levels} levels of q2",
             "Measure at five levels of q2, far apart.",
         )
     if not is_physical(fit):
         return NotObservable(
-            STIFFNESS,
+            CompensatorStiffness(),
             f"the fit gives K_c {value:.3g} N/m, which no spring has: noise, or flexibility that is not the joint's, "
             "outweighs its effect",
             "Measure more and heavier loads at levels of q2 far apart.",
         )
-    if half > _UNCERTAIN * value:
+    if half > UNCERTAIN * value:
         return NotObservable(
-            STIFFNESS,
+            CompensatorStiffness(),
             f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half:.2g} N/m)",
             f"Measure more and heavier loads at levels of q2 far apart (there are {levels}); a compensator that only "
             "balances the weights can not be seen in deflections.",
@@ -92,10 +104,10 @@ def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -
 
 def is_physical(fit: Fit) -> bool:
     """Return whether the compensator of a fit, if it has one, is one that could be built."""
-    if STIFFNESS not in fit.structure.names:
+    stiffness = fit.given.get(CompensatorStiffness())
+    if stiffness is None:
         return True
-    value = fit.value(STIFFNESS)
-    return value > 0.0 and 0.0 <= fit.value(PRELOAD) / value <= _LONGEST_SPRING
+    return stiffness > 0.0 and 0.0 <= fit.given[CompensatorPreload()] / stiffness <= _LONGEST_SPRING
 
 
 def levels_of(data: Measurements) -> Ints:
@@ -119,8 +131,9 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
 
 
 def _joint_reason(
-    name: str, joint: int, torque: Array, fit: Fit, index: int, half: float, correlation: Array
+    parameter: JointCompliance, torque: Array, fit: Fit, index: int, half: float, correlation: Array
 ) -> NotObservable:
+    joint = parameter.index
     largest = float(np.abs(torque[:, joint]).max())
     reference = float(np.abs(torque).max())
     if largest < _NO_TORQUE * reference:
@@ -133,10 +146,10 @@ def _joint_reason(
             advice = "Hang the load beside the axis of A6: on a bracket, with another load point."
         else:
             advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
-        return NotObservable(name, reason, advice)
+        return NotObservable(parameter, reason, advice)
     others = np.abs(correlation[index].copy())
     others[index] = 0.0
-    partner = fit.structure.names[int(np.argmax(others))]
+    partner = fit.structure.parameters[int(np.argmax(others))].symbol
     reason = f"its 95 % interval is ± {half * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
     if not np.isfinite(half):
         reason = "the configurations leave it open"
@@ -144,7 +157,7 @@ def _joint_reason(
         reason += (
             f", and it can hardly be told from {partner} (correlation {correlation[index, np.argmax(others)]:.2f})"
         )
-    return NotObservable(name, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
+    return NotObservable(parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
 
 
 def _correlation(covariance: Array) -> Array:
@@ -154,7 +167,7 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(np.nan_to_num(correlation))
 
 
-def untouched(robot: RobotModel, data: Measurements) -> set[str]:
-    """Return the joint compliances on which the loads put no torque worth the name."""
+def touched(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
+    """Return the joint compliances on which the loads put a torque worth the name."""
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
-    return {name for name, value in zip(JOINT_NAMES, largest, strict=True) if value < _NO_TORQUE * largest.max()}
+    return tuple(p for p, value in zip(JOINT_COMPLIANCES, largest, strict=True) if value >= _NO_TORQUE * largest.max())

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from postproc.frames import MM_PER_M, Array
-from postproc.identification.elastic import whitening
-from postproc.identification.fit import Fit, whiten
+from postproc.identification.displacements import whiten, whitening
+from postproc.identification.fit import Fit
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.program import Ints

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.frames import MM_PER_M, Array, displaced, inverse
+from postproc.frames import MM_PER_M, Array, displaced, hat, inverse, xyzabc_from_pose
 from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
 from postproc.robot import RobotModel
@@ -79,7 +79,7 @@ def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -
         left = seen - model
         jacobian = np.zeros((configs, points, 3, 6 + 3 * points))
         jacobian[..., 0:3] = np.eye(3)
-        jacobian[..., 3:6] = -_hat(model - pose[:3, 3])
+        jacobian[..., 3:6] = -hat(model - pose[:3, 3])
         turned = pose[:3, :3] @ flange[:, :3, :3]
         for index in range(points):
             jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = turned
@@ -115,8 +115,6 @@ def in_root_axes(placement: Placement, vectors: Array) -> Array:
 
 def describe(placement: Placement) -> dict[str, float]:
     """Return the base transform as a KUKA frame [mm, deg]: the root in the device frame."""
-    from postproc.frames import xyzabc_from_pose
-
     values = xyzabc_from_pose(placement.root_in_device)
     return {name: float(value) for name, value in zip("XYZABC", values, strict=True)}
 
@@ -138,9 +136,3 @@ def device_to_root(placement: Placement, positions: Array) -> Array:
 def _place(frames: Array, points: Array) -> Array:
     placed: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
     return placed
-
-
-def _hat(vector: Array) -> Array:
-    x, y, z = np.moveaxis(vector, -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*vector.shape, 3)

@@ -8,12 +8,14 @@ import numpy as np
 
 from postproc.errors import PostprocError
 from postproc.frames import MM_PER_M, Array
-from postproc.identification.elastic import JOINT_NAMES, Structure, measured_displacements, predict
+from postproc.identification.displacements import measured_displacements
 from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, locate
+from postproc.identification.prediction import predict
+from postproc.identification.structure import Structure
 from postproc.program import Ints
-from postproc.robot import RobotModel
+from postproc.robot import JOINT_COMPLIANCES, RobotModel
 
 _BODY = 2e-3
 """Change of the distance between two points of one rigid body [m] that is no noise."""
@@ -116,7 +118,7 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             line=_first_line(data, int(data.loaded[row])),
             advice="No robot bends that far: was the tracker moved, or is a reading of another configuration?",
         )
-    structure = Structure(JOINT_NAMES, robot)
+    structure = Structure(JOINT_COMPLIANCES, robot)
     expected, _ = predict(structure, structure.start(), data, placement)
     ratio = np.sum(seen * expected, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2))
     usual = float(np.median(ratio))

@@ -13,12 +13,14 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.frames import Array, twist_between
-from postproc.identification.elastic import JOINT_NAMES, Structure, measured_displacements, predict, visible, whitening
+from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
 from postproc.identification.errors import MeasurementError
-from postproc.identification.fit import Fit, covariance_of, whiten
+from postproc.identification.fit import Fit, covariance_of
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, device_to_root, kabsch
-from postproc.robot import RobotModel
+from postproc.identification.prediction import predict
+from postproc.identification.structure import Structure
+from postproc.robot import JOINT_COMPLIANCES, RobotModel
 
 
 def flange_displacements(data: Measurements, placement: Placement) -> Array:
@@ -75,9 +77,9 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     values = np.linalg.lstsq(design / scale, target, rcond=1e-9)[0] / scale
     left = target - design @ values
     sigma2 = float(left @ left) / (len(target) - 6)
-    structure = Structure(JOINT_NAMES, bare)
+    structure = Structure(JOINT_COMPLIANCES, bare)
     deviation = np.sqrt(sigma2)
-    covariance = covariance_of(design / deviation, structure.typical())
+    covariance = covariance_of(design / deviation, structure.usual())
     moved, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
     residual = (measured_displacements(data, placement) - moved) * visible(data)
     w = whitening(data)

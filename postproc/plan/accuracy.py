@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import Array
+from postproc.identification.fit import NORMAL_95
+from postproc.identification.observability import UNCERTAIN
 from postproc.plan.criterion import Done
 from postproc.plan.law import Joint2
 from postproc.plan.milling import TestPoses
 from postproc.plan.sensitivity import Bench
+from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter
 
-NORMAL_95 = 1.959964
-UNCERTAIN = 0.5
-"""Half width of an interval over its value beyond which the identification keeps the robot's prior value."""
 _OPEN = 1e-9
 
 
@@ -30,20 +30,20 @@ class Accuracy:
     :param rms: root of the expected mean square [m].
     :param interval: 95 % interval of the RMS that one identification with this plan reaches [m].
     :param poses: (T,) expected RMS at each test pose [m].
-    :param names: parameters.
+    :param parameters: P of them.
     :param relative: (P,) half widths of their 95 % intervals over the robot's values.
     """
 
     rms: float
     interval: tuple[float, float]
     poses: Array
-    names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     relative: Array
 
     @property
-    def uncertain(self) -> tuple[str, ...]:
+    def uncertain(self) -> tuple[Parameter, ...]:
         """Parameters that the identification would not take from such measurements."""
-        return tuple(name for name, half in zip(self.names, self.relative, strict=True) if not half <= UNCERTAIN)
+        return tuple(p for p, half in zip(self.parameters, self.relative, strict=True) if not half <= UNCERTAIN)
 
 
 def expected(
@@ -69,12 +69,12 @@ def expected(
     square = float(np.sum(product * product.T))
     h, g = mean**2 / square, square / mean
     interval = tuple(float(np.sqrt(g * _chi2(h, z))) for z in (-NORMAL_95, NORMAL_95))
-    names = [f"k{index + 1}" for index in keep] + (["K_c", "s_0·K_c"] if law.free else [])
+    parameters = (*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if law.free else ()))
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
     if law.free and law.compensator is not None:
         stiffness = law.compensator.stiffness * law.compliance
         half[len(keep) :] /= np.maximum([stiffness, stiffness * law.compensator.free_length], 1e-300)
-    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(each), tuple(names), half)
+    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(each), parameters, half)
 
 
 def not_visible(bench: Bench, information: Array, count: int) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ from postproc.plan.law import Joint2
 from postproc.plan.milling import TestPoses
 from postproc.plan.site import Site
 from postproc.program import Ints
+from postproc.robot import JOINT_COMPLIANCES, JointCompliance
 
 NO_TORQUES = (
     "static joint torques are not checked: robot.urdf states no limits (effort) and [rig] no max_torque_Nm; see that "
@@ -43,8 +44,9 @@ def blind(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) 
         elif joint == 5:
             reason = "the load acts on the axis of A6"
             advice = "Hang the load beside that axis, on a bracket ([load_point])."
+        name = JOINT_COMPLIANCES[joint].name
         out.append(
-            f"k{joint + 1} is not observable with this rig: {reason}. {advice} As it is, the identification keeps the "
+            f"{name} is not observable with this rig: {reason}. {advice} As it is, the identification keeps the "
             f"robot's own value; {share:.3g} mm (RMS) of the deflection at the test poses rest on it, and the expected "
             "accuracy does not count how wrong it may be"
         )
@@ -57,7 +59,7 @@ def doubts(found: Accuracy, law: Joint2, blocked: Ints) -> list[str]:
     :param blocked: rows that the robot cannot reach on a free way.
     """
     out = []
-    uncertain = [name for name in found.uncertain if name.startswith("k")]
+    uncertain = [p.name for p in found.uncertain if isinstance(p, JointCompliance)]
     if uncertain:
         out.append(
             f"{', '.join(uncertain)}: the 95 % interval will be wider than half the value, so that the identification "

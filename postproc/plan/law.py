@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,10 +42,7 @@ class Joint2:
         """Return C (n, 3) of the printed first Eq. (10): K_θ2(q2) = C·[K⁰_θ2, K_c, s₀K_c]."""
         if self.compensator is None:
             return np.column_stack([np.ones(len(q2)), np.zeros((len(q2), 2))])
-        unit = replace(self.compensator, stiffness=1.0, free_length=0.0)
-        constant = unit.stiffness_about_joint(q2)
-        long = replace(unit, free_length=1.0).stiffness_about_joint(q2)
-        return np.column_stack([np.ones(len(q2)), constant, long - constant])
+        return np.column_stack([np.ones(len(q2)), self.compensator.stiffness_columns(q2)])
 
     def from_levels(self, levels: Array, q2: Array) -> Array:
         """Return ∂k2(q2)/∂k2(levels), (n, m): how errors of the levels reach other q2, by Eq. (9) unweighted.

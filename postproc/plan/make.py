@@ -23,6 +23,7 @@ from postproc.plan.search import Plan, Task, exchange, improved
 from postproc.plan.sensitivity import Bench, direction
 from postproc.plan.site import Site
 from postproc.program import Ints
+from postproc.robot import CompensatorStiffness
 
 _KEPT = 3
 _ANGLE_DECIMALS, _FORCE_DECIMALS = 3, 1
@@ -185,7 +186,7 @@ def _law(
     found = accuracy.expected(
         tests, bench, free, trial.q, information, None if known is None else (known.q, known.done)
     )
-    return prior if "K_c" in found.uncertain else free
+    return prior if CompensatorStiffness() in found.uncertain else free
 
 
 def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]:

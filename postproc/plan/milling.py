@@ -19,12 +19,11 @@ from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.kinematics import UnreachableError
 from postproc.plan.errors import PlanError
 from postproc.program import PTP, Ints, Program
-from postproc.robot import RobotModel
+from postproc.robot import JOINTS, RobotModel
 
 _SAMPLES = 4000
 _ROUNDS = 30
 _SHARE_OF_Q2 = 0.3
-_ANGLES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _FORCES = ("Fx", "Fy", "Fz")
 
 
@@ -138,7 +137,7 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
 
     :raises PlanError: a column is missing or not a number, a weight is negative, there is no pose or no force.
     """
-    numbers, _, lines = files.read_csv(path, (*_ANGLES, *_FORCES), ("weight",), PlanError)
+    numbers, _, lines = files.read_csv(path, (*JOINTS, *_FORCES), ("weight",), PlanError)
     if len(lines) == 0:
         raise PlanError("no test poses", file=str(path))
     weight = numbers.get("weight", np.ones(len(lines)))
@@ -147,7 +146,7 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
     for bad, problem in ((weight <= 0.0, "weight must be larger than 0"), (~wrench.any(axis=1), "the force is zero")):
         if bad.any():
             raise PlanError(problem, file=str(path), line=int(lines[np.argmax(bad)]))
-    q = np.column_stack([numbers[name] for name in _ANGLES]) * RAD_PER_DEG
+    q = np.column_stack([numbers[name] for name in JOINTS]) * RAD_PER_DEG
     return evaluated(robot, q, cell.tool.pose(), wrench, weight, path.name)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from postproc.report.charts import ticks
 from postproc.report.style import CSS
+from postproc.robot.parameters import named
 
 _WIDTH = 1000
 _LEFT, _RIGHT = 64, 16
@@ -154,10 +155,8 @@ def _parameters(entries: Mapping[str, Any], note: str) -> str:
 
 
 def _title(name: str) -> str:
-    if "@" in name:
-        joint, _, torque = name.partition("@")
-        return f"{escape(joint)}, fades beyond {float(torque):g} N·m"
-    return escape(name)
+    parameter = named(name)
+    return escape(name if parameter is None else parameter.title)
 
 
 def _forest(entry: Mapping[str, Any]) -> str:

@@ -10,8 +10,8 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.plan import PlanResult
 from postproc.report import plan_charts
 from postproc.report.style import CSS
+from postproc.robot import JOINTS
 
-_JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 _SMALL = 0.01
 
 
@@ -116,7 +116,7 @@ def _overview(result: PlanResult) -> str:
 
 
 def _poses(result: PlanResult) -> str:
-    head = ("Pose", *(f"{joint}, °" for joint in _JOINTS), "Fx, N", "Fy, N", "Fz, N")
+    head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
     rows = [
         [str(row + 1), *(f"{angle + 0.0:.3f}" for angle in q * DEG_PER_RAD), *(f"{f + 0.0:.1f}" for f in force)]
         for row, (q, force) in enumerate(zip(result.plan.q, result.force, strict=True))
@@ -147,7 +147,7 @@ def _tests(result: PlanResult, unit: str, factor: float) -> str:
 def _parameters(result: PlanResult) -> str:
     rows = [
         [name, f'<span class="{"good" if half <= 0.1 else "warning"}">± {_percent(float(half))}</span>']
-        for name, half in zip(result.accuracy.names, result.accuracy.relative, strict=True)
+        for name, half in zip((p.symbol for p in result.accuracy.parameters), result.accuracy.relative, strict=True)
     ]
     return (
         f"<section><h2>Parameters</h2>{_table(('Parameter', '95 % interval'), rows)}<p>Of the robot's present value. A "

@@ -46,7 +46,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         },
         "parameters": [
             {"name": name, "ci95_percent": float(half) * 100.0}
-            for name, half in zip(result.accuracy.names, result.accuracy.relative, strict=True)
+            for name, half in zip((p.symbol for p in result.accuracy.parameters), result.accuracy.relative, strict=True)
         ],
         "test_poses": {"count": len(result.tests), "source": result.tests.source},
         "travel_s": result.seconds,

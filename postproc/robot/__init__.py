@@ -6,56 +6,74 @@ one with the calibrated geometry), the springs, the compensator, the covariance,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from postproc import files
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
-from postproc.robot import urdf
+from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
-from postproc.robot.flexible import LINK_AXES, VirtualSpring, elastic_chain
+from postproc.robot.flexible import elastic_chain
 from postproc.robot.model_file import (
     BASE,
     FLANGE,
     JOINTS,
-    Covariance,
+    CovarianceTable,
     Displacement,
     LinkSprings,
     ModelFile,
     Sourced,
 )
+from postproc.robot.parameters import (
+    COMPENSATOR,
+    JOINT_COMPLIANCES,
+    LINK_AXES,
+    CompensatorPreload,
+    CompensatorStiffness,
+    CompensatorTorque,
+    FadingPart,
+    JointCompliance,
+    LinkSpring,
+    Parameter,
+    Spring,
+    file_slopes,
+)
 
 __all__ = [
     "BASE",
+    "COMPENSATOR",
     "FLANGE",
     "JOINTS",
+    "JOINT_COMPLIANCES",
     "LINK_AXES",
     "Chain",
+    "CompensatorPreload",
+    "CompensatorStiffness",
+    "CompensatorTorque",
     "Covariance",
     "Displacement",
-    "GearStiffening",
+    "FadingPart",
+    "JointCompliance",
+    "LinkSpring",
     "LinkSprings",
     "ModelFile",
+    "Parameter",
     "Provenance",
     "RobotModel",
-    "VirtualSpring",
+    "Spring",
     "assemble",
     "elastic_chain",
+    "file_slopes",
     "find",
     "load",
     "shipped",
 ]
-
-Ints = NDArray[np.int64]
-RAD_PER_URAD = 1e-6
-M_PER_UM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,22 +87,27 @@ class Provenance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GearStiffening:
-    """Gears that stiffen with load: θ = C⁰τ − Σ c_s·(τ − T_s·f(τ/T_s)) with f(u) = asinh(u).
+class Covariance:
+    """Covariance of identified parameters.
 
-    C⁰ is the compliance at small torque; part s of it fades where |τ| passes T_s. A sum of such parts follows any
-    gear whose compliance falls with load; every part stays monotone, so the spring is always stable.
-
-    :param row: (S,) coordinate of the elastic chain.
-    :param torque: (S,) T_s [N·m].
-    :param compliance: (S,) c_s [rad/(N·m)].
-    :param carries_weight: the torque at rest (weights, compensator) counts too, not the load alone.
+    :param parameters: (n,) of them.
+    :param matrix: (n, n) of their values in files, in units of files.
     """
 
-    row: Ints
-    torque: Array
-    compliance: Array
-    carries_weight: bool = False
+    parameters: tuple[Parameter, ...]
+    matrix: Array
+
+    @classmethod
+    def of(cls, names: Iterable[str], matrix: Sequence[Sequence[float]] | Array) -> Covariance:
+        """Return the covariance of parameters by their names in files.
+
+        :raises ModelError: a name that no parameter has.
+        """
+        found = {name: parameters.named(name) for name in names}
+        unknown = [name for name, parameter in found.items() if parameter is None]
+        if unknown:
+            raise ModelError(f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called")
+        return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +119,7 @@ class RobotModel:
     :param nominal: the controller's geometry.
     :param actual: geometry of the real robot (calibrated where known), with the masses of its links.
     :param loaded: `actual` with the payload that is carried beyond the calibrated state.
-    :param stiffness: (nv, nv) K⁰_θ of the virtual springs [N·m/rad, N/m].
+    :param stiffness: (nv, nv) K⁰_θ of the virtual springs at small torque [N·m/rad, N/m].
     :param actuated: (6,) rows of A1…A6 among the nv coordinates of `actual`.
     :param compensator: spring beside A2, or None.
     :param subtract_reference: True if the geometry holds the state of rest under own weight (``"calibrated"``).
@@ -105,7 +128,8 @@ class RobotModel:
     :param speed: (6,) joint speed limits [rad/s].
     :param covariance: of the identified parameters, or None.
     :param provenance: where each value comes from.
-    :param stiffening: gears whose compliance falls with load, or None.
+    :param terms: parameters of springs that do not grow with the torque, with their values.
+    :param carries_weight: they feel the torque at rest (weights, compensator) too, not the load alone.
     :param link_springs: springs of the links, in the order of their coordinates.
     """
 
@@ -123,13 +147,26 @@ class RobotModel:
     speed: Array
     covariance: Covariance | None
     provenance: tuple[Provenance, ...]
-    stiffening: GearStiffening | None = None
-    link_springs: tuple[VirtualSpring, ...] = ()
+    terms: tuple[tuple[Spring, float], ...] = ()
+    carries_weight: bool = False
+    link_springs: tuple[LinkSpring, ...] = ()
 
     @cached_property
     def compliance(self) -> Array:
         """C⁰ (nv,) of the virtual springs [rad/(N·m), m/N]; zero where a spring is rigid (infinite stiffness)."""
         return np.asarray(1.0 / np.diag(self.stiffness))
+
+    @cached_property
+    def steady(self) -> Array:
+        """Compliance (nv,) that does not change with the torque [rad/(N·m), m/N]."""
+        return self.compliance - self._at_small_torque(self.terms)
+
+    def _at_small_torque(self, terms: Iterable[tuple[Spring, float]]) -> Array:
+        """Return the compliance (nv,) of terms at small torque."""
+        zero, out = np.zeros(1), np.zeros(self.actual.nv)
+        for parameter, value in terms:
+            out[parameter.row(self)] += value * parameter.effect(zero, zero)[1][0]
+        return out
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
@@ -146,6 +183,36 @@ class RobotModel:
     def has_weight(self) -> bool:
         """True if links or payload have mass."""
         return bool((self.loaded.mass > 0.0).any())
+
+    def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
+        """Return the robot, of six coordinates and without payload, with one more for each spring, rigid as yet."""
+        order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
+        wanted = tuple(sorted(set(springs), key=order.index))
+        if not wanted:
+            return self
+        chain, actuated, _ = elastic_chain(self.actual, wanted)
+        stiffness = np.full(chain.nv, np.inf)
+        stiffness[list(actuated)] = np.diag(self.stiffness)
+        return replace(
+            self, actual=chain, loaded=chain, stiffness=np.diag(stiffness), actuated=actuated, link_springs=wanted
+        )
+
+    def with_values(self, values: Mapping[Parameter, float]) -> RobotModel:
+        """Return the robot with these (linear) values of its parameters, SI; those not named keep theirs."""
+        steady, terms = self.steady.copy(), dict(self.terms)
+        law = self.compensator
+        for parameter, value in values.items():
+            if not isinstance(parameter, Spring):
+                continue
+            if parameter.linear:
+                steady[parameter.row(self)] = value
+            else:
+                terms[parameter] = value
+        if law is not None and any(isinstance(parameter, CompensatorTorque) for parameter in values):
+            law = law.with_spring(*(values.get(parameter, parameter.of(self)) for parameter in COMPENSATOR))
+        with np.errstate(divide="ignore"):
+            stiffness = np.diag(1.0 / (steady + self._at_small_torque(terms.items())))
+        return replace(self, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
 
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.
@@ -208,16 +275,14 @@ def load(folder: str | Path) -> RobotModel:
             raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
     _check_covariance(content.covariance, where)
     path = folder / "robot.urdf"
-    nominal = urdf.read(files.read_text(path, ModelError), str(path))
-    return assemble(folder.resolve().name, content, nominal)
+    robot = assemble(folder.resolve().name, content, urdf.read(files.read_text(path, ModelError), str(path)))
+    for parameter in robot.covariance.parameters if robot.covariance is not None else ():
+        parameter.row(robot)
+    return robot
 
 
-def assemble(name: str, content: ModelFile, nominal: Chain, rigid_too: Sequence[VirtualSpring] = ()) -> RobotModel:
-    """Build a `RobotModel` from the content of `model.toml` and the controller's geometry.
-
-    :param rigid_too: link springs that get a coordinate even where the content holds no compliance for them
-        (identification looks at how they would move).
-    """
+def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
+    """Build a `RobotModel` from the content of `model.toml` and the controller's geometry."""
     placement, flange = nominal.placement.copy(), nominal.flange
     for place, entry in content.geometry.items():
         if place == FLANGE:
@@ -225,59 +290,26 @@ def assemble(name: str, content: ModelFile, nominal: Chain, rigid_too: Sequence[
         else:
             placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
     actual = replace(nominal, placement=placement, flange=flange)
-    compliance = {
-        VirtualSpring(link, axis): value for link, springs in content.links.items() for axis, value in _axes(springs)
-    }
-    flexible = tuple(
-        VirtualSpring(link, axis)
-        for link in (BASE, *JOINTS)
-        for axis in LINK_AXES
-        if VirtualSpring(link, axis) in compliance or VirtualSpring(link, axis) in rigid_too
-    )
-    actuated: tuple[int, ...] = tuple(range(len(JOINTS)))
-    rows: list[int] = []
-    if flexible:
-        actual, actuated, rows = elastic_chain(actual, flexible)
-    c = np.zeros(actual.nv)
-    c[list(actuated)] = [content.joints[joint].compliance_urad_per_Nm * RAD_PER_URAD for joint in JOINTS]
-    c[rows] = [compliance.get(spring, 0.0) for spring in flexible]
-    with np.errstate(divide="ignore"):
-        stiffness = 1.0 / c
-    parts = [
-        (actuated[index], part.torque_Nm, part.compliance_urad_per_Nm * RAD_PER_URAD)
-        for index, joint in enumerate(JOINTS)
-        for part in content.joints[joint].stiffening
-    ]
-    stiffening = None
-    if parts:
-        row, torque, faded = (np.array(column) for column in zip(*parts, strict=True))
-        stiffening = GearStiffening(row, torque, faded, content.gravity.in_gears)
-    return RobotModel(
+    values, table = parameters.stated(content), content.covariance
+    rigid = RobotModel(
         name=name,
         title=content.name,
         nominal=nominal,
         actual=actual,
         loaded=actual,
-        stiffness=np.diag(stiffness),
-        actuated=actuated,
+        stiffness=np.diag(np.full(len(JOINTS), np.inf)),
+        actuated=tuple(range(len(JOINTS))),
         compensator=content.compensator.law() if content.compensator else None,
         subtract_reference=content.gravity.reference == "calibrated",
         lower=nominal.lower,
         upper=nominal.upper,
         speed=nominal.speed,
-        covariance=content.covariance,
+        covariance=None if table is None else Covariance.of(table.parameters, table.matrix),
         provenance=tuple(_provenance(content, nominal)),
-        stiffening=stiffening,
-        link_springs=flexible,
+        carries_weight=content.gravity.in_gears,
     )
-
-
-def _axes(springs: LinkSprings) -> Iterator[tuple[str, float]]:
-    for axis in LINK_AXES:
-        unit = "um_per_N" if axis in "XYZ" else "urad_per_Nm"
-        value = getattr(springs, f"{axis}_{unit}") * (M_PER_UM if axis in "XYZ" else RAD_PER_URAD)
-        if value > 0.0:
-            yield axis, value
+    springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
+    return rigid.with_link_springs(springs).with_values(values)
 
 
 def _placement(entry: Displacement) -> Array:
@@ -287,7 +319,7 @@ def _placement(entry: Displacement) -> Array:
     return pose
 
 
-def _check_covariance(covariance: Covariance | None, where: str) -> None:
+def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
     if covariance is None:
         return
     size = len(covariance.parameters)
@@ -317,7 +349,7 @@ def _provenance(content: ModelFile, nominal: Chain) -> Iterator[Provenance]:
         value = f"K_c {spring_law.stiffness_N_per_m:g} N/m, s_0 {spring_law.free_length_mm:g} mm"
         yield Provenance("compensator spring", value, spring_law.source, spring_law.assumed)
     for name, springs in content.links.items():
-        count = sum(1 for _ in _axes(springs))
+        count = sum(spring.link == name for spring, _ in LinkSpring.stated(content))
         yield Provenance(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
     for name, entry in content.geometry.items():
         value = (

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from postproc.frames import Array
 from postproc.robot.chain import Chain
 from postproc.robot.model_file import BASE, JOINTS
-
-LINK_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
-
-
-class VirtualSpring(NamedTuple):
-    """A spring of a link: `link` is base, A1…A6; `axis` is X, Y, Z, RX, RY, RZ or end_RX, end_RY, end_RZ."""
-
-    link: str
-    axis: str
+from postproc.robot.parameters import LinkSpring
 
 
-def elastic_chain(chain: Chain, springs: Sequence[VirtualSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
+def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
     """Insert one coordinate per link spring into a chain of six joints.
 
     Springs where a link begins follow its joint (for `base`: the root), springs where it ends stand at the place of
@@ -29,7 +20,7 @@ def elastic_chain(chain: Chain, springs: Sequence[VirtualSpring]) -> tuple[Chain
 
     :returns: the chain, the coordinates of A1…A6 in it, and those of `springs`.
     """
-    rows: dict[VirtualSpring, int] = {}
+    rows: dict[LinkSpring, int] = {}
     actuated: list[int] = []
     placement: list[Array] = []
     from_joint: list[int] = []
@@ -47,21 +38,21 @@ def elastic_chain(chain: Chain, springs: Sequence[VirtualSpring]) -> tuple[Chain
         place = np.eye(4)
         return len(axis) - 1
 
-    def add_spring(spring: VirtualSpring) -> None:
-        rows[spring] = add(np.eye(3)["XYZ".index(spring.axis[-1])], "R" in spring.axis)
+    def add_spring(spring: LinkSpring) -> None:
+        rows[spring] = add(spring.direction, not spring.slides)
 
     for index, link in enumerate((BASE, *JOINTS)):
         if index:
             actuated.append(add(chain.axis[index - 1], True, index - 1))
         own = [spring for spring in springs if spring.link == link]
         for spring in own:
-            if not spring.axis.startswith("end_"):
+            if not spring.at_end:
                 add_spring(spring)
         if index:
             carried[len(axis) - 1] = index - 1
         place = place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
         for spring in own:
-            if spring.axis.startswith("end_"):
+            if spring.at_end:
                 add_spring(spring)
 
     def spread(values: Array, source: dict[int, int], otherwise: float) -> Array:

@@ -28,7 +28,7 @@ class Sourced(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=T
 
 
 class Stiffening(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Part of a joint's compliance that fades as the torque grows beyond `torque_Nm` (`GearStiffening`)."""
+    """Part of a joint's compliance that fades as the torque grows beyond `torque_Nm` (`parameters.FadingPart`)."""
 
     torque_Nm: Positive
     compliance_urad_per_Nm: Positive
@@ -105,8 +105,8 @@ class Displacement(Sourced, frozen=True, kw_only=True):
     RZ_deg: float = 0.0
 
 
-class Covariance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Covariance of identified parameters, in the units of the file (k1…k6 in µrad/(N·m))."""
+class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m))."""
 
     parameters: list[str]
     matrix: list[list[float]]
@@ -122,6 +122,6 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     compensator: CompensatorEntry | None = None
     geometry: dict[str, Displacement] = {}
     links: dict[str, LinkSprings] = {}
-    covariance: Covariance | None = None
+    covariance: CovarianceTable | None = None
     masses: Sourced | None = None
     geometry_nominal: Sourced | None = None

@@ -45,8 +45,8 @@ def share_within_bound(true, result, jobs):
     """Share of samples of jobs whose error of prediction is within the 95 % bound (u95)."""
     from postproc.robot import Covariance
 
-    names, _, covariance = to_file_units(result.fit)
-    model = replace(result.robot(), covariance=Covariance(names, covariance.tolist()))
+    parameters, _, covariance = to_file_units(result.fit)
+    model = replace(result.robot(), covariance=Covariance(parameters, covariance))
     inside = []
     for q, f in jobs:
         wrench = np.c_[f, 0 * f]

@@ -31,7 +31,7 @@ def test_link_springs_of_the_package_agree_with_the_simulator():
     true = simulator.hard(rng, gear="linear", links="begin", base=True, geometry=0.0, feel_rest=False)
     q, f = simulator.plan(rng, 20)
     prior = robot.load(robot.find("kuka_kr270"))
-    springs = [robot.VirtualSpring(link, axis) for link in ("base", *robot.JOINTS) for axis in robot.LINK_AXES[:6]]
+    springs = [robot.LinkSpring(link, axis) for link in ("base", *robot.JOINTS) for axis in robot.LINK_AXES[:6]]
     chain, actuated, rows = robot.elastic_chain(prior.actual, springs)
     true.masses = simulator.MASSES
     compliance = np.zeros(chain.nv)

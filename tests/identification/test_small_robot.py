@@ -8,6 +8,8 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, robot
 from postproc.cli import main
+from postproc.identification.structure import Structure
+from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
 
 WEIGHT = 16 * 9.81
@@ -42,11 +44,11 @@ def test_small_robot_is_identified_and_predicts_milling(tmp_path, seed):
 
 def test_fading_part_below_10_Nm_survives_the_model_folder(tmp_path):
     """A torque with a decimal point stands in the name of the parameter: k6@6.6 is no spring of a link `k6@6`."""
-    from postproc.identification.elastic import Structure
-
     prior = robot.load(robot.find("kuka_kr16_2"))
-    structure = Structure(("k6", "k6@6.6", "A6.RX"), prior)
+    part = named("k6@6.6")
+    structure = Structure((named("k6"), part, named("A6.RX")), prior)
     found = structure.robot(np.array([10e-6, 4e-6, 1e-6]))
-    assert found.link_springs == (robot.VirtualSpring("A6", "RX"),)
-    assert found.stiffening.torque.tolist() == [6.6]
+    assert found.link_springs == (robot.LinkSpring("A6", "RX"),)
+    assert found.terms == ((robot.FadingPart("A6", 6.6), 4e-6),)
+    assert part.name == "k6@6.6"
     np.testing.assert_allclose(found.compliance[list(found.actuated)][5], 14e-6)

@@ -5,7 +5,9 @@ import pytest
 
 from postproc import elastostatics, robot
 from postproc.identification import identify_folder
-from postproc.identification.elastic import Structure, predict
+from postproc.identification.prediction import predict
+from postproc.identification.structure import Structure
+from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
 
 
@@ -66,8 +68,8 @@ def test_derivatives_of_the_prediction_are_those_by_finite_differences(tmp_path,
     raw = np.zeros((6, 2, 1, 3, 3))
     data = harness.load(simulator.write(tmp_path, q, f, raw + rng.normal(size=raw.shape)))
     model = robot.load(prior(tmp_path / "prior", reference))
-    names = ("k1", "k2", "k3", "k5", "k2@3000", "k5@90.5", "A2.RX", "A3.Y", "A6.end_RZ", "K_c", "K_c*s_0")
-    structure = Structure(names, model, in_gears=in_gears)
+    names = ("k1", "k2", "k3", "k5", "k2@3000", "k5@90.5", "A2.RX", "A3.Y", "A6.end_RZ", "K_c", "s_0")
+    structure = Structure(tuple(named(name) for name in names), model, in_gears=in_gears)
     values = np.array([0.6, 0.2, 0.4, 3.0, 0.1, 0.4, 0.1, 0.02, 0.1, 2e11, 1e11]) * 1e-6
     placement = harness.placed(model, data)
     _, slopes = predict(structure, values, data, placement)

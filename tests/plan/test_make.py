@@ -6,6 +6,7 @@ import pytest
 from postproc.identification import measurements
 from postproc.plan import Options, candidates, constraints, make, search
 from postproc.plan.errors import PlanError
+from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness
 from samples.paper_study import simulator
 from tests.plan import setting
 from tests.plan.setting import BASIC, RIG
@@ -107,7 +108,7 @@ def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
 
 def test_a_hanging_weight_cannot_show_k1_and_the_plan_says_so_before_anyone_measures(tmp_path):
     result = setting.quick(tmp_path, text=BASIC + "\n[rig]\nmass_kg = 275\n")
-    assert "k1" not in result.accuracy.names
+    assert JOINT_COMPLIANCES[0] not in result.accuracy.parameters
     assert any("k1 is not observable" in text and "max_angle_deg" in text for text in result.warnings)
     assert (result.force[:, :2] == 0).all()
 
@@ -132,7 +133,7 @@ def test_the_compensator_is_planned_for_only_where_it_can_be_identified(tmp_path
     monkeypatch.setattr(setting, "ROBOT", stiff)
     result = setting.quick(tmp_path, configurations=15, levels=5)
     assert result.compensator_free
-    assert "K_c" in result.accuracy.names
+    assert CompensatorStiffness() in result.accuracy.parameters
     assert np.ptp(result.plan.q[:, 1]) > np.radians(80)
 
 

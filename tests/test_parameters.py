@@ -1,0 +1,161 @@
+"""Typed parameters of the elastic model: names, files, and a new kind that nothing else has to know of."""
+
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from postproc import elastostatics, robot
+from postproc.compensator import Compensator
+from postproc.identification.displacements import measured_displacements
+from postproc.identification.fit import gauss_newton
+from postproc.identification.model_folder import to_file_units
+from postproc.identification.prediction import predict
+from postproc.identification.structure import Structure
+from postproc.robot import parameters
+from samples.paper_study import harness, simulator
+from tests.test_flexible_links import CONTENT, PLAIN, TOOL, cases, flexible
+
+JOINT = st.sampled_from(robot.JOINTS)
+ANY = st.one_of(
+    st.builds(robot.JointCompliance, JOINT),
+    st.builds(robot.FadingPart, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
+    st.builds(robot.LinkSpring, st.sampled_from(("base", *robot.JOINTS)), st.sampled_from(robot.LINK_AXES)),
+    st.sampled_from(robot.COMPENSATOR),
+)
+
+
+@given(ANY)
+def test_a_name_in_a_file_is_read_as_the_parameter_that_wrote_it(parameter):
+    assert parameters.named(parameter.name) == parameter
+
+
+@pytest.mark.parametrize("name", ["", "k", "k0", "k7", "k1@", "k1@x", "A7.X", "A2.", "A2.end_X", "K_c*s_0", "k2#1"])
+def test_no_other_name_is_read(name):
+    assert parameters.named(name) is None
+
+
+@pytest.mark.parametrize(
+    "kind", [robot.JointCompliance("A3"), robot.FadingPart("A3", 90.0), robot.LinkSpring("A3", "RX")]
+)
+def test_slope_of_a_spring_is_the_derivative_of_its_deflection(kind):
+    torque, rest, h = np.linspace(-300.0, 300.0, 41), np.linspace(-80.0, 200.0, 41), 1e-3
+    _, slope = kind.effect(torque, rest)
+    difference = (kind.effect(torque + h, rest)[0] - kind.effect(torque - h, rest)[0]) / (2 * h)
+    np.testing.assert_allclose(slope, difference, rtol=1e-7)
+    np.testing.assert_array_equal(kind.effect(0.0 * torque, rest)[0], 0.0)
+
+
+def test_torques_of_the_compensator_add_up_to_its_law():
+    law, q2 = Compensator(1.3e5, 0.47, 0.185, 0.686, 0.123), np.radians(np.linspace(-146.0, 20.0, 30))
+    sizes = (law.stiffness, law.stiffness * law.free_length)
+    for index, whole in enumerate((law.gradient(q2), law.stiffness_about_joint(q2))):
+        found = sum(size * kind.effect(law, q2)[index] for size, kind in zip(sizes, robot.COMPENSATOR, strict=True))
+        np.testing.assert_allclose(found, whole, atol=1e-12 * np.abs(whole).max())
+
+
+def test_a_model_file_comes_back_from_the_parameters_of_its_robot():
+    content = msgspec.structs.replace(CONTENT, links=flexible_links())
+    model = robot.assemble("x", content, PLAIN.nominal)
+    stated = parameters.stated(content)
+    for parameter, value in stated.items():
+        assert parameter.of(model) == pytest.approx(value, rel=1e-12)
+    tables = {"joints": {}, "links": {}, "compensator": {}}
+    for parameter in stated:
+        parameter.write(tables, parameter.in_file(stated)[0], 0.0, "test")
+    assert tables["joints"]["A1"]["compliance_urad_per_Nm"] == pytest.approx(0.623)
+    assert tables["links"]["A2"] == pytest.approx({"source": "test", "X_um_per_N": 0.02, "end_RY_urad_per_Nm": 0.1})
+    assert tables["compensator"]["free_length_mm"] == pytest.approx(content.compensator.free_length_mm)
+
+
+def flexible_links():
+    return {"A2": robot.LinkSprings(source="test", X_um_per_N=0.02, end_RY_urad_per_Nm=0.1)}
+
+
+def test_slopes_in_files_are_those_by_finite_differences():
+    model = flexible()
+    order = [parameters.named(name) for name in ("k1", "k1@500", "k1@100", "K_c", "s_0", "A2.RX")]
+    at = {parameter: parameter.of(model) for parameter in order}
+    slopes = parameters.file_slopes(order, at)
+    for column, parameter in enumerate(order):
+        h = 1e-4 * at[parameter]
+        more, less = ({**at, parameter: at[parameter] + sign * h} for sign in (1, -1))
+        difference = [(p.in_file(more)[0] - p.in_file(less)[0]) / (2 * h) for p in order]
+        np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-6, atol=1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Play(robot.Spring):
+    """A kind that the package does not have: play of a joint, taken up as the torque passes 20 N·m."""
+
+    joint: str
+    linear = False
+    sparse = True
+
+    @property
+    def name(self):
+        return f"play_{self.joint}"
+
+    @classmethod
+    def named(cls, name):
+        return next((cls(joint) for joint in robot.JOINTS if name == cls(joint).name), None)
+
+    @classmethod
+    def stated(cls, content):  # model.toml has no key for it yet
+        return iter(())
+
+    def write(self, tables, value, half, source):
+        raise NotImplementedError
+
+    def row(self, model):
+        return robot.JointCompliance(self.joint).row(model)
+
+    def of(self, model):
+        return dict(model.terms).get(self, 0.0)
+
+    def effect(self, torque, rest):
+        there, here = np.tanh((torque + rest) / 20.0), np.tanh(rest / 20.0)
+        return there - here, (1.0 - there**2) / 20.0
+
+
+def test_a_new_kind_is_one_class(tmp_path, monkeypatch):
+    """Equilibrium, derivative, fit, values in files and bound take it as it is."""
+    monkeypatch.setattr(parameters, "KINDS", (*parameters.KINDS, Play))
+    play = parameters.named("play_A4")
+    true = PLAIN.with_values({play: 200e-6, robot.JointCompliance("A3"): 0.5e-6})
+    rng = np.random.default_rng(3)
+    q, f = simulator.plan(rng, 12)
+    data = harness.load(simulator.write(tmp_path, q, f, rng.normal(size=(12, 2, 3, 3, 3))))
+    structure = Structure((*robot.JOINT_COMPLIANCES, play), PLAIN)
+    placement = harness.placed(PLAIN, data)
+    values = np.array([parameter.of(true) for parameter in structure.parameters])
+    moved, slopes = predict(structure, values, data, placement)
+    h = 1e-6
+    plus, minus = (predict(structure, values + s * h * np.eye(7)[6], data, placement)[0] for s in (1, -1))
+    np.testing.assert_allclose(slopes[..., 6], (plus - minus) / (2 * h), atol=1e-4 * np.abs(slopes[..., 6]).max())
+
+    exact = replace(data, position=placed_readings(data, moved))
+    np.testing.assert_allclose(measured_displacements(exact, placement), moved, atol=1e-12)
+    fit = gauss_newton(structure, exact, placement)
+    np.testing.assert_allclose(fit.values, values, rtol=1e-4)
+    found, in_file, covariance = to_file_units(fit)
+    assert found[6] == play
+    assert in_file[6] == pytest.approx(200.0, rel=1e-4)
+    job, wrench = cases(force=300.0)
+    model = replace(fit.robot, covariance=robot.Covariance(found, covariance))
+    without = replace(fit.robot, covariance=robot.Covariance(found[:6], covariance[:6, :6]))
+    bound, less = (elastostatics.position_bound(each, job, TOOL, wrench) for each in (model, without))
+    assert np.all(bound > 0)
+    assert not np.allclose(bound, less, rtol=1e-3)
+
+
+def placed_readings(data, moved):
+    """Readings that show displacements (L, P, 3) exactly, the unloaded ones at the origin."""
+    position = np.zeros_like(data.position)
+    for row, state in enumerate(data.loaded):
+        mine = data.state == state
+        position[mine] = moved[row, data.point[mine]]
+    return position
