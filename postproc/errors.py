@@ -113,6 +113,14 @@ class ModelError(InputError):
     """A robot model folder is unusable."""
 
 
+class MeasurementError(InputError):
+    """Measurements or the description of an experiment are unusable; the advice says what to measure or correct."""
+
+
+class PlanError(InputError):
+    """No plan is possible: constraints that exclude each other, a load that shows nothing, no forces."""
+
+
 class NotConvergedError(PostprocError):
     """An iteration did not reach its tolerance; `rows` are the samples concerned."""
 

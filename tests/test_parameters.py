@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from postproc import elastostatics, robot
 from postproc.compensator import Compensator
 from postproc.identification.displacements import measured_displacements
-from postproc.identification.fit import gauss_newton
-from postproc.identification.model_folder import to_file_units
+from postproc.identification.fit import gauss_newton, to_file_units
 from postproc.identification.prediction import predict
 from postproc.identification.structure import Structure
 from postproc.robot import parameters

@@ -9,7 +9,7 @@ import click
 
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
-    from postproc.identification.identify import Depth, Method
+    from postproc.identification.procedure import Depth, Method
 
 _FILE = click.Path(path_type=Path)
 

@@ -13,8 +13,8 @@ import click
 
 if TYPE_CHECKING:
     from postproc.cell import Cell
-    from postproc.plan.make import Progress
     from postproc.plan.milling import TestPoses
+    from postproc.plan.planning import Progress
     from postproc.robot import RobotModel
 
 _PATH = click.Path(path_type=Path)
@@ -85,9 +85,10 @@ def plan(
     from postproc.dialects.krl.names import valid
     from postproc.files import write_whole
     from postproc.frames import RAD_PER_DEG
-    from postproc.identification import measurements
-    from postproc.plan import Options, make
-    from postproc.plan.program import krl_program
+    from postproc.identification.experiment import read_experiment
+    from postproc.identification.readings import read
+    from postproc.plan import Options, plan_measurements
+    from postproc.plan.krl_program import krl_program
     from postproc.plan.site import site_of
     from postproc.report.plan import plan_page
     from postproc.report.plan_data import plan_csv, plan_json
@@ -97,17 +98,17 @@ def plan(
         raise click.UsageError("Give either --program (one or several) or --poses.")
     if output.suffix.lower() != ".csv":
         raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
-    setup = measurements.read_experiment(experiment)
+    setup = read_experiment(experiment)
     place = cells.load(cell)
     model = robots.load(robots.find(setup.robot, experiment.parent))
     _check_same_robot(model, robots.load(robots.find(place.robot, cell.parent)))
     site = site_of(model, setup, experiment.parent, margin * RAD_PER_DEG)
     tests = _test_poses(programs, forces, poses, model, place)
-    data = None if measured is None else measurements.read(measured, setup)
+    data = None if measured is None else read(measured, setup)
     _protect(output, [experiment, cell, *filter(None, (forces, poses, measured)), *map(Path, programs)])
     options = Options(configurations, q2_levels, seed, grouped, test_poses, repeats)
     with interrupts.ending_a_search(), _shown() as progress:
-        result = make(site, setup.sigma, tests, place, options, data, progress)
+        result = plan_measurements(site, setup.sigma, tests, place, options, data, progress)
     name = valid(output.stem)
     contents = {
         output.name: plan_csv(result),

@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 
 from postproc import files
-from postproc.errors import InputError
+from postproc.errors import InputError, MeasurementError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, MM_PER_M, RAD_PER_DEG, Array
-from postproc.identification.errors import MeasurementError
 from postproc.program import Ints
 
 P1 = "P1"

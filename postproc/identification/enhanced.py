@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postproc.compensator import Compensator
-from postproc.errors import PostprocError
+from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import Array
-from postproc.identification.errors import MeasurementError
 from postproc.identification.fit import Fit, gauss_newton
 from postproc.identification.measurements import Measurements
 from postproc.identification.observability import NotObservable, levels_of, not_observable

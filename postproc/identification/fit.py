@@ -12,7 +12,7 @@ from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.identification.prediction import predict
 from postproc.identification.structure import Structure
-from postproc.robot import Parameter, RobotModel
+from postproc.robot import Parameter, RobotModel, file_slopes
 
 NORMAL_95 = 1.959964
 """Half width of a 95 % interval of a normal distribution, in standard deviations."""
@@ -153,3 +153,18 @@ def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> 
         covariance[index, :] = covariance[:, index] = 0.0
         covariance[index, index] = np.inf
     return np.asarray(covariance)
+
+
+def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
+    """Return parameters, values and covariance of a fit as `model.toml` holds them, in its units.
+
+    k1…k6 are compliances at small torque, fading parts included; s₀ stands for K_c·s₀; of the parameters of which some
+    are looked for only those that are not zero.
+    """
+    slopes = file_slopes(fit.structure.parameters, fit.given)
+    covariance = slopes @ np.where(np.isfinite(fit.covariance), fit.covariance, 0.0) @ slopes.T
+    kept = [index for index, (p, value) in enumerate(fit.given.items()) if value > 0.0 or not p.sparse]
+    parameters = tuple(fit.structure.parameters[index] for index in kept)
+    values = np.array([parameter.in_file(fit.given)[0] for parameter in parameters])
+    covariance = covariance[np.ix_(kept, kept)]
+    return parameters, values, 0.5 * (covariance + covariance.T)

@@ -10,12 +10,13 @@ from typing import Any
 from postproc import robot as robots
 from postproc.compensator import Compensator
 from postproc.frames import MM_PER_M
-from postproc.identification import compensator_geometry, model_folder, outliers
-from postproc.identification import geometry as calibration
-from postproc.identification.identify import Depth, Identification, Method, identify
-from postproc.identification.measurements import read, read_experiment
+from postproc.identification import calibration, compensator_geometry, model_folder, outliers
+from postproc.identification.experiment import read_experiment
 from postproc.identification.placement import describe, describe_points
 from postproc.identification.plausibility import check_frames, check_points
+from postproc.identification.procedure import Depth, Identification, Method, identify
+from postproc.identification.readings import read
+from postproc.identification.report_data import report_data
 from postproc.robot import RobotModel
 
 
@@ -72,7 +73,7 @@ def identify_folder(
     if compensator is not None:
         prior = with_compensator_geometry(prior, compensator)
     result = identify(prior, read(measurements, setup), method, depth, progress)
-    data = model_folder.report_data(result)
+    data = report_data(result)
     marked = None if compensator is None else f"identified from markers ({compensator.name})"
     source = f"identified from {measurements.name}, {method}"
     content = model_folder.model_file(result, model_folder.read_prior(prior_folder), source, marked)

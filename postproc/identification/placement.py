@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import elastostatics, kinematics
+from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, displaced, hat, inverse, xyzabc_from_pose
-from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
 from postproc.robot import RobotModel
 

@@ -6,10 +6,9 @@ from itertools import permutations
 
 import numpy as np
 
-from postproc.errors import PostprocError
+from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import MM_PER_M, Array
 from postproc.identification.displacements import measured_displacements
-from postproc.identification.errors import MeasurementError
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, locate
 from postproc.identification.prediction import predict

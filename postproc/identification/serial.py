@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from postproc import elastostatics, kinematics
+from postproc.errors import MeasurementError
 from postproc.frames import Array, twist_between
 from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
-from postproc.identification.errors import MeasurementError
 from postproc.identification.fit import Fit, covariance_of
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, device_to_root, kabsch

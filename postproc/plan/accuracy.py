@@ -14,10 +14,10 @@ import numpy as np
 from postproc.frames import Array
 from postproc.identification.fit import NORMAL_95
 from postproc.identification.observability import UNCERTAIN
-from postproc.plan.criterion import Done
-from postproc.plan.law import Joint2
+from postproc.plan.joint2 import Joint2
+from postproc.plan.measured import Measured
 from postproc.plan.milling import TestPoses
-from postproc.plan.sensitivity import Bench
+from postproc.plan.sensitivity import Readings
 from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter
 
 _OPEN = 1e-9
@@ -47,19 +47,19 @@ class Accuracy:
 
 
 def expected(
-    tests: TestPoses, bench: Bench, law: Joint2, q: Array, information: Array, done: tuple[Array, Done] | None = None
+    tests: TestPoses, readings: Readings, joint2: Joint2, q: Array, information: Array, measured: Measured | None = None
 ) -> Accuracy:
     """Return what a plan is expected to reach.
 
     :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
-    :param done: what was measured already: its configurations (d, 6), and their information.
+    :param measured: what was measured already.
     """
-    keep = list(bench.keep)
-    if done is not None:
-        q, information = np.vstack([q, done[0]]), np.concatenate([information, done[1].information])
-    spread = _parameters(law, keep, q)
+    keep = list(readings.keep)
+    if measured is not None:
+        q, information = np.vstack([q, measured.q]), np.concatenate([information, measured.information])
+    spread = _parameters(joint2, keep, q)
     normal = np.einsum("nia,nij,njb->ab", spread, information, spread)
-    a = (tests.regressor[:, :, keep] * bench.scale[keep]) @ _parameters(law, keep, tests.q)
+    a = (tests.regressor[:, :, keep] * readings.scale[keep]) @ _parameters(joint2, keep, tests.q)
     covariance = _inverse(normal)
     each = np.einsum("tka,ab,tkb->t", a, covariance, a)
     moment = np.einsum("t,tka,tkb->ab", tests.weight, a, a)
@@ -69,15 +69,15 @@ def expected(
     square = float(np.sum(product * product.T))
     h, g = mean**2 / square, square / mean
     interval = tuple(float(np.sqrt(g * _chi2(h, z))) for z in (-NORMAL_95, NORMAL_95))
-    parameters = (*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if law.free else ()))
+    parameters = (*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if joint2.free else ()))
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
-    if law.free and law.compensator is not None:
-        stiffness = law.compensator.stiffness * law.compliance
-        half[len(keep) :] /= np.maximum([stiffness, stiffness * law.compensator.free_length], 1e-300)
+    if joint2.free and joint2.compensator is not None:
+        stiffness = joint2.compensator.stiffness * joint2.compliance
+        half[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
     return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(each), parameters, half)
 
 
-def not_visible(bench: Bench, information: Array, count: int) -> tuple[int, ...]:
+def not_visible(readings: Readings, information: Array, count: int) -> tuple[int, ...]:
     """Return the joints whose compliance no plan of `count` poses could determine.
 
     :param information: (N, 6, 6) of many poses that can be measured.
@@ -86,10 +86,10 @@ def not_visible(bench: Bench, information: Array, count: int) -> tuple[int, ...]
     return tuple(int(j) for j in np.flatnonzero(most < (NORMAL_95 / UNCERTAIN) ** 2))
 
 
-def _parameters(law: Joint2, keep: list[int], q: Array) -> Array:
+def _parameters(joint2: Joint2, keep: list[int], q: Array) -> Array:
     """Return D (n, p, P): how the compliances at configurations q depend on the parameters."""
     size = len(keep)
-    own = law.parameters(q[:, 1])
+    own = joint2.parameters(q[:, 1])
     out = np.zeros((len(q), size, size + own.shape[1] - 1))
     out[:, range(size), range(size)] = 1.0
     two = keep.index(1)

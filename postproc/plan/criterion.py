@@ -10,7 +10,7 @@ from the levels by Eq. (9), (10): K⁰_θ2, K_c, s₀K_c by least squares, then 
 is kept at the robot's prior (it is rarely observable), K⁰_θ2 alone is the mean over the levels.
 
 Both are in m²: the mean over the test poses of the squared distance that remains. Compliances are in units of the
-robot's own (`Bench.scale`).
+robot's own (`Readings.scale`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postproc.frames import Array
-from postproc.plan.law import Joint2
+from postproc.plan.joint2 import Joint2
+from postproc.plan.measured import Measured
 from postproc.plan.milling import TestPoses
-from postproc.plan.sensitivity import Bench
+from postproc.plan.sensitivity import Readings
 from postproc.program import Ints
 
 
@@ -47,34 +48,36 @@ class Criterion:
     def of(
         cls,
         tests: TestPoses,
-        bench: Bench,
-        law: Joint2,
+        readings: Readings,
+        joint2: Joint2,
         q2: Array,
         grouped: bool,
-        done: Done | None = None,
+        measured: Measured | None = None,
     ) -> Criterion:
-        """Make the criterion for levels q2 (m,) [rad]; `done` is what was measured already."""
-        keep, levels = list(bench.keep), len(q2)
+        """Make the criterion for levels q2 (m,) [rad]; `measured` is what was measured already."""
+        keep, levels = list(readings.keep), len(q2)
         two = keep.index(1)
-        a = tests.regressor[:, :, keep] * bench.scale[keep]  # (T, 3, p)
+        a = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
         size = len(keep)
         if grouped:
             weight = np.einsum("t,tki,tkj->ij", tests.weight, a, a)
             spread = np.tile(np.arange(size), (levels, 1))
             before = np.zeros((levels, size, size))
-            if done is not None:
-                np.add.at(before, done.level, done.information)
+            if measured is not None:
+                np.add.at(before, measured.level, measured.information)
             return cls(True, two, weight, spread, before)
         shared = [index for index in range(size) if index != two]
         extended = np.zeros((len(a), 3, size - 1 + levels))
         extended[:, :, : size - 1] = a[:, :, shared]
-        extended[:, :, size - 1 :] = a[:, :, two, None] * law.from_levels(q2, tests.q[:, 1])[:, None, :]
+        extended[:, :, size - 1 :] = a[:, :, two, None] * joint2.from_levels(q2, tests.q[:, 1])[:, None, :]
         weight = np.einsum("t,tki,tkj->ij", tests.weight, extended, extended)
         spread = np.empty((levels, size), dtype=np.int64)
         spread[:, shared] = np.arange(size - 1)
         spread[:, two] = size - 1 + np.arange(levels)
         empty = cls(False, two, weight, spread, np.zeros_like(weight))
-        return empty if done is None else replace(empty, before=empty.total(done.information, done.level))
+        if measured is None:
+            return empty
+        return replace(empty, before=empty.total(measured.information, measured.level))
 
     def total(self, information: Array, level: Ints) -> Array:
         """Return the normal matrix: pooled (P, P) of the extended set, grouped (m, p, p)."""
@@ -120,11 +123,3 @@ class Criterion:
             return np.asarray(slope[level])
         where = self.spread[level]
         return np.asarray(slope[where[:, :, None], where[:, None, :]])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Done:
-    """What was measured already: information (n, p, p) and level (n,) of each loaded state."""
-
-    information: Array
-    level: Ints

@@ -14,10 +14,10 @@ import numpy as np
 from postproc import files, forces, kinematics, toolpath
 from postproc.cell import Cell
 from postproc.elastostatics import linear_deflection, softness
+from postproc.errors import PlanError
 from postproc.forces.per_motion import ForceRows
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.kinematics import UnreachableError
-from postproc.plan.errors import PlanError
 from postproc.program import PTP, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.plan import constraints
-from postproc.plan.candidates import Pool
 from postproc.plan.criterion import Criterion
-from postproc.plan.sensitivity import Bench
+from postproc.plan.pool import Pool
+from postproc.plan.sensitivity import Readings
 from postproc.plan.site import Site
 from postproc.program import Ints
 
@@ -58,7 +58,7 @@ class Task:
     """What is looked for.
 
     :param site: constraints.
-    :param bench: what measurements tell.
+    :param readings: what measurements tell.
     :param criterion_at: what a plan with given levels is worth.
     :param pool: candidates; its first `fixed` levels are kept (they were measured).
     :param count: number of poses.
@@ -67,7 +67,7 @@ class Task:
     """
 
     site: Site
-    bench: Bench
+    readings: Readings
     criterion_at: CriterionAt
     pool: Pool
     count: int
@@ -203,13 +203,13 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
     q, tilt = plan.q.copy(), plan.tilt.copy()
     criterion = task.criterion_at(plan.q2)
     value = plan.value
-    information = task.bench.information(q, tilt)
+    information = task.readings.information(q, tilt)
     for place in range(len(q)):
         total = criterion.total(information, plan.level)
         push = criterion.push(total, plan.level[[place]])
-        slope = task.bench.slope(q[[place]], tilt[[place]], push)[0]
+        slope = task.readings.slope(q[[place]], tilt[[place]], push)[0]
         new_q, new_tilt = _proposals(task.site, q[place], tilt[place], slope, rng, scale)
-        new = task.bench.information(new_q, new_tilt)
+        new = task.readings.information(new_q, new_tilt)
         values = criterion.exchanged(total, information[place], new, int(plan.level[place]))
         order = np.argsort(values, kind="stable")
         order = order[values[order] < value * (1.0 - 1e-5)]
@@ -255,7 +255,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
                 q = plan.q.copy()
                 q[members, 1] = q2[group]
                 q[members, 2] += follow
-                value = criterion.value(task.bench.information(q, plan.tilt), plan.level)
+                value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
                 better = value < plan.value * (1.0 - 1e-5)
                 if better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
                     plan = replace(plan, q=q, q2=q2, value=value)

@@ -41,7 +41,7 @@ def direction_slope(tilt: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bench:
+class Readings:
     """Arm, load and reference points: what a measurement in any configuration would show.
 
     :param arm: geometry.

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from postproc.errors import PlanError
 from postproc.frames import M_PER_MM, Array, inverse
-from postproc.identification.site import Box, MeshFile
-from postproc.plan.errors import PlanError
+from postproc.identification.experiment import Box, MeshFile
 from postproc.program import Bools
 
 _SPACING = 0.04

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
-from postproc.identification.measurements import Experiment
+from postproc.identification.experiment import Experiment
 from postproc.plan.arm import Arm
-from postproc.plan.errors import PlanError
 from postproc.plan.shapes import BoxShape, MeshShape
 from postproc.robot import RobotModel
 

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from postproc.frames import Array
-from postproc.plan.result import PlanResult
+from postproc.plan.measurement_plan import PlanResult
 from postproc.plan.shapes import BoxShape
 from postproc.report.charts import WIDTH, ticks
 

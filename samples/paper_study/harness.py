@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from postproc import elastostatics, robot
-from postproc.identification.measurements import read, read_experiment
-from postproc.identification.model_folder import to_file_units
+from postproc.identification.experiment import read_experiment
+from postproc.identification.fit import to_file_units
+from postproc.identification.readings import read
 
 PRIOR = robot.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)

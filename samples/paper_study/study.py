@@ -19,8 +19,8 @@ import simulator
 
 from postproc import elastostatics
 from postproc.identification import compensator_geometry
-from postproc.identification.identify import identify
-from postproc.identification.model_folder import to_file_units
+from postproc.identification.fit import to_file_units
+from postproc.identification.procedure import identify
 
 NAMES = ("k1", "k2", "k3", "k4", "k5", "k6")
 PAPER_1 = ((184.72, 0.06), (685.93, 0.70), (123.30, 0.69))

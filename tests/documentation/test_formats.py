@@ -16,7 +16,10 @@ from click.testing import CliRunner
 from postproc import cell, forces, robot
 from postproc.cli import main
 from postproc.errors import InputError
-from postproc.identification import compensator_geometry, measurements
+from postproc.identification import compensator_geometry
+from postproc.identification.experiment import Experiment, read_experiment
+from postproc.identification.measurements import Measurements
+from postproc.identification.readings import read
 from postproc.plan import milling
 from postproc.report.targets import COLUMNS
 from postproc.robot import ModelFile
@@ -38,13 +41,13 @@ def model(path: Path) -> robot.RobotModel:
     return robot.load(path.parent)
 
 
-def readings(path: Path) -> measurements.Measurements:
-    return measurements.read(path, measurements.read_experiment(write(path.parent, "experiment.toml")))
+def readings(path: Path) -> Measurements:
+    return read(path, read_experiment(write(path.parent, "experiment.toml")))
 
 
 TOML = {
     "cell.toml": (cell.load, cell.Cell),
-    "experiment.toml": (measurements.read_experiment, measurements.Experiment),
+    "experiment.toml": (read_experiment, Experiment),
     "model.toml": (model, ModelFile),
 }
 _NOT_OF_THE_FILE = {(cell.Cell, "folder")}

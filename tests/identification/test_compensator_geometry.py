@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from postproc.compensator import Compensator
+from postproc.errors import MeasurementError
 from postproc.identification import compensator_geometry as cg
-from postproc.identification.errors import MeasurementError
 
 TRUE = np.array([0.18472, 0.68593, 0.12330])
 PAPER_Q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0, -140.0])

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from postproc import elastostatics, robot
 from postproc.cli import main
 from postproc.identification import identify_folder
-from postproc.identification.identify import identify
-from postproc.identification.model_folder import to_file_units
+from postproc.identification.fit import to_file_units
+from postproc.identification.procedure import identify
 from samples.paper_study import harness, simulator
 
 SIGMA = 0.03e-3

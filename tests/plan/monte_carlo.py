@@ -12,8 +12,9 @@ import numpy as np
 
 from postproc import elastostatics
 from postproc.errors import PostprocError
-from postproc.identification import measurements
-from postproc.identification.identify import identify
+from postproc.identification.experiment import read_experiment
+from postproc.identification.procedure import identify
+from postproc.identification.readings import read
 from samples.paper_study import simulator
 from tests.plan import setting
 
@@ -46,7 +47,7 @@ def errors(folder, result, runs, seed=0, prior=None, true=None):
     repeats = result.options.repeats
     exact, raw = simulator.measure(true, result.plan.q, result.force, rng, setting.SIGMA, repeats)
     simulator.write(folder, result.plan.q, result.force, raw)
-    data = measurements.read(folder / "measurements.csv", measurements.read_experiment(folder / "experiment.toml"))
+    data = read(folder / "measurements.csv", read_experiment(folder / "experiment.toml"))
     exact = np.repeat(exact[:, :, None], repeats, axis=2).reshape(-1, 3)  # config, load, repeat, point: as written
     tool = setting.CELL.tool.pose()
     wanted = deflections(true, result.tests, tool[:3, 3])

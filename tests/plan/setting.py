@@ -10,8 +10,8 @@ import numpy as np
 
 from postproc import cell as cells
 from postproc import robot
-from postproc.identification import measurements
-from postproc.plan import Options, make, milling
+from postproc.identification.experiment import read_experiment
+from postproc.plan import Options, milling, plan_measurements
 from postproc.plan.site import site_of
 from tests.oracle.arm import Arm as Oracle
 
@@ -69,7 +69,7 @@ def experiment(folder: Path, text: str = BASIC + RIG + AROUND) -> Path:
 
 def site(folder: Path, text: str = BASIC + RIG + AROUND, margin: float = 5.0):
     path = experiment(folder, text)
-    return site_of(ROBOT, measurements.read_experiment(path), folder, np.radians(margin))
+    return site_of(ROBOT, read_experiment(path), folder, np.radians(margin))
 
 
 @lru_cache
@@ -93,7 +93,7 @@ def quick(folder: Path, *, tests=None, text: str = BASIC + RIG + AROUND, data=No
         "rounds": 6,
     } | options
     place = site(folder, text)
-    return make(place, SIGMA, job() if tests is None else tests, CELL, Options(**chosen), data)
+    return plan_measurements(place, SIGMA, job() if tests is None else tests, CELL, Options(**chosen), data)
 
 
 # ---- the criterion again: forward kinematics and equilibrium of tests/oracle, derivatives by differences ----

@@ -95,15 +95,16 @@ def test_the_page_is_self_contained_and_draws_every_pose(written):
 
 def test_the_plan_can_be_measured_and_identified_by_its_own_files(written, tmp_path):
     """Poses of the CSV through the simulator into `identify`: all compliances come out."""
-    from postproc.identification import measurements
-    from postproc.identification.identify import identify
+    from postproc.identification.experiment import read_experiment
+    from postproc.identification.procedure import identify
+    from postproc.identification.readings import read
     from samples.paper_study import simulator
     from tests.plan.monte_carlo import true_robot
 
     q, force = setting.read_plan((written[0] / "plan.csv").read_text())
     _, raw = simulator.measure(true_robot(), q, force, np.random.default_rng(0))
     simulator.write(tmp_path, q, force, raw)
-    data = measurements.read(tmp_path / "measurements.csv", measurements.read_experiment(tmp_path / "experiment.toml"))
+    data = read(tmp_path / "measurements.csv", read_experiment(tmp_path / "experiment.toml"))
     found = identify(setting.ROBOT, data, depth="joints")
     assert np.abs(found.robot().compliance / setting.ROBOT.compliance - 1)[:5].max() < 0.03
 

@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.identification import measurements
-from postproc.plan import Options, candidates, constraints, make, search
-from postproc.plan.errors import PlanError
+from postproc.errors import PlanError
+from postproc.identification.experiment import read_experiment
+from postproc.identification.readings import read
+from postproc.plan import Options, constraints, plan_measurements, pool, search
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness
 from samples.paper_study import simulator
 from tests.plan import setting
@@ -44,7 +45,7 @@ def random_poses(place, rng):
     q2, found = [], []
     while len(q2) < 16:
         level = rng.uniform(place.lower[1], place.upper[1])
-        q, tilt = candidates.draw(place, 120, rng, q2=level)
+        q, tilt = pool.draw(place, 120, rng, q2=level)
         good = np.flatnonzero(constraints.feasible(place, q, tilt))[:12]
         if len(good) == 12:
             q2.append(level)
@@ -87,7 +88,9 @@ def test_an_interrupt_gives_the_best_plan_so_far(tmp_path):
 
     stop = Stop()
     options = Options(configurations=8, levels=4, starts=3, test_poses=8, rounds=6)
-    result = make(setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=stop)
+    result = plan_measurements(
+        setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=stop
+    )
     assert result.interrupted
     assert np.sqrt(result.plan.value) == pytest.approx(min(stop.values), rel=1e-3)
     assert len(result.random) == 0
@@ -101,7 +104,7 @@ def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
             values.append(best)
 
     options = Options(configurations=10, levels=5, starts=3, test_poses=8, rounds=8, comparisons=False)
-    make(setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=note)
+    plan_measurements(setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=note)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.97 * values[2]
 
@@ -150,8 +153,8 @@ def measured_so_far(folder, count=6):
     robot = simulator.paper_like(np.random.default_rng(6), stiff_compensator=False)
     _, raw = simulator.measure(robot, q, f, np.random.default_rng(7))
     simulator.write(folder, q, f, raw)
-    setup = measurements.read_experiment(setting.experiment(folder))
-    return measurements.read(folder / "measurements.csv", setup), q, f
+    setup = read_experiment(setting.experiment(folder))
+    return read(folder / "measurements.csv", setup), q, f
 
 
 def test_with_measurements_the_plan_says_what_to_measure_next(tmp_path):
@@ -173,7 +176,7 @@ def test_next_poses_help_more_than_the_same_number_planned_without_the_measureme
     place = setting.site(tmp_path)
     random = []
     for _ in range(30):
-        drawn = candidates.draw(place, 3, rng)
+        drawn = pool.draw(place, 3, rng)
         drawn[0][:, 1] = np.radians(rng.choice([-40.0, -100.0], 3))
         both = np.vstack([force, place.rig.force * search_direction(drawn[1])])
         random.append(setting.pooled(np.vstack([q, drawn[0]]), both, next_ones.tests, VARIANCE))

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postproc.errors import PlanError
 from postproc.plan import milling
-from postproc.plan.errors import PlanError
 from tests import programs
 from tests.oracle.arm import abc
 from tests.plan import setting

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from postproc.identification.site import Box, MeshFile
-from postproc.plan.errors import PlanError
+from postproc.errors import PlanError
+from postproc.identification.experiment import Box, MeshFile
 from postproc.plan.shapes import BoxShape, MeshShape, along, between_segments
 
 

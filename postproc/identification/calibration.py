@@ -16,9 +16,8 @@ import msgspec
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.errors import PostprocError
+from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
-from postproc.identification.errors import MeasurementError
 from postproc.identification.fit import NORMAL_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch

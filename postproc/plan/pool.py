@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from postproc.errors import PlanError
 from postproc.frames import Array
 from postproc.plan import constraints
-from postproc.plan.errors import PlanError
-from postproc.plan.sensitivity import Bench
+from postproc.plan.sensitivity import Readings
 from postproc.plan.site import Site
 
 _GRID = 24
@@ -73,10 +73,10 @@ def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> 
     return np.concatenate(found_q)[:count], np.concatenate(found_tilt)[:count]
 
 
-def make_pool(site: Site, bench: Bench, rng: np.random.Generator, fixed: Array | None = None) -> Pool:
+def make_pool(site: Site, readings: Readings, rng: np.random.Generator, fixed: Array | None = None) -> Pool:
     """Draw candidates on a grid of levels over the range of q2, and at `fixed` levels (first in the pool).
 
-    :param bench: with all six compliances.
+    :param readings: with all six compliances.
 
     :raises PlanError: no pose can be measured; the message says which constraints block.
     """
@@ -95,7 +95,7 @@ def make_pool(site: Site, bench: Bench, rng: np.random.Generator, fixed: Array |
         if len(found_q):
             row = np.arange(_PER_LEVEL) % len(found_q)  # repeated where there are fewer
             q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
-    information = bench.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
+    information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
     information *= real[:, :, None, None]  # a measured level where nothing can be measured any more tells nothing
     return Pool(levels[kept], q, tilt, information)
 

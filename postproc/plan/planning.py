@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postproc.cell import Cell
+from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array
 from postproc.identification.measurements import Measurements
 from postproc.plan import accuracy, baselines, order
-from postproc.plan.candidates import Pool, make_pool
-from postproc.plan.criterion import Criterion, Done
-from postproc.plan.doubts import NO_TORQUES, NO_TRACKER, blind, doubts
-from postproc.plan.errors import PlanError
-from postproc.plan.law import Joint2
+from postproc.plan.criterion import Criterion
+from postproc.plan.joint2 import Joint2
 from postproc.plan.measured import Measured, measured
+from postproc.plan.measurement_plan import Options, PlanResult, Size
 from postproc.plan.milling import TestPoses, thinned
-from postproc.plan.result import Options, PlanResult, Size
+from postproc.plan.pool import Pool, make_pool
+from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, blind, doubts
 from postproc.plan.search import Plan, Task, exchange, improved
-from postproc.plan.sensitivity import Bench, direction
+from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Ints
 from postproc.robot import CompensatorStiffness
@@ -37,17 +37,13 @@ class _Problem:
     """Task and what it was made of."""
 
     task: Task
-    bench: Bench
-    law: Joint2
+    readings: Readings
+    joint2: Joint2
     known: Measured | None
     warnings: tuple[str, ...]
 
-    @property
-    def done(self) -> tuple[Array, Done] | None:
-        return None if self.known is None else (self.known.q, self.known.done)
 
-
-def make(
+def plan_measurements(
     site: Site,
     sigma: float,
     tests: TestPoses,
@@ -79,12 +75,12 @@ def make(
     problem = _problem(site, sigma, few, scale, options, data)
     plan, interrupted = _searched(problem.task, options, tell)
     plan, force, seconds, via, blocked = _ordered(problem, plan, cell)
-    information = problem.bench.information_of(plan.q, force)
-    found = accuracy.expected(few, problem.bench, problem.law, plan.q, information, problem.done)
+    information = problem.readings.information_of(plan.q, force)
+    found = accuracy.expected(few, problem.readings, problem.joint2, plan.q, information, problem.known)
     before = None
     if problem.known is not None:
         none = np.zeros((0, *information.shape[1:]))
-        before = accuracy.expected(few, problem.bench, problem.law, np.zeros((0, 6)), none, problem.done)
+        before = accuracy.expected(few, problem.readings, problem.joint2, np.zeros((0, 6)), none, problem.known)
     random, serial, sizes = np.zeros(0), None, []
     if options.comparisons and not interrupted:
         try:
@@ -96,7 +92,7 @@ def make(
                 tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
             interrupted = True
-    warnings = (*problem.warnings, *doubts(found, problem.law, blocked))
+    warnings = (*problem.warnings, *doubts(found, problem.joint2, blocked))
     wanted, got = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
     return PlanResult(
         options=options,
@@ -114,7 +110,7 @@ def make(
         seconds=seconds,
         via=via,
         blocked=blocked,
-        compensator_free=problem.law.free,
+        compensator_free=problem.joint2.free,
         warnings=warnings,
         interrupted=interrupted,
     )
@@ -124,12 +120,13 @@ def _problem(
     site: Site, sigma: float, tests: TestPoses, scale: Array, options: Options, data: Measurements | None
 ) -> _Problem:
     # loaded minus unloaded, each the mean of the repeats
-    bench = Bench(site.arm, site.load_point, site.points, site.rig.force, sigma * np.sqrt(2.0 / options.repeats), scale)
-    known = None if data is None else measured(data, bench, sigma)
+    noise = sigma * np.sqrt(2.0 / options.repeats)
+    readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
+    known = None if data is None else measured(data, readings, sigma)
     fixed = 0 if known is None else len(known.q2)
     levels = min(max(options.levels, fixed), fixed + options.configurations)
     rng = np.random.default_rng([options.seed, 1 << 16])
-    pool = make_pool(site, bench, rng, None if known is None else known.q2)
+    pool = make_pool(site, readings, rng, None if known is None else known.q2)
     if levels > len(pool):
         raise PlanError(
             f"poses can be measured at {len(pool)} of the levels of q2 tried only, {levels} are asked for",
@@ -137,55 +134,52 @@ def _problem(
         )
     most = pool.information.reshape(-1, 6, 6)
     if known is not None:
-        most = np.concatenate([most, known.done.information])
-    missing = accuracy.not_visible(bench, most, options.configurations + (0 if known is None else len(known.q)))
+        most = np.concatenate([most, known.information])
+    missing = accuracy.not_visible(readings, most, options.configurations + (0 if known is None else len(known.q)))
     warnings = blind(site, tests, scale, missing)
     if missing:
         keep = tuple(j for j in range(6) if j not in missing)
-        bench, pool = replace(bench, keep=keep), pool.only(keep)
-        known = None if data is None else measured(data, bench, sigma)
-    _check_number(options, bench, len(site.points), levels, known)
+        readings, pool = replace(readings, keep=keep), pool.only(keep)
+        known = None if data is None else measured(data, readings, sigma)
+    _check_number(options, readings, len(site.points), levels, known)
     if site.torque_limit is None:
         warnings = (*warnings, NO_TORQUES)
     if site.tracker is None:
         warnings = (*warnings, NO_TRACKER)
 
-    def with_law(law: Joint2) -> Task:
-        done = None if known is None else known.done
+    def with_joint2(joint2: Joint2) -> Task:
         return Task(
             site,
-            bench,
-            lambda q2: Criterion.of(tests, bench, law, q2, options.grouped, done),
+            readings,
+            lambda q2: Criterion.of(tests, readings, joint2, q2, options.grouped, known),
             pool,
             options.configurations,
             levels,
             fixed,
         )
 
-    law = _law(site, tests, bench, pool, known, with_law, options.seed)
-    return _Problem(with_law(law), bench, law, known, warnings)
+    joint2 = _joint2(site, tests, readings, pool, known, with_joint2, options.seed)
+    return _Problem(with_joint2(joint2), readings, joint2, known, warnings)
 
 
-def _law(
+def _joint2(
     site: Site,
     tests: TestPoses,
-    bench: Bench,
+    readings: Readings,
     pool: Pool,
     known: Measured | None,
-    with_law: Callable[[Joint2], Task],
+    with_joint2: Callable[[Joint2], Task],
     seed: int,
 ) -> Joint2:
     """Decide as the identification will: K_c is identified only if a plan made for it can determine it."""
     free = Joint2.of(site.robot, free=True)
     prior = Joint2.of(site.robot, free=False)
-    task = with_law(free)
+    task = with_joint2(free)
     if free.compensator is None or task.levels < 3:
         return prior
     trial = exchange(task, np.random.default_rng([seed, 1 << 17]), spread=True)
-    information = bench.information(trial.q, trial.tilt)
-    found = accuracy.expected(
-        tests, bench, free, trial.q, information, None if known is None else (known.q, known.done)
-    )
+    information = readings.information(trial.q, trial.tilt)
+    found = accuracy.expected(tests, readings, free, trial.q, information, known)
     return prior if CompensatorStiffness() in found.uncertain else free
 
 
@@ -212,16 +206,16 @@ def _ordered(problem: _Problem, plan: Plan, cell: Cell) -> tuple[Plan, Array, fl
     sequence, seconds, hit = order.shortest(site, cell.start_joints, q)
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
     force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
-    value = problem.task.criterion_at(q2).value(problem.bench.information_of(q, force), level)
+    value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
     via, blocked = order.ways(site, cell.start_joints, q, hit)
     return Plan(q, tilt, level, q2, value), force, seconds, via, blocked
 
 
-def _check_number(options: Options, bench: Bench, points: int, levels: int, known: Measured | None) -> None:
+def _check_number(options: Options, readings: Readings, points: int, levels: int, known: Measured | None) -> None:
     """There must be more readings than unknowns, in each group for the criterion as printed."""
     if known is not None:
         return
-    unknowns = len(bench.keep) if options.grouped else len(bench.keep) - 1 + levels
+    unknowns = len(readings.keep) if options.grouped else len(readings.keep) - 1 + levels
     poses = options.configurations // levels if options.grouped else options.configurations
     if 3 * points * poses < unknowns:
         raise PlanError(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from postproc.cell import Cell
 from postproc.frames import DEG_PER_RAD, Array
-from postproc.plan.result import PlanResult
+from postproc.plan.measurement_plan import PlanResult
 from postproc.program import Document
 
 _SPEED_PERCENT = 10

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from postproc.errors import PlanError
 from postproc.frames import MM_PER_M, Array
 from postproc.plan.accuracy import Accuracy
-from postproc.plan.errors import PlanError
-from postproc.plan.law import Joint2
+from postproc.plan.joint2 import Joint2
 from postproc.plan.milling import TestPoses
 from postproc.plan.site import Site
 from postproc.program import Ints
@@ -53,7 +53,7 @@ def blind(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) 
     return tuple(out)
 
 
-def doubts(found: Accuracy, law: Joint2, blocked: Ints) -> list[str]:
+def doubts(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:
     """Say what stays uncertain with the plan.
 
     :param blocked: rows that the robot cannot reach on a free way.
@@ -65,7 +65,7 @@ def doubts(found: Accuracy, law: Joint2, blocked: Ints) -> list[str]:
             f"{', '.join(uncertain)}: the 95 % interval will be wider than half the value, so that the identification "
             "keeps the robot's own. If the programs need it, plan more poses, more weight or more repeats"
         )
-    if law.compensator is not None and not law.free:
+    if joint2.compensator is not None and not joint2.free:
         out.append(
             "the spring of the gravity compensator (K_c, s_0) cannot be determined from such measurements: the "
             "identification keeps the robot's values"

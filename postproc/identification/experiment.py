@@ -1,17 +1,22 @@
-"""Where a robot is measured and how it is loaded: the parts of `experiment.toml` that only `postproc plan` uses.
+"""`experiment.toml`: what is measured on the robot, and, for `postproc plan`, where and how it is loaded.
 
-Structures only, mm and degrees as in the file; positions and boxes in the robot root.
+Mm and degrees as in the file; positions and boxes in the robot root.
 """
 
 # ruff: noqa: N815 - keys of the file carry their unit
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 
+from postproc import files
 from postproc.cell import Frame
+from postproc.errors import MeasurementError
+from postproc.frames import M_PER_MM, Array
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
@@ -69,3 +74,52 @@ class Body(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     radius_mm: tuple[Positive, Positive, Positive, Positive, Positive] | None = None
     tool_radius_mm: Positive = 40.0
     clearance_mm: NotNegative = 30.0
+
+
+class FlangePoint(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A point in the flange frame [mm]."""
+
+    X: float
+    Y: float
+    Z: float
+
+    def position(self) -> Array:
+        """Return the point (3,) [m]."""
+        return np.array([self.X, self.Y, self.Z]) * M_PER_MM
+
+
+class Marker(FlangePoint, frozen=True):
+    """A reference point; `normal` (flange frame) is where its reflector looks, for `plan`; none: turned by hand."""
+
+    normal: tuple[float, float, float] | None = None
+
+
+class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`."""
+
+    robot: str
+    sigma_mm: Positive
+    load_point: FlangePoint
+    points: dict[str, Marker]
+    rig: Rig | None = None
+    tracker: Tracker | None = None
+    floor: Floor = Floor()
+    boxes: list[Box] = []
+    meshes: list[MeshFile] = []
+    body: Body = Body()
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one coordinate of one reading [m]."""
+        return self.sigma_mm * M_PER_MM
+
+
+def read_experiment(path: Path) -> Experiment:
+    """Read `experiment.toml`.
+
+    :raises MeasurementError: unknown or missing keys, values out of range, fewer than three points.
+    """
+    experiment = files.read_toml(path, Experiment, MeasurementError)
+    if not experiment.points:
+        raise MeasurementError("no [points.NAME]", file=str(path), advice="Give the reference points on the tool.")
+    return experiment

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
-from postproc.identification import geometry, geometry_folder, identify_folder
+from postproc.identification import calibration, geometry_folder, identify_folder
 from postproc.identification.placement import kabsch
 from samples.paper_study import harness, simulator
 
@@ -55,7 +55,7 @@ def harness_points():
 def test_eighteen_displacements_are_left_for_a_six_axis_arm():
     """4·6 + 6 of a complete model, less the frames of base and tool."""
     for name in ("kuka_kr270", "kuka_kr16_2"):
-        found = geometry.nonredundant(robot.load(robot.find(name)).nominal, 3)
+        found = calibration.nonredundant(robot.load(robot.find(name)).nominal, 3)
         assert len(found) == 18
         assert not any(parameter.joint == "A1" for parameter in found)  # all of A1 is the base's
 
@@ -112,7 +112,7 @@ def test_intervals_of_the_geometry_cover_the_truth(tmp_path):
         simulator.write(tmp_path, q, f, raw, 0.05e-3)
         from postproc.identification.model_folder import read_prior
 
-        found = geometry.identify_geometry(
+        found = calibration.identify_geometry(
             read_prior(robot.find("kuka_kr270")), harness.PRIOR.nominal, "x", harness.load(tmp_path)
         )
         assert not found.sag
