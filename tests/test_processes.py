@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,25 @@ def test_a_signal_waits_for_programs_that_are_being_replaced_and_counts_them(job
     assert (code, stdout) == (128 + number, "")
     assert len(written()) == 2 * jobs
     assert said(stderr) == (2 * jobs, 6)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_interrupt_at_any_moment_leaves_whole_programs_and_counts_them(jobs):
+    programs(150)
+    process = subprocess.Popen(
+        [*COMMAND, *CONVERT, "--jobs", str(jobs)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    while process.poll() is None and not list(Path("out").glob("*.src")):
+        time.sleep(0.01)
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    stdout, stderr = process.communicate(timeout=LONG)
+    if process.returncode == 0:  # it was through before it could be interrupted
+        assert len(written()) == 150
+        return
+    assert (process.returncode, stdout) == (130, "")
+    assert said(stderr) == (len(written()), 150)
 
 
 @pytest.mark.parametrize("at", [f"{COMPUTING}:2", f"{MAKING}:6"])

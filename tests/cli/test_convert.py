@@ -3,10 +3,8 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -340,30 +338,3 @@ def test_processes_give_the_same_files_as_one_after_the_other(folder):
     two = {path.name: path.read_bytes() for path in Path("two").iterdir()}
     assert len(one) == 15
     assert one == two
-
-
-@pytest.mark.skipif(os.name != "posix", reason="sends a POSIX signal")
-@pytest.mark.parametrize("workers", ["1", "2"])
-def test_an_interrupt_leaves_whole_programs_or_nothing_and_no_traceback(folder, workers):
-    source = (SAMPLES / "long_lin.src").read_text()
-    count = 40
-    for index in range(count):
-        Path(f"p{index:02}.src").write_text(source.replace("DEF long_lin", f"DEF p{index:02}"))
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from postproc.cli import main; main()", "convert", ".", "--cell", CELL_16, "-o", "out",
-         "--jobs", workers],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
-    deadline = time.monotonic() + 60.0
-    while not list(Path("out").glob("*.src")) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=30)
-    assert process.returncode == 130, stderr
-    assert "Traceback" not in stderr
-    assert stdout == ""
-    names = {path.name for path in Path("out").iterdir()}
-    stems = {name.split(".")[0] for name in names}
-    assert 0 < len(stems) < count
-    assert names == {stem + end for stem in stems for end in (".src", ".report.json", ".targets.csv", ".report.html")}
-    assert f"Interrupted: {len(stems)} of {count} programs are written" in stderr

@@ -51,7 +51,7 @@ def canonical(text: str) -> list[Move]:
             text=True,
             errors="replace",
             check=False,
-            timeout=60,
+            timeout=600,
         )
     if result.returncode:
         assert result.returncode == 1, result
