@@ -447,8 +447,8 @@ def test_inline_forms_take_points_frames_speed_and_approximation_from_the_data_f
     assert m.feed[1:].tolist() == [0.1, 0.2]
     np.testing.assert_allclose(m.blend, [0, 0.0015, 0.0015])
     assert m.base.tolist() == [0, 1, 1]
-    np.testing.assert_allclose(program.bases[1], CELL.base_data["3"].pose())
-    np.testing.assert_allclose(program.tools[1], CELL.tool_data["2"].pose())
+    np.testing.assert_allclose(program.bases[1], CELL.base_data["3"].pose(), atol=1e-15)
+    np.testing.assert_allclose(program.tools[1], CELL.tool_data["2"].pose(), atol=1e-15)
     assert kinds(program) == ["home-from-cell"]
 
 
@@ -768,3 +768,10 @@ def test_a_chain_has_the_status_the_turn_and_the_external_axes_of_its_last_opera
 def test_an_external_axis_at_zero_is_not_worth_a_word():
     program = read(body("LIN {X 1,Y 2,Z 3,A 0,B 0,C 0,E1 0.0}"))
     assert not [issue for issue in program.issues if issue.kind == "external-axis"]
+
+
+def test_blending_without_a_distance_is_told():
+    others = ["LIN {X 1,Y 2,Z 3,A 0,B 0,C 0} ; C_VEL", "LIN {X 3} C_ORI C_DIS", "PTP {X 4} C_PTP C_ORI"]
+    program = read(body(others[0], "lin {X 2} c_vel", *others[1:], "LIN_REL {X 1} C_Ori"))
+    (issue,) = (issue for issue in program.issues if issue.kind == "blending-by-speed")
+    assert (issue.source_line, issue.count) == (5, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts
 
+_BY_SPEED = re.compile(r"\bC_(?:VEL|ORI)\b", re.IGNORECASE)
 _SAME_EXTERNAL = 1e-4
 """External axes that vary by less than this [mm, deg] stand still."""
 
@@ -124,7 +126,7 @@ def assemble(
         triggers=_triggers(source, walker, motions, chain.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    return motions, layout, [*standing, *_assumptions(rows.line, missing, assumed, moves)]
+    return motions, layout, [*standing, *_assumptions(rows.line, missing, assumed, moves), *_by_speed(source, rows)]
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints]:
@@ -244,6 +246,21 @@ def _triggers(source: Source, walker: Walker, motions: Motions, start: Starts) -
     arc = motions.kind[rows] == CIRC
     length = np.where(arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
     return tuple(triggers(source, list(zip(lines.tolist(), rows.tolist(), attached, strict=True)), length))
+
+
+def _by_speed(source: Source, rows: Rows) -> list[Issue]:
+    """Tell where the path is approximated by something else than a distance."""
+    place = np.array([match.start() for match in _BY_SPEED.finditer(source.text)], dtype=np.int64)
+    row = np.searchsorted(rows.tail[:, 0], place, side="right") - 1
+    found = np.unique(row[(row >= 0) & (place < rows.tail[row, 1])])
+    found = found[(rows.kind[found] != PTP) & ~rows.approximated[found]]
+    if not len(found):
+        return []
+    message = (
+        "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and is left out of "
+        "what is said of the tolerance."
+    )
+    return [Issue("info", "blending-by-speed", message, int(rows.line[found[0]]), count=len(found))]
 
 
 def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, Move]) -> list[Issue]:
