@@ -52,7 +52,7 @@ SHIFT = "DEF SHIFT( )\nXP1.Z=XP1.Z+20\nEND\n"
         (["SHIFT()", "SHIFT()", "LIN XP1"], "GLOBAL " + SHIFT, [100.25, 200.5, 340]),
         (["OUTER()", "LIN XP1"], "DEF OUTER()\nSHIFT()\nEND\n" + SHIFT, [100.25, 200.5, 320]),
         (["UP(XP1,5)", "LIN XP1"], "DEF UP(P:OUT,H:IN)\nDECL E6POS P\nREAL H\nP.Z=P.Z+H\nEND\n", [100.25, 200.5, 305]),
-        (["UP(XP1)", "LIN XP1"], "DEF UP(P)\nDECL E6POS P\nP={X 1,Y 2,Z 3}\nEND\n", [1, 2, 3]),
+        (["UP(XP1)", "LIN XP1"], "DEF UP(P)\nDECL E6POS P\nP={X 1,Y 2,Z 3,A 0,B 0,C 0}\nEND\n", [1, 2, 3]),
         (["UP(XP1)", "LIN XP1"], "DEF UP(P:IN)\nDECL E6POS P\nP.Z=5\nEND\n", UNTOUCHED),
         (["OK=FN(XP1)", "LIN XP1"], "DEFFCT BOOL FN(P:OUT)\nE6POS P\nP.X=1\nRETURN(TRUE)\nENDFCT\n", [1, 200.5, 300]),
         (["I=NEXT(I)", "LIN P[I]"], "DEFFCT INT NEXT(N:IN)\nINT N\nRETURN(N+1)\nENDFCT\n", [11, 2, 3]),
@@ -61,7 +61,7 @@ SHIFT = "DEF SHIFT( )\nXP1.Z=XP1.Z+20\nEND\n"
         (["LIN P[I+2]"], "", [21, 2, 3]),
         (["XP3=XP1", "XP1.X=9", "LIN XP3"], "", UNTOUCHED),
         (["XP3=XP1", "XP3.X=9", "LIN XP1"], "", UNTOUCHED),
-        (["XP3={X I*2+1,Y SPD*4,Z -(1+2)}", "I=50", "LIN XP3"], "", [3, 2, -3]),
+        (["XP3={X I*2+1,Y SPD*4,Z -(1+2),A 0,B 0,C 0}", "I=50", "LIN XP3"], "", [3, 2, -3]),
         (["LIN {X 100+50,Y 2*3,Z -(4),A 0,B 0,C 0}"], "", [150, 6, -4]),
         (["BACK()", "LIN XP1"], "DEF BACK()\nXP1.X=1\nRETURN\nXP1.X=2\nEND\n", [1, 200.5, 300]),
         (["stack.block[2]=3", "stack.a.b=4", "LIN XP1"], "", UNTOUCHED),
@@ -75,7 +75,7 @@ def test_what_called_code_and_assignments_change_is_followed(lines, subs, expect
     ("lines", "subs", "base_x", "tool_z", "feed"),
     [
         (["SETB()", "$BASE=FR"], "DEF SETB()\nFR.X=9\nEND\n", 9, 350, 2),
-        (["SETB()", "$BASE=BASE_DATA[3]"], "DEF SETB()\nBASE_DATA[3]={X 7}\nEND\n", 7, 350, 2),
+        (["SETB()", "$BASE=BASE_DATA[3]"], "DEF SETB()\nBASE_DATA[3]={X 7,Y 0,Z 0,A 0,B 0,C 0}\nEND\n", 7, 350, 2),
         (["SETB()", "BAS(#TOOL,2)"], "DEF SETB()\nTOOL_DATA[2].Z=99\nEND\n", 1500, 99, 2),
         (["SETB()"], "DEF SETB()\n$BASE=BASE_DATA[3]\n$TOOL={Z 5}\n$VEL.CP=0.25\nEND\n", 1200, 5, 0.25),
         (["SETB(3,0.1)"], "DEF SETB(N:IN,V:IN)\nINT N\nREAL V\nBAS(#BASE,N)\nBAS(#VEL_CP,V)\nEND\n", 1200, 350, 0.1),
@@ -94,6 +94,7 @@ def test_frames_and_speeds_set_by_called_code_are_in_force(lines, subs, base_x, 
 # --- what is not known is refused ----------------------------------------------------------------------------------
 
 FUNCTION = "DEFFCT BOOL FN(P:OUT)\nE6POS P\nP.Z=77\nRETURN(TRUE)\nENDFCT\n"
+LATER = "DEF M()\nIF $IN[2] THEN\nGLOBAL INTERRUPT DECL 5 WHEN $IN[1] DO K()\nENDIF\nEND\nDEF K()\nXP1.X=5\nEND\n"
 REFUSED = [
     (["IF FN(XP1) THEN", "ENDIF", "LIN XP1"], FUNCTION, 6, "XP1 is changed"),
     (["OK=NOT FN(XP1)", "LIN XP1"], FUNCTION, 5, "XP1 is changed"),
@@ -121,6 +122,10 @@ REFUSED = [
     (["INTERRUPT DECL 5 WHEN $IN[1] DO SETV()", FULL], "DEF SETV()\n$VEL.CP=0.1\nEND\n", 4, r"\$VEL"),
     (["SETV($VEL.CP)", FULL], "DEF SETV(V:OUT)\nREAL V\nV=0.1\nEND\n", 4, r"\$VEL"),
     (["I=I/2", "LIN P[I]"], "", 5, "I is changed"),
+    (["XP1={X 5}", "LIN XP1"], "", 5, "not all of its components"),
+    (["IF OK THEN", "M()", "ENDIF", "XP1=XP3", "LIN XP1"], LATER, 8, "XP1 is changed .*by M"),
+    (["M()", FULL, "XP1=XP3", "LIN XP1"], LATER, 7, "XP1 is changed .*by "),
+    (["M()", FULL], LATER.replace("XP1.X", "$VEL.CP"), 4, r"\$VEL"),
     (["XP1.X=XP1.X+$POS_ACT.X", "LIN XP1"], "", 5, "XP1 is changed"),
 ]
 
@@ -133,7 +138,9 @@ def test_what_may_be_otherwise_when_it_is_used_is_refused(lines, subs, line, pro
 
 
 def test_what_a_branch_changes_may_be_set_again():
-    found = program("IF OK THEN", "$VEL.CP=0.1", "XP1.X=5", "ENDIF", "$VEL.CP=0.2", "XP1={X 3,Y 2,Z 1}", "LIN XP1")
+    found = program(
+        "IF OK THEN", "$VEL.CP=0.1", "XP1.X=5", "ENDIF", "$VEL.CP=0.2", "XP1={X 3,Y 2,Z 1,A 0,B 0,C 0}", "LIN XP1"
+    )
     assert (x_y_z(found), found.motions.feed[0]) == ([3, 2, 1], 0.2)
 
 

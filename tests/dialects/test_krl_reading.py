@@ -647,7 +647,7 @@ ERRORS = [
     (["ENDIF"], 4, "ENDIF without IF"),
     (["IF TRUE THEN", "$BASE={X 1}", "ENDIF"], 5, "changed inside IF"),
     (["IF TRUE THEN", "BAS(#TOOL,1)", "ENDIF"], 5, "changed inside IF"),
-    (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=1"], 4, "TRIGGER changes"),
+    (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=1"], 4, "TRIGGER in line 4 changes"),
     (["$IPO_MODE=#TCP"], 4, "IPO_MODE"),
     (["FDAT_ACT={TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP}", "BAS(#FRAMES)"], 5, "IPO_MODE"),
     (["$ORI_TYPE=#JOINT", FULL], 5, "ORI_TYPE=#JOINT"),

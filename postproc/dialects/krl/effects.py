@@ -32,9 +32,8 @@ from postproc.errors import ProgramError
 
 ACTION = re.compile(r"\bDO\b[ \t]*", re.I)
 """Behind it stands what an INTERRUPT or a TRIGGER does."""
-CYCLIC = re.compile(r"(?:ANIN|DIGIN)[ \t]+ON[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
-"""The name that is written again and again until ANIN OFF."""
-_SIGNAL = re.compile(r"SIGNAL[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
+CYCLIC = re.compile(r"(?:(?:ANIN|DIGIN)[ \t]+ON|SIGNAL)[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
+"""The name that is written again and again, or that stands for an input."""
 _FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 _COMMAND = re.compile(r"BAS[ \t]*\([ \t]*(#\w+)", re.I | re.A)
 _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
@@ -45,7 +44,8 @@ _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
 class Effects:
     """What may happen.
 
-    :ivar writes: names, as they are stored, that may get another value, and where.
+    :ivar writes: names, as they are stored, that may get another value while it runs, and where.
+    :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
     :ivar absent: called programs that are in no file, and where.
     :ivar jumps: True where it may not run from its first to its last line: RETURN in a branch, GOTO, RESUME.
@@ -53,6 +53,7 @@ class Effects:
     """
 
     writes: dict[str, Place] = field(default_factory=dict)
+    anytime: dict[str, Place] = field(default_factory=dict)
     motion: Place | None = None
     absent: dict[str, Place] = field(default_factory=dict)
     jumps: bool = False
@@ -62,70 +63,114 @@ class Effects:
         """Take what a called routine may do."""
         for name, place in other.writes.items():
             self.writes.setdefault(name, place)
+        for name, place in other.anytime.items():
+            self.anytime.setdefault(name, place)
+        self._add_rest(other)
+
+    def add_action(self, other: Effects) -> None:
+        """Take what an interrupt or a trigger may do."""
+        for name, place in (other.writes | other.anytime).items():
+            self.anytime.setdefault(name, place)
+        self._add_rest(other)
+
+    def _add_rest(self, other: Effects) -> None:
         for name, place in other.absent.items():
             self.absent.setdefault(name, place)
         self.motion = self.motion or other.motion
         self.resumes = self.resumes or other.resumes
 
 
+Called = tuple[Module, Routine]
+
+
+@dataclass(slots=True, eq=False)
+class _Direct:
+    """What a routine does itself, and what it calls; the same of the actions that it declares."""
+
+    now: Effects = field(default_factory=Effects)
+    called: list[Called] = field(default_factory=list)
+    later: Effects = field(default_factory=Effects)
+    called_later: list[Called] = field(default_factory=list)
+
+
 class Analysis:
     """Finds the effects of routines, each once.
 
-    :param scope_of: which variables the names of a routine mean; None for its own.
+    :param scope_of: which variables the names of a routine mean that are not its own.
     """
 
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
         self.library, self.scope_of = library, scope_of
-        self._direct: dict[Routine, tuple[Effects, list[tuple[Module, Routine]]]] = {}
+        self._direct: dict[Routine, _Direct] = {}
         self._all: dict[Routine, Effects] = {}
 
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return what a routine may do, all that it calls included."""
         if routine not in self._all:
-            own, _ = self._of_routine(module, routine)
-            total = Effects(jumps=own.jumps)
-            for reached in self._reached(module, routine):
-                total.add(self._of_routine(*reached)[0])
+            total = Effects(jumps=self._of_routine(module, routine).now.jumps)
+            for reached in self._reached([(module, routine)]):
+                direct = self._of_routine(*reached)
+                total.add(direct.now)
+                self._add_later(total, direct)
             self._all[routine] = total
         return self._all[routine]
 
-    def of_statement(self, module: Module, routine: Routine, line: int, start: int, stop: int) -> Effects:
-        """Return what one statement of a routine may do: the action of an interrupt or a trigger."""
-        total = Effects()
-        called: list[tuple[Module, Routine]] = []
-        _Statement(self, module, routine, Place(routine.source, line), total, called).read(start, stop)
-        for reached in called:
-            total.add(self.of(*reached))
+    def of_action(self, module: Module, routine: Routine, line: int, start: int, stop: int) -> Effects:
+        """Return what the action of an interrupt or a trigger may do, which stands in a routine."""
+        direct, total = _Direct(), Effects()
+        place = Place(routine.source, line)
+        _Statement(self, module, routine, place, direct.later, direct.called_later).read(start, stop)
+        self._add_later(total, direct)
         return total
 
-    def _reached(self, module: Module, routine: Routine) -> Iterator[tuple[Module, Routine]]:
-        seen, waiting = {routine}, [(module, routine)]
+    def _add_later(self, total: Effects, direct: _Direct) -> None:
+        total.add_action(direct.later)
+        for reached in self._reached(direct.called_later):
+            other = self._of_routine(*reached)
+            total.add_action(other.now)
+            total.add_action(other.later)
+
+    def _reached(self, first: list[Called]) -> Iterator[Called]:
+        """Yield routines and all that they call, the actions that they declare included."""
+        waiting = list(first)
+        seen = {routine for _, routine in waiting}
         while waiting:
             reached = waiting.pop()
             yield reached
-            for following in self._of_routine(*reached)[1]:
+            direct = self._of_routine(*reached)
+            for following in (*direct.called, *direct.called_later):
                 if following[1] not in seen:
                     seen.add(following[1])
                     waiting.append(following)
 
-    def _of_routine(self, module: Module, routine: Routine) -> tuple[Effects, list[tuple[Module, Routine]]]:
+    def _of_routine(self, module: Module, routine: Routine) -> _Direct:
         known = self._direct.get(routine)
         if known is None:
-            effects = Effects()
-            called: list[tuple[Module, Routine]] = []
+            known = self._direct[routine] = _Direct()
             if routine.motion:
-                effects.motion = Place(routine.source, routine.motion)
+                known.now.motion = Place(routine.source, routine.motion)
             depth = 0
             for line in routine.lines:
                 start, stop = routine.source.code_span(line)
                 word = word_at(routine.source.text, start, stop)
                 depth += (word in _OPENS) - (word in _CLOSES)
-                effects.jumps |= word in ("GOTO", "RESUME") or (word == "RETURN" and depth > 0)
-                effects.resumes |= word == "RESUME"
-                statement = _Statement(self, module, routine, Place(routine.source, line), effects, called)
-                statement.read(start, stop)
-            known = self._direct[routine] = effects, called
+                known.now.jumps |= word in ("GOTO", "RESUME") or (word == "RETURN" and depth > 0)
+                known.now.resumes |= word == "RESUME"
+                self._read(known, word, (module, routine), Place(routine.source, line))
         return known
+
+    def _read(self, direct: _Direct, word: str, where: Called, place: Place) -> None:
+        """Note what one statement may do."""
+        text = place.source.text
+        start, stop = place.source.code_span(place.line)
+        later = _Statement(self, *where, place, direct.later, direct.called_later)
+        if word in ("INTERRUPT", "TRIGGER", "GLOBAL"):
+            if action := ACTION.search(text, start, stop):
+                later.read(action.end(), stop)
+        elif match := CYCLIC.match(text, start, stop):
+            later.writes(match[1])
+        else:
+            _Statement(self, *where, place, direct.now, direct.called).read(start, stop)
 
 
 _OPENS = frozenset({"IF", "FOR", "WHILE", "LOOP", "REPEAT", "SWITCH"})
@@ -141,7 +186,7 @@ class _Statement:
     routine: Routine
     place: Place
     effects: Effects
-    called: list[tuple[Module, Routine]]
+    called: list[Called]
 
     def read(self, start: int, stop: int) -> None:
         """Note what the statement at a span may do; what cannot be read does nothing that could be noted."""
@@ -150,21 +195,15 @@ class _Statement:
         word = word_at(text, start, stop)
         if word in MOTION_WORDS or word in SPLINES:
             self.effects.motion = self.effects.motion or self.place
-        elif match := _SIGNAL.match(text, start, stop):
-            self._writes(match[1])
         elif word in DECLARING or declares(text, start, stop):
-            return
-        elif word in ("INTERRUPT", "TRIGGER"):
-            if action := ACTION.search(text, start, stop):
-                self.read(action.end(), stop)
             return
         elif word == "BAS":
             command = _COMMAND.match(text, start, stop)
             for name in BAS_SETS.get(command[1].upper(), ()) if command else ():
                 self.effects.writes.setdefault(name, self.place)
             return
-        elif match := CYCLIC.match(text, start, stop) or _FOR.match(text, start, stop):
-            self._writes(match[1])
+        elif match := _FOR.match(text, start, stop):
+            self.writes(match[1])
         try:
             self._assigned(start, stop, word)
             for call in calls(source, start, stop):
@@ -179,9 +218,10 @@ class _Statement:
         target = found[0]
         component = _COMPONENT.get(target.name)
         if component is None or target.field in (None, component):
-            self._writes(target.name)
+            self.writes(target.name)
 
-    def _writes(self, name: str) -> None:
+    def writes(self, name: str) -> None:
+        """Note that a variable may get another value."""
         name = name.upper()
         if name not in self.routine.local:
             scope = self.analysis.scope_of(self.module, self.routine)
@@ -194,7 +234,7 @@ class _Statement:
             by_value = index < len(parameters) and parameters[index].by_value
             reference = None if by_value else reference_of(self.place.source, span)
             if reference is not None and (reference.name[0] != "$" or reference.name in RELEVANT):
-                self._writes(reference.name)
+                self.writes(reference.name)
         if found is not None:
             self.called.append(found)
         elif call.name not in STANDARD:

@@ -185,7 +185,25 @@ class Variables:
         """
         name = key.partition("[")[0]
         self.changed.setdefault(name, where)
-        self.put(key, self._typed(name, value) if isinstance(value, Number) else value)
+        if isinstance(value, Number):
+            value = self._typed(name, value)
+        elif isinstance(value, Aggregate) and self._ambiguous(key, value):
+            value = Unknown(f"{where}: not all of its components are given, and it had others")
+        self.put(key, value)
+
+    def _ambiguous(self, key: str, new: Aggregate) -> bool:
+        """Return whether a position lacks components that the variable may have had.
+
+        What becomes of these is not certain: they may stay, or count as missing.
+        """
+        names: tuple[str, ...] = ()
+        if not new.items.keys().isdisjoint(_REAL):
+            names = AXES if not new.items.keys().isdisjoint(AXES) else CARTESIAN
+        missing = [name for name in names if name not in new.items]
+        old = self.value(key)
+        if not missing or old is None or old == NOTHING:
+            return False
+        return not isinstance(old, Aggregate) or any(name in old.items for name in missing)
 
     def _typed(self, name: str, number: Number) -> Known:
         kind = self.types.get(name)

@@ -1,0 +1,345 @@
+"""Random KRL: calls, assignments, functions in expressions, interrupts, triggers, arrays, frames, other files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+POINTS = ("XP1", "XP2", "XP3", "XG1")
+FRAMES = ("FR1", "FR2")
+INTS = ("I", "J", "IG")
+REALS = ("V", "W")
+DATA = """DEFDAT part PUBLIC
+DECL E6POS XP1={X 100.5,Y 20,Z 30,A 10,B 20,C 170,S 2,T 10}
+DECL E6POS XP2={X -50.25,Y 21,Z 35.125,A 15,B 20,C 170}
+DECL E6POS XP3={X 7,Y 22,Z 31,A 10,B 25,C 170}
+DECL GLOBAL E6POS XG1={X 9,Y 23,Z 32,A 10,B 20,C 160}
+DECL E6POS P[3]
+P[1]={X 1,Y 2,Z 3,A 4,B 5,C 6}
+P[2]={X 11,Y 2,Z 3,A 4,B 5,C 6}
+P[3]={X 21,Y 2,Z 3,A 4,B 5,C 6}
+DECL FRAME FR1={X 5,Y 0,Z 1,A 10,B 0,C 0}
+DECL FRAME FR2={X 50,Y -20,Z 10,A 0,B 0,C 5}
+DECL INT I=1
+DECL INT J=2
+DECL GLOBAL INT IG=1
+DECL REAL V=0.125
+DECL REAL W=2.5
+DECL BOOL OK=TRUE
+ENDDAT
+"""
+OTHER_DATA = """DEFDAT other
+DECL E6POS XP1={X 1,Y 1,Z 1,A 0,B 0,C 0}
+DECL INT I=2
+DECL REAL V=0.25
+ENDDAT
+"""
+
+
+@dataclass
+class Routine:
+    name: str
+    function: bool = False
+    parameters: list = field(default_factory=list)
+    local: list = field(default_factory=list)
+    file: str = "part"
+
+
+class Generator:
+    """Writes one program and the files that it calls."""
+
+    def __init__(self, rng):
+        self.rng = rng
+        self.files = {}
+        names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN"][: int(rng.integers(0, 7))]
+        self.routines = [self.routine(name) for name in names]
+        self.here = None
+        self.wild = rng.random()
+
+    def routine(self, name):
+        rng = self.rng
+        kinds = [("PX", "E6POS"), ("NX", "INT"), ("RX", "REAL")]
+        parameters = [(n, kind, rng.choice(["IN", "OUT", ""])) for n, kind in kinds if rng.random() < 0.3]
+        local = [one for one in (("XP2", "E6POS"), ("I", "INT"), ("W", "REAL")) if rng.random() < 0.12]
+        file = str(rng.choice(["other", "lib/shared"])) if name.startswith("LIB") else "part"
+        return Routine(name, "FN" in name or name == "NEXT", parameters, local, file)
+
+    def one(self, *options):
+        return options[int(self.rng.integers(len(options)))]
+
+    def maybe(self, share):
+        return self.rng.random() < share
+
+    # --- values --------------------------------------------------------------------------------------------------
+
+    def names(self, kind):
+        found = {"E6POS": POINTS, "FRAME": FRAMES, "INT": INTS, "REAL": REALS}[kind]
+        if self.here is not None and self.here.file != "part":
+            found = {"E6POS": ("XP1", "XG1"), "INT": ("I", "IG"), "REAL": ("V",), "FRAME": ()}[kind]
+        if self.here is not None:
+            own = [name for name, k, *_ in (*self.here.parameters, *self.here.local) if k == kind]
+            found = (*found, *own, *own)
+        return found
+
+    def integer(self, depth=0):
+        choice = int(self.rng.integers(8 if depth < 2 else 4))
+        if choice < 3:
+            return str(int(self.rng.integers(1, 4)))
+        if choice < 6:
+            return self.one(*self.names("INT"))
+        sign = self.one("+", "-", "*", "/") if self.maybe(0.3) else self.one("+", "-")
+        return f"{self.integer(depth + 1)}{sign}{self.integer(depth + 1)}"
+
+    def real(self, depth=0):
+        choice = int(self.rng.integers(9 if depth < 2 else 5))
+        if choice < 3:
+            return f"{self.rng.uniform(0.01, 30):.3f}"
+        if choice == 3:
+            return self.one(*self.names("REAL"))
+        if choice == 4:
+            return f"{self.one(*self.names('E6POS'))}.{self.one('X', 'Y', 'Z')}"
+        if choice == 5 and self.maybe(0.3):
+            return self.function_call() or "1.5"
+        if choice == 6:
+            return f"-({self.real(depth + 1)})"
+        return f"({self.real(depth + 1)}{self.one('+', '-', '*')}{self.real(depth + 1)})"
+
+    def speed(self):
+        return self.one(*self.names("REAL")) if self.maybe(0.4) else f"{self.rng.uniform(0.01, 1):.3f}"
+
+    def aggregate(self, full=True):
+        items = []
+        for name in "XYZABC":
+            if not full and self.maybe(0.3):
+                continue
+            if self.maybe(0.12):
+                items.append(f"{name} {self.real(1)}")
+            else:
+                items.append(f"{name} {self.rng.uniform(-90, 90):.3f}")
+        return "{" + ",".join(items or ["X 1"]) + "}"
+
+    def element(self):
+        return f"P[{self.integer(1)}]" if self.here is None or self.here.file == "part" else "XG1"
+
+    def point(self):
+        return self.element() if self.maybe(0.25) else self.one(*self.names("E6POS"))
+
+    def frame(self):
+        names = self.names("FRAME")
+        choice = int(self.rng.integers(6))
+        if choice < 2 and names:
+            return self.one(*names)
+        if choice == 2:
+            return f"BASE_DATA[{self.integer(1) if self.maybe(0.4) else self.one('1', '2', '3')}]"
+        if choice == 3 and names:
+            return f"{self.one(*names)}:{self.aggregate()}"
+        return self.aggregate()
+
+    def argument(self, kind):
+        if kind == "E6POS":
+            return self.point()
+        if self.maybe(0.6):
+            return self.one(*self.names(kind))
+        return self.integer() if kind == "INT" else self.real()
+
+    def call(self, routine):
+        arguments = [self.argument(kind) for _, kind, _ in routine.parameters]
+        return f"{routine.name}({','.join(arguments)})"
+
+    def callable(self, function):
+        """Routines that the present one sees: those of its file, and of others those that are public."""
+        return [r for r in self.routines if r.function == function and self.sees(r)]
+
+    def sees(self, routine):
+        here = "part" if self.here is None else self.here.file
+        return routine.file in (here, "other", "lib/shared") and (routine.file != "part" or here == "part")
+
+    def function_call(self):
+        found = self.callable(True)
+        if found and self.maybe(0.9):
+            return self.call(self.one(*found))
+        return f"GONE({self.argument('E6POS')})" if self.maybe(0.5) else ""
+
+    def condition(self):
+        choice = int(self.rng.integers(5))
+        if choice == 0:
+            return "$IN[1]"
+        if choice == 1:
+            call = self.function_call()
+            return f"{call}>1" if call else "OK2==1".replace("OK2", self.one(*self.names("INT")))
+        if choice == 2:
+            return f"NOT {self.one('TRUE', 'FALSE')}"
+        return f"{self.one(*self.names('INT'))}{self.one('==', '>', '<')}{self.integer(2)}"
+
+    # --- statements ----------------------------------------------------------------------------------------------
+
+    def assignment(self):
+        choice = int(self.rng.integers(11))
+        if choice == 0:
+            return f"{self.point()}={self.aggregate()}"
+        if choice == 1:
+            return f"{self.point()}={self.point()}"
+        if choice in (2, 3):
+            return f"{self.point()}.{self.one('X', 'Y', 'Z', 'A')}={self.real()}"
+        if choice == 4:
+            return f"{self.one(*self.names('INT'))}={self.integer()}"
+        if choice == 5:
+            return f"{self.one(*self.names('INT'))}={self.function_call() or self.integer()}"
+        if choice == 6:
+            return f"{self.one(*self.names('REAL'))}={self.one(self.real(), self.speed())}"
+        if choice == 7 and self.names("FRAME"):
+            return f"{self.one(*self.names('FRAME'))}={self.frame()}"
+        if choice == 8 and self.names("FRAME"):
+            return f"{self.one(*self.names('FRAME'))}.{self.one('X', 'Y', 'Z')}={self.real()}"
+        if choice == 9:
+            return self.one(f"BASE_DATA[{self.one('1', '3')}]={self.aggregate()}", f"TOOL_DATA[2].Z={self.real()}")
+        return f"{self.one(*self.names('INT'))}={self.integer()}"
+
+    def setting(self):
+        return self.one(
+            f"$BASE={self.frame()}",
+            f"$TOOL={self.one('TOOL_DATA[2]', 'TOOL_DATA[1]', self.aggregate())}",
+            f"$BASE.Z={self.real()}",
+            f"$VEL.CP={self.speed()}",
+            f"$VEL.CP={self.speed()}",
+            f"$APO.CDIS={self.rng.uniform(0.1, 5):.2f}",
+            f"BAS(#BASE,{self.integer(1)})",
+            f"BAS(#VEL_CP,{self.speed()})",
+            "BAS(#TOOL,2)",
+            "BAS(#INITMOV,0)",
+            "$VEL.ORI1=200",
+        )
+
+    def calling(self):
+        found = self.callable(False)
+        if found and self.maybe(0.9):
+            return self.call(self.one(*found))
+        return self.one("GONE2()", f"GONE3({self.point()})", f"GONE4({self.one(*self.names('INT'))})", 'MSG("a;b")')
+
+    def asynchronous(self):
+        action = self.one(self.assignment(), self.assignment(), self.calling(), "$OUT[2]=TRUE", self.setting())
+        number = int(self.rng.integers(4, 7))
+        return self.one(
+            [f"INTERRUPT DECL {number} WHEN $IN[1]==TRUE DO {action}", f"INTERRUPT ON {number}"],
+            [f"GLOBAL INTERRUPT DECL {number} WHEN $IN[1] DO {action}", f"INTERRUPT ON {number}"],
+            [f"TRIGGER WHEN DISTANCE={self.one('0', '1')} DELAY=0 DO {action}"],
+            [f"TRIGGER WHEN PATH=-5 DELAY=0 DO {action} PRIO=-1"],
+            [f"DIGIN ON {self.one(*self.names('INT'))}=1.0*$DIGIN1+0"],
+            [f"ANIN ON {self.one(*self.names('REAL'))}=0.1*$ANIN[1]+0"],
+        )
+
+    def structure(self, depth):
+        body = [line for _ in range(int(self.rng.integers(1, 3))) for line in self.statement(depth + 1)]
+        choice = int(self.rng.integers(5))
+        if choice == 0:
+            return [f"FOR {self.one(*self.names('INT'))}=1 TO 2", *body, "ENDFOR"]
+        if choice == 1:
+            return ["REPEAT", *body, "UNTIL TRUE"]
+        if choice == 2:
+            head = f"SWITCH {self.one(*self.names('INT'))}"
+            return [head, "CASE 1", *body, "DEFAULT", *self.statement(depth + 1), "ENDSWITCH"]
+        tail = ["ELSE", *self.statement(depth + 1)] if self.maybe(0.4) else []
+        return [f"IF {self.condition()} THEN", *body, *tail, "ENDIF"]
+
+    def statement(self, depth=0):
+        choice = self.rng.random()
+        if choice < 0.42:
+            return [self.assignment()]
+        if choice < 0.6:
+            return [self.setting()]
+        if choice < 0.8:
+            return [self.calling()]
+        if choice < 0.8 + 0.12 * self.wild:
+            return self.asynchronous()
+        if choice < 0.96 and depth < 2:
+            return self.structure(depth)
+        return [self.one("; comment", "$OUT[1]=TRUE", "WAIT SEC 0.1", "INTERRUPT OFF 4", "PULSE($OUT[1],TRUE,0.5)")]
+
+    def motion(self):
+        tail = self.one("", " C_DIS", " C_DIS")
+        choice = int(self.rng.integers(12))
+        if choice < 2:
+            return f"LIN {self.aggregate()}{tail}"
+        if choice < 6:
+            return f"LIN {self.point()}{tail}"
+        if choice == 6:
+            return f"LIN {self.aggregate(full=False)}{tail}"
+        if choice == 7:
+            return f"PTP {self.one(*self.names('E6POS'))}"
+        if choice == 8:
+            return f"LIN_REL {{Z {self.real()}}}" + self.one("", " #TOOL", " C_DIS #BASE", " C_DIS", " C_VEL #TOOL")
+        if choice == 9:
+            return f"LIN {self.one(*FRAMES)}:{self.point()}{tail}"
+        if choice == 10:
+            return "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
+        via = (
+            f"{{X {self.rng.uniform(-90, 90):.2f},Y {self.rng.uniform(-90, 90):.2f},Z {self.rng.uniform(-90, 90):.2f}}}"
+        )
+        return f"CIRC {via},{self.aggregate()}{tail}"
+
+    # --- files ---------------------------------------------------------------------------------------------------
+
+    def written(self, routine):
+        self.here = routine
+        parameters = ",".join(name + (f":{way}" if way else "") for name, _, way in routine.parameters)
+        public = "GLOBAL " if routine.file == "lib/shared" or self.maybe(0.2) else ""
+        head = f"{public}DEFFCT INT {routine.name}({parameters})" if routine.function else None
+        lines = [head or f"{public}DEF {routine.name}({parameters})"]
+        lines += [f"DECL {kind} {name}" for name, kind, *_ in (*routine.parameters, *routine.local)]
+        for name, kind, *_ in routine.local:
+            lines.append(f"{name}={self.aggregate() if kind == 'E6POS' else self.integer(2)}")
+        for _ in range(int(self.rng.integers(1, 5))):
+            lines += self.statement()
+        if self.maybe(0.08):
+            lines += ["IF $IN[3] THEN", "RETURN" + (" (1)" if routine.function else ""), "ENDIF", self.assignment()]
+        if self.maybe(0.04):
+            lines.append(self.motion())
+        if routine.function:
+            lines.append(f"RETURN ({self.integer()})")
+        self.here = None
+        return [*lines, "ENDFCT" if routine.function else "END"]
+
+    def programs(self):
+        """Files of the program's folder: name → text; `lib/` is a folder of the search path."""
+        rng = self.rng
+        main = ["DEF part()", *(["BAS(#INITMOV,0)"] if self.maybe(0.8) else [])]
+        if self.maybe(0.7):
+            main.append(f"LIN {{X {rng.uniform(-9, 9):.2f},Y 5,Z 6,A 1,B 2,C 3}}")
+        for _ in range(int(rng.integers(3, 9))):
+            main += self.statement() if self.maybe(0.6) else []
+            main.append(self.motion())
+        main.append("END")
+        if self.maybe(0.25):
+            self.local(main)
+        for routine in self.routines:
+            if routine.file == "part":
+                main += self.written(routine)
+        files = {"part.src": main, "part.dat": DATA.splitlines()}
+        others = [r for r in self.routines if r.file == "other"]
+        for routine in others:
+            files.setdefault(f"{routine.name.lower()}.src", self.written(routine))
+            files.setdefault(f"{routine.name.lower()}.dat", OTHER_DATA.replace("other", routine.name).splitlines())
+        shared = [line for r in self.routines if r.file == "lib/shared" for line in self.written(r)]
+        if shared:
+            files["lib/shared.src"] = ["DEF shared()", "END", *shared]
+            files["lib/shared.dat"] = OTHER_DATA.replace("other", "shared").splitlines()
+        if self.maybe(0.04):
+            files["sps.sub"] = ["DEF sps()", self.one("IG=IG+1", "XG1.Z=XG1.Z+1", "BASE_DATA[3].X=4"), "END"]
+        end = self.one("\r\n", "\n")
+        return {name: "".join(self.spelt(line) + end for line in lines) for name, lines in files.items()}
+
+    def local(self, main):
+        """Give the main routine variables of its own that hide those of the data file."""
+        name, kind = self.one(("XP2", "E6POS"), ("J", "INT"), ("W", "REAL"))
+        value = {"E6POS": "{X 3,Y 3,Z 3,A 1,B 2,C 3}", "INT": "2", "REAL": "0.5"}[kind]
+        main[1:1] = [f"DECL {kind} {name}", f"{name}={value}"]
+
+    def spelt(self, line):
+        """The same line in another spelling."""
+        choice = self.rng.random()
+        if choice < 0.12:
+            return line.lower()
+        if choice < 0.2 and "DEF" not in line and "'" not in line:
+            return "  " + line.replace("=", " = ").replace(" =  = ", "==").replace("(", " ( ").replace(",", " , ")
+        if choice < 0.24:
+            return line + " ; C_DIS XP1=5"
+        return line

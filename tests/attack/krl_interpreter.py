@@ -1,0 +1,721 @@
+"""A controller that executes KRL, statement by statement. It shares no code with the package.
+
+What a real controller leaves to chance is drawn from a random generator: inputs, when interrupts and submit programs
+run, when triggers switch, what analogue inputs read, what programs do that are in no file. A program whose motions do
+not depend on chance gives the same motions for every seed.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tests.oracle.arm import abc
+
+TOKEN = re.compile(
+    r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<literal>'[BbHh][0-9A-Fa-f]+')|(?P<string>"[^"]*")
+    |(?P<enum>\#\w+)|(?P<name>[A-Za-z_$][\w$]*)|(?P<sign>==|<>|<=|>=|[-+*/:(){}\[\].,=<>]))""",
+    re.VERBOSE,
+)
+OPENING = {
+    "IF": "ENDIF",
+    "FOR": "ENDFOR",
+    "WHILE": "ENDWHILE",
+    "LOOP": "ENDLOOP",
+    "REPEAT": "UNTIL",
+    "SWITCH": "ENDSWITCH",
+}
+TYPES = {"INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS", "FDAT", "LDAT"}
+MOTIONS = {"LIN", "PTP", "CIRC", "LIN_REL", "PTP_REL", "SLIN", "SPTP"}
+CARTESIAN = "XYZABC"
+
+
+class Invalid(Exception):
+    """The program stops: a value is missing, an index is none, there are too many statements."""
+
+
+class _Return(Exception):
+    pass
+
+
+@dataclass
+class Variable:
+    kind: str = ""
+    value: object = None
+
+
+@dataclass
+class Place:
+    """A variable or a part of one: what an assignment writes and a parameter by reference stands for."""
+
+    variable: Variable
+    path: list = field(default_factory=list)
+
+    def get(self):
+        value = self.variable.value
+        for step in self.path:
+            if not isinstance(value, dict) or step not in value:
+                raise Invalid(f"no value: {step}")
+            value = value[step]
+        if value is None:
+            raise Invalid("no value")
+        return value
+
+    def set(self, new):
+        new = copy.deepcopy(new)
+        if not self.path:
+            self.variable.value = fitting(self.variable.kind, new)
+            return
+        if not isinstance(self.variable.value, dict):
+            self.variable.value = {}
+        value = self.variable.value
+        for step in self.path[:-1]:
+            value = value.setdefault(step, {})
+        last = self.path[-1]
+        kind = self.variable.kind if isinstance(last, int) else "REAL" if last in CARTESIAN else ""
+        value[last] = fitting(kind, new)
+
+
+def fitting(kind, value):
+    """What a variable of a type makes of a value."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    if kind == "INT":
+        return int(np.floor(value + 0.5))
+    return float(value) if kind == "REAL" else value
+
+
+@dataclass
+class Routine:
+    module: Module
+    name: str
+    parameters: list
+    body: list
+    public: bool
+
+
+@dataclass
+class Module:
+    name: str
+    variables: dict = field(default_factory=dict)
+    routines: dict = field(default_factory=dict)
+
+
+@dataclass
+class Motion:
+    file: str
+    line: int
+    kind: str
+    numbers: list | None
+    via: list | None
+    joints: list | None
+    base: np.ndarray
+    tool: np.ndarray
+    speed: float
+    cdis: float | None
+
+
+class Reader:
+    """Tokens of one line."""
+
+    def __init__(self, text):
+        self.tokens, self.at, position = [], 0, 0
+        text = text.rstrip()
+        while position < len(text):
+            match = TOKEN.match(text, position)
+            if not match:
+                raise Invalid(f"not understood: {text[position:]}")
+            self.tokens.append((match.lastgroup, match[match.lastgroup]))
+            position = match.end()
+
+    def peek(self, ahead=0):
+        index = self.at + ahead
+        return self.tokens[index][1].upper() if index < len(self.tokens) else ""
+
+    def kind(self):
+        return self.tokens[self.at][0] if self.at < len(self.tokens) else ""
+
+    def take(self, *expected):
+        token = self.peek()
+        if expected and token not in expected:
+            raise Invalid(f"{expected} is expected, {token!r} found")
+        self.at += 1
+        return token
+
+
+def code(line):
+    inside = False
+    for offset, char in enumerate(line):
+        inside ^= char == '"'
+        if char == ";" and not inside:
+            return line[:offset].strip()
+    return line.strip()
+
+
+class Controller:
+    """Files, variables, and one run.
+
+    :param files: name → text.
+    :param rng: chance.
+    :param base, tool: 4×4, in force where BAS(#INITMOV,0) leaves them; `system`: name → value of the controller's data.
+    """
+
+    def __init__(self, files, rng, base, tool, system):
+        self.rng, self.cell = rng, (base, tool)
+        self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
+        self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
+        self.modules, self.motions, self.submit = {}, [], []
+        self.numbers = None
+        self.stood = base, tool
+        self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
+        self.busy, self.steps = False, 0
+        self.frames = []
+        for name, text in files.items():
+            stem, _, ending = name.upper().rpartition(".")
+            module = self.modules.setdefault(stem, Module(stem))
+            if ending == "DAT":
+                self.data(module, text)
+            else:
+                self.source(module, name, text)
+                if ending == "SUB":
+                    self.submit += module.routines.values()
+
+    # --- files ---------------------------------------------------------------------------------------------------
+
+    def data(self, module, text):
+        for raw in re.split(r"\r\n|\n", text):
+            line = code(raw)
+            if line and not line.upper().startswith(("DEFDAT", "ENDDAT", "&")):
+                self.declare(module.variables, line, module)
+
+    def declare(self, variables, line, module=None):
+        reader = Reader(line)
+        public = False
+        while reader.peek() in ("DECL", "GLOBAL", "CONST"):
+            public |= reader.take() == "GLOBAL"
+        kind = ""
+        if len(reader.tokens) > reader.at + 1 and reader.tokens[reader.at + 1][0] == "name":
+            kind = reader.take()
+        while True:
+            name, index = reader.take(), None
+            if reader.peek() == "[":
+                reader.take()
+                index = None if reader.peek() == "]" else self.sum(reader)
+                reader.take("]")
+            table = self.shared if public else variables
+            variable = table.get(name) or (variables.get(name) or self.shared.get(name) if not kind else None)
+            if variable is None or (kind and not public and name not in variables):
+                variable = table[name] = Variable(kind)
+            if isinstance(variable, Variable) and kind and not variable.kind:
+                variable.kind, variable.value = kind, fitting(kind, variable.value)
+            if reader.peek() == "=":
+                reader.take()
+                Place(variable, [] if index is None else [int(index)]).set(self.expression(reader))
+            if reader.peek() != ",":
+                return
+            reader.take()
+
+    def source(self, module, file, text):
+        routine, stack = None, []
+        for number, raw in enumerate(re.split(r"\r\n|\n", text), 1):
+            line = code(raw)
+            word = line.split("(")[0].split(" ")[0].upper() if line else ""
+            head = re.match(r"(?i)(GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)", line)
+            if head:
+                parameters = []
+                for part in filter(None, map(str.strip, head[3].split(","))):
+                    name, _, way = part.partition(":")
+                    parameters.append((name.strip().upper(), way.strip().upper() == "IN"))
+                routine = Routine(module, head[2].upper(), parameters, [], bool(head[1]))
+                module.routines[routine.name] = routine
+                stack = [routine.body]
+            elif word in ("END", "ENDFCT"):
+                routine = None
+            elif not line or line[0] == "&" or routine is None:
+                continue
+            elif word in OPENING:
+                block = [word, file, number, line, [[]], []]
+                stack[-1].append(block)
+                stack.append(block[4][0])
+                block[5] = stack
+            elif word in ("ELSE", "CASE", "DEFAULT"):
+                stack.pop()
+                block = stack[-1][-1]
+                block[4].append([(line, number)])
+                stack.append(block[4][-1])
+            elif word in OPENING.values():
+                stack.pop()
+                stack[-1][-1][5] = line
+            else:
+                stack[-1].append((word, file, number, line))
+
+    # --- running -------------------------------------------------------------------------------------------------
+
+    def run(self, name):
+        """Run a program to its end; its motions are in `motions`."""
+        routine = self.modules[name].routines[name]
+        self.frames.append((routine, {}))
+        with suppress(_Return):
+            self.block(routine.body)
+        return self.motions
+
+    def block(self, body):
+        for statement in body:
+            if statement[0] in OPENING:
+                self.structure(statement)
+            elif isinstance(statement[0], str) and len(statement) == 4:
+                self.statement(*statement)
+            self.chance()
+
+    def chance(self):
+        """Let happen what may happen between two statements."""
+        self.steps += 1
+        if self.steps > 3000:
+            raise Invalid("too long")
+        if self.busy:
+            return
+        self.busy = True
+        for name, low, high in self.cyclic:
+            name.set(
+                float(self.rng.uniform(low, high)) if name.variable.kind != "INT" else int(self.rng.integers(1, 4))
+            )
+        for number in sorted(self.active & self.handlers.keys()):
+            if self.rng.random() < 0.2:
+                self.action(*self.handlers[number])
+        for routine in self.submit:
+            if self.rng.random() < 0.2:
+                self.call(routine, [])
+        for action in list(self.pending):
+            if self.rng.random() < 0.4:
+                self.pending.remove(action)
+                self.action(*action)
+        self.busy = False
+
+    def action(self, frame, file, number, line):
+        self.frames.append(frame)
+        word = re.match(r"[\w$]+", line)[0].upper()
+        try:
+            self.statement(word, file, number, line)
+        finally:
+            self.frames.pop()
+
+    def structure(self, block):
+        word, _, _, line, parts, closing = block
+        reader = Reader(line)
+        reader.take(word)
+        if word == "IF":
+            chosen = 0 if self.expression(reader) else 1
+            if chosen < len(parts):
+                self.block(parts[chosen])
+        elif word == "FOR":
+            place = self.place(reader)
+            reader.take("=")
+            first = self.sum(reader)
+            reader.take("TO")
+            last = self.sum(reader)
+            for value in range(int(first), int(last) + 1):
+                place.set(value)
+                self.block(parts[0])
+            place.set(int(last) + 1 if first <= last else int(first))
+        elif word == "WHILE":
+            text = line
+            while True:
+                reader = Reader(text)
+                reader.take("WHILE")
+                if not self.expression(reader):
+                    return
+                self.block(parts[0])
+        elif word == "REPEAT":
+            while True:
+                self.block(parts[0])
+                reader = Reader(closing)
+                reader.take("UNTIL")
+                if self.expression(reader):
+                    return
+        elif word == "SWITCH":
+            value = self.expression(reader)
+            for part in parts[1:]:
+                head = Reader(part[0][0])
+                if head.take() == "DEFAULT" or self.expression(head) == value:
+                    self.block(part[1:])
+                    return
+        else:
+            raise Invalid(word)
+
+    def statement(self, word, file, number, line):
+        if word in MOTIONS:
+            self.motion(word, file, number, line)
+        elif word in ("INTERRUPT", "GLOBAL"):
+            self.interrupt(file, number, line)
+        elif word == "TRIGGER":
+            action = re.search(r"(?i)\bDO\b\s*(.*?)(?:\s+PRIO\s*=.*)?$", line)[1]
+            self.pending.append((self.frames[-1], file, number, action))
+        elif word in ("ANIN", "DIGIN"):
+            reader = Reader(line)
+            reader.take(word)
+            if reader.take("ON", "OFF") == "ON":
+                self.cyclic.append((self.place(reader), -5.0, 5.0))
+        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE"):
+            return
+        elif word == "RETURN":
+            reader = Reader(line)
+            reader.take()
+            raise _Return(self.expression(reader) if reader.kind() else None)
+        elif word == "BAS":
+            self.bas(line)
+        elif word == "DECL" or (word in TYPES and re.match(r"\w+\s+\w", line)):
+            self.declare(self.frames[-1][1], line)
+        else:
+            self.assignment_or_call(line)
+
+    def interrupt(self, file, number, line):
+        declaration = re.match(r"(?i)(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+.*?\bDO\b\s*(.*)$", line)
+        if declaration:
+            self.handlers[int(declaration[1])] = (self.frames[-1], file, number, declaration[2])
+            return
+        switch = re.match(r"(?i)INTERRUPT\s+(ON|OFF)\s+(\d+)", line)
+        (self.active.add if switch[1].upper() == "ON" else self.active.discard)(int(switch[2]))
+
+    def assignment_or_call(self, line):
+        reader = Reader(line)
+        if reader.peek(1) == "(":
+            self.called(reader)
+            return
+        name = reader.peek()
+        if name in ("$BASE", "$TOOL", "$VEL", "$APO", "$ADVANCE", "$OUT", "$ORI_TYPE"):
+            self.system(reader)
+            return
+        place = self.place(reader)
+        reader.take("=")
+        place.set(self.expression(reader))
+
+    def system(self, reader):
+        name, part = reader.take(), None
+        if reader.peek() == "[":
+            reader.take()
+            self.sum(reader)
+            reader.take("]")
+        if reader.peek() == ".":
+            reader.take()
+            part = reader.take()
+        reader.take("=")
+        value = self.expression(reader)
+        if name in ("$BASE", "$TOOL"):
+            frame = pose(value) if part is None else None
+            if part is not None:
+                old = components(self.base if name == "$BASE" else self.tool)
+                old[part] = float(value)
+                frame = pose(old)
+            setattr(self, name[1:].lower(), frame)
+        elif name == "$VEL" and part in ("CP", None):
+            self.speed = float(value if part else value["CP"])
+            if self.speed <= 0:
+                raise Invalid("speed")
+        elif name == "$APO" and part in ("CDIS", None):
+            self.cdis = float(value if part else value["CDIS"])
+
+    def bas(self, line):
+        reader = Reader(line)
+        reader.take("BAS")
+        reader.take("(")
+        command = reader.take()
+        value = None
+        if reader.peek() == ",":
+            reader.take()
+            value = self.expression(reader)
+        if command == "#INITMOV":
+            self.base, self.tool, self.speed, self.cdis = *self.cell, 2.0, 3.0
+        elif command == "#VEL_CP":
+            self.speed = float(value)
+        elif command in ("#BASE", "#TOOL"):
+            data = self.shared[f"{command[1:]}_DATA"].value
+            if int(value) not in data:
+                raise Invalid("no such frame")
+            setattr(self, command[1:].lower(), pose(data[int(value)]))
+        else:
+            raise Invalid(command)
+
+    # --- calls ---------------------------------------------------------------------------------------------------
+
+    def find(self, name):
+        own = self.frames[-1][0].module.routines.get(name)
+        if own:
+            return own
+        module = self.modules.get(name)
+        if module and module.routines:
+            return module.routines.get(name) or next(iter(module.routines.values()))
+        for module in self.modules.values():
+            found = module.routines.get(name)
+            if found and found.public:
+                return found
+        return None
+
+    def called(self, reader):
+        name = reader.take()
+        reader.take("(")
+        routine, arguments = self.find(name), []
+        while reader.peek() != ")":
+            by_value = routine is not None and len(arguments) < len(routine.parameters)
+            by_value = by_value and routine.parameters[len(arguments)][1]
+            arguments.append(self.argument(reader, by_value))
+            if reader.peek() == ",":
+                reader.take()
+        reader.take(")")
+        if name in ("ABS", "SQRT"):
+            value = arguments[0].get()
+            return abs(value) if name == "ABS" else float(np.sqrt(abs(value)))
+        if routine is None:
+            for place in arguments:
+                if self.rng.random() < 0.7:
+                    self.spoil(place)
+            return float(self.rng.integers(1, 4))
+        return self.call(routine, arguments)
+
+    def argument(self, reader, by_value):
+        begin = reader.at
+        if reader.kind() == "name" and reader.peek(1) != "(" and reader.peek() not in ("TRUE", "FALSE", "NOT"):
+            place = self.place(reader)
+            if reader.peek() in (",", ")") and not by_value:
+                return place
+            reader.at = begin
+        return Place(Variable("", self.expression(reader)))
+
+    def spoil(self, place):
+        """What an unknown program does to an argument."""
+        value = place.variable.value if not place.path else place.get()
+        if isinstance(value, dict) and "X" in value:
+            place.set({**value, "X": float(self.rng.uniform(-9, 9))})
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            place.set(int(self.rng.integers(1, 4)))
+
+    def call(self, routine, arguments):
+        if len(self.frames) > 12:
+            raise Invalid("too deep")
+        local = {}
+        for index, (name, by_value) in enumerate(routine.parameters):
+            if index >= len(arguments):
+                local[name] = Variable()
+            elif by_value:
+                local[name] = Variable("", copy.deepcopy(arguments[index].get()))
+            else:
+                local[name] = arguments[index]
+        self.frames.append((routine, local))
+        try:
+            self.block(routine.body)
+        except _Return as result:
+            return result.args[0]
+        finally:
+            self.frames.pop()
+        return None
+
+    # --- expressions ---------------------------------------------------------------------------------------------
+
+    def place(self, reader):
+        name = reader.take()
+        found = self.lookup(name)
+        place = Place(found.variable, list(found.path)) if isinstance(found, Place) else Place(found)
+        while reader.peek() in ("[", "."):
+            if reader.take() == "[":
+                if reader.peek() == "]":
+                    raise Invalid("whole array")
+                index = self.sum(reader)
+                reader.take("]")
+                if index != int(index):
+                    raise Invalid("index")
+                place.path.append(int(index))
+            else:
+                place.path.append(reader.take())
+        return place
+
+    def lookup(self, name):
+        routine, local = self.frames[-1]
+        for table in (local, routine.module.variables, self.shared):
+            if name in table:
+                return table[name]
+        raise Invalid(f"{name} is not declared")
+
+    def expression(self, reader):
+        value = self.conjunction(reader)
+        while reader.peek() in ("OR", "EXOR"):
+            word, other = reader.take(), None
+            other = self.conjunction(reader)
+            value = (value or other) if word == "OR" else value != other
+        return value
+
+    def conjunction(self, reader):
+        value = self.comparison(reader)
+        while reader.peek() == "AND":
+            reader.take()
+            other = self.comparison(reader)
+            value = value and other
+        return value
+
+    def comparison(self, reader):
+        if reader.peek() == "NOT":
+            reader.take()
+            return not self.comparison(reader)
+        value = self.sum(reader)
+        if reader.peek() in ("==", "<>", "<", ">", "<=", ">="):
+            sign, other = reader.take(), None
+            other = self.sum(reader)
+            value = {
+                "==": lambda: value == other,
+                "<>": lambda: value != other,
+                "<": lambda: value < other,
+                ">": lambda: value > other,
+                "<=": lambda: value <= other,
+                ">=": lambda: value >= other,
+            }[sign]()
+        return value
+
+    def sum(self, reader):
+        value = self.product(reader)
+        while reader.peek() in ("+", "-"):
+            sign = reader.take()
+            other = self.product(reader)
+            value = value + other if sign == "+" else value - other
+        return value
+
+    def product(self, reader):
+        value = self.sign(reader)
+        while reader.peek() in ("*", "/"):
+            sign = reader.take()
+            other = self.sign(reader)
+            if sign == "*":
+                value = value * other
+            elif other == 0:
+                raise Invalid("division by zero")
+            elif isinstance(value, int) and isinstance(other, int):
+                value = int(value / other)
+            else:
+                value = value / other
+        return value
+
+    def sign(self, reader):
+        if reader.peek() in ("+", "-"):
+            return self.sign(reader) if reader.take() == "+" else -self.sign(reader)
+        value = self.primary(reader)
+        while reader.peek() == ":":
+            reader.take()
+            other = self.primary(reader)
+            last = {name: other[name] for name in ("S", "T") if name in other}
+            value = components(pose(value) @ pose(other)) | last
+        return value
+
+    def primary(self, reader):
+        kind, token = reader.kind(), reader.peek()
+        if kind == "number":
+            reader.take()
+            return int(token) if token.isdigit() else float(token)
+        if kind == "literal":
+            reader.take()
+            return int(token[2:-1], 2 if token[1] == "B" else 16)
+        if kind in ("enum", "string"):
+            return reader.take()
+        if token == "(":
+            reader.take()
+            value = self.expression(reader)
+            reader.take(")")
+            return value
+        if token == "{":
+            return self.aggregate(reader)
+        if token in ("TRUE", "FALSE"):
+            return reader.take() == "TRUE"
+        if kind != "name":
+            raise Invalid(f"{token!r} is no value")
+        if reader.peek(1) == "(":
+            return self.called(reader)
+        if token in ("$IN", "$ANIN"):
+            reader.take()
+            reader.take("[")
+            self.sum(reader)
+            reader.take("]")
+            return bool(self.rng.random() < 0.5) if token == "$IN" else float(self.rng.uniform(-3, 3))
+        if token in ("$BASE", "$TOOL", "$NULLFRAME", "$VEL"):
+            reader.take()
+            if token == "$VEL":
+                reader.take(".")
+                reader.take("CP")
+                return self.speed
+            frame = {"$BASE": self.base, "$TOOL": self.tool, "$NULLFRAME": np.eye(4)}[token]
+            if reader.peek() == ".":
+                reader.take()
+                return components(frame)[reader.take()]
+            return components(frame)
+        return copy.deepcopy(self.place(reader).get())
+
+    def aggregate(self, reader):
+        reader.take("{")
+        value = {}
+        if reader.peek(1) == ":":
+            reader.take()
+            reader.take(":")
+        while True:
+            name = reader.take()
+            item = self.expression(reader)
+            value[name] = float(item) if name in CARTESIAN and not isinstance(item, str) else item
+            if reader.take(",", "}") == "}":
+                return value
+
+    # --- motions -------------------------------------------------------------------------------------------------
+
+    def motion(self, word, file, number, line):
+        reader = Reader(line)
+        reader.take(word)
+        via = None
+        if word == "CIRC":
+            via = self.target(self.sign(reader))[:3]
+            reader.take(",")
+        value = self.sign(reader)
+        rest = " ".join(token.upper() for _, token in reader.tokens[reader.at :])
+        kind = word.removeprefix("S").removesuffix("_REL")
+        cdis = self.cdis if "C_DIS" in rest else None
+        state = (self.base, self.tool, self.speed, cdis)
+        if "A1" in value:
+            joints = [float(value[f"A{n}"]) for n in range(1, 7)]
+            self.numbers = None
+            self.motions.append(Motion(file, number, kind, None, None, joints, *state))
+            return
+        if word.endswith("_REL"):
+            numbers = self.relative(value, "#TOOL" in rest)
+        else:
+            numbers = self.target(value)
+        self.numbers = numbers
+        self.stood = self.base, self.tool
+        self.motions.append(Motion(file, number, kind, list(numbers), via, None, *state))
+
+    def target(self, value):
+        if self.numbers is None and any(name not in value for name in CARTESIAN):
+            raise Invalid("components are missing")
+        return [float(value[n]) if n in value else self.numbers[k] for k, n in enumerate(CARTESIAN)]
+
+    def relative(self, value, along_tool):
+        if self.numbers is None:
+            raise Invalid("relative to what is not known")
+        base, tool = self.stood
+        flange = base @ abc(*self.numbers) @ np.linalg.inv(tool)
+        numbers = list(components(np.linalg.inv(self.base) @ flange @ self.tool).values())
+        step = np.array([float(value.get(name, 0.0)) for name in "XYZ"])
+        if along_tool:
+            step = abc(0, 0, 0, *numbers[3:])[:3, :3] @ step
+        return [*(np.array(numbers[:3]) + step).tolist(), *numbers[3:]]
+
+
+def pose(value):
+    """4×4 of X…C in mm and degrees; a missing component is 0."""
+    if not isinstance(value, dict):
+        raise Invalid("not a frame")
+    return abc(*(float(value.get(name, 0.0)) for name in CARTESIAN))
+
+
+def components(frame):
+    """X…C [mm, deg] of a 4×4."""
+    r = frame[:3, :3]
+    b = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
+    a, c = np.arctan2(r[1, 0], r[0, 0]), np.arctan2(r[2, 1], r[2, 2])
+    values = [*(frame[:3, 3] * 1000), *np.degrees([a, b, c])]
+    return dict(zip(CARTESIAN, (float(value) for value in values), strict=True))

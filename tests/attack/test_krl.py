@@ -1,0 +1,34 @@
+"""Random KRL programs: what is read and written is what a controller does; for hours: `python -m tests.attack.krl`."""
+
+from collections import Counter
+
+import pytest
+
+from postproc.dialects.krl.execution import Execution
+from postproc.dialects.krl.points import Points
+from postproc.dialects.krl.settings import Settings
+from postproc.dialects.krl.variables import NOTHING, Variables
+from tests.attack.krl import Wrong, attack
+
+
+def test_random_programs_do_what_is_read_and_what_is_written():
+    outcomes = Counter(attack(seed) for seed in range(400))
+    assert outcomes["accepted"] > 100
+
+
+FAULTS = {
+    "calls are passed over": (Execution, "call", lambda self, at, call, certain: NOTHING),
+    "what may happen is taken not to": (Execution, "_perhaps", lambda self, at, name, effects: None),
+    "arguments keep their values": (Execution, "_forget_arguments", lambda self, at, call, routine: None),
+    "branches keep values": (Variables, "forget", lambda self, name, where: None),
+    "branches keep settings": (Settings, "perhaps", lambda self, line, state, reason: self.change(line, state)),
+    "points are corrected for all who read them": (Points, "_alone", lambda self, uses, aggregate: True),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_attack_finds_a_reader_that(fault, monkeypatch):
+    monkeypatch.setattr(*FAULTS[fault])
+    with pytest.raises(Wrong) as caught:
+        Counter(attack(seed) for seed in range(1000))
+    assert isinstance(caught.value.__cause__, Wrong)  # not another exception
