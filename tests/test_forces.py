@@ -248,3 +248,16 @@ def test_a_force_comment_that_cannot_be_read_is_an_error_with_its_line(text):
 @pytest.mark.parametrize("text", ["FOLD PTP P1 FX=100", "reinforce", "FX 6000 spindle", "AFX=1", "FORCED COOLING OFF"])
 def test_comments_about_other_things_are_no_force_comments(text):
     assert parse_force_note(text, 7, "a.nc") is None
+
+
+@pytest.mark.parametrize("axis", ["+Z", "-Z", "+X", "-X"])
+def test_feed_axes_do_not_depend_on_which_axis_of_the_tool_frame_is_the_spindle(axis):
+    """Travel along +X of the base, spindle upright: x ahead, z up to the spindle, y = z × x to the left."""
+    towards_tip = np.array([0.0, 0.0, -1.0]) * (1.0 if axis[0] == "+" else -1.0)
+    other = np.array([0.6, 0.8, 0.0])
+    columns = [other, np.cross(towards_tip, other), towards_tip]
+    if axis[1] == "X":
+        columns = [towards_tip, other, np.cross(towards_tip, other)]
+    force = (10.0, 20.0, 30.0, 1.0, 2.0, 3.0)
+    made = program(SQUARE, notes=[(2, force, "FEED")], orientation=np.stack(columns, axis=1))
+    np.testing.assert_allclose(along(made, 1, 50, axis=axis), force, atol=1e-12)

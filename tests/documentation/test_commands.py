@@ -24,7 +24,8 @@ SHOWN = [
 
 def test_formats_md_shows_the_help_of_every_command():
     shown = HEADING + pages.FORMATS.partition(HEADING)[2]
-    assert shown == reference(), "FORMATS.md is not what --help prints: run python -m tests.documentation.reference"
+    told = "not what --help prints: run python -m tests.documentation.reference"
+    assert shown.split() == reference().split(), told  # other versions of click break lines elsewhere
 
 
 @pytest.mark.parametrize("ctx", CONTEXTS, ids=PATHS)
