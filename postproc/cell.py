@@ -164,7 +164,7 @@ def load(path: str | Path) -> Cell:
     cell = files.read_toml(path, CellFile, CellError, _EXAMPLE)
     for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data")):
         for key in table:
-            if not (key.isascii() and key.isdecimal()):
+            if not (key.isascii() and key.isdecimal() and len(key) <= 4):
                 raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=str(path))
     for key in cell.work_offsets:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:

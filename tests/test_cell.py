@@ -53,6 +53,7 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
         ("X = 1500.0", "X = " + "[" * 5000, "not valid TOML"),
         ("[0, -70, 110, 0, 50, 0]", "[0, -70]", "start.joints: Expected a list of length 6, got 2"),
         ("[base_data.3]", '[base_data."²"]', r"base_data\.²"),
+        ("[base_data.3]", f"[base_data.{'3' * 5000}]", "is not a number"),
         ("[work_offsets.G54]", "[work_offsets.G60]", "Valid names: G54"),
         ('robot = "kuka_kr270"', 'robot = "kuka_kr270"\nfolder = "elsewhere"', "unknown key 'folder'"),
     ],

@@ -16,8 +16,10 @@ JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 BASE = "base"
 FLANGE = "flange"
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Positive = Annotated[float, msgspec.Meta(ge=1e-12, le=1e12)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
+Finite = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+"""Values beyond these are mistakes, whatever the unit."""
 
 
 class Sourced(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -64,8 +66,8 @@ class CompensatorEntry(Sourced, frozen=True, kw_only=True):
     """Gravity compensator at joint A2, paper Eq. (3)–(4)."""
 
     L_mm: Positive
-    a_x_mm: float
-    a_y_mm: float
+    a_x_mm: Finite
+    a_y_mm: Finite
     stiffness_N_per_m: NotNegative
     free_length_mm: NotNegative
     geometry_source: str = ""
@@ -97,19 +99,19 @@ class Displacement(Sourced, frozen=True, kw_only=True):
     X, Y, Z [mm] and a rotation vector RX, RY, RZ [deg], in the axes of the nominal joint frame.
     """
 
-    X_mm: float = 0.0
-    Y_mm: float = 0.0
-    Z_mm: float = 0.0
-    RX_deg: float = 0.0
-    RY_deg: float = 0.0
-    RZ_deg: float = 0.0
+    X_mm: Finite = 0.0
+    Y_mm: Finite = 0.0
+    Z_mm: Finite = 0.0
+    RX_deg: Finite = 0.0
+    RY_deg: Finite = 0.0
+    RZ_deg: Finite = 0.0
 
 
 class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m))."""
 
     parameters: list[str]
-    matrix: list[list[float]]
+    matrix: list[list[Finite]]
 
 
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

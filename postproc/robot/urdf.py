@@ -15,6 +15,9 @@ from postproc.frames import Array, rotation_from_angles
 from postproc.robot.chain import Chain
 from postproc.robot.model_file import FLANGE, JOINTS
 
+_LARGEST = 1e9
+"""A number beyond this is a mistake, whatever its unit."""
+
 
 def read(text: str, file: str) -> Chain:
     """Return the arm that a URDF describes.
@@ -151,8 +154,8 @@ def _numbers(element: ET.Element, name: str, count: int, default: str | None = N
         values = np.zeros(0)
     if len(values) != count:
         raise _RefusedError(f'<{element.tag} {name}="{text}">: {count} number{"s" * (count > 1)} expected')
-    if not np.isfinite(values).all():
-        raise _RefusedError(f'<{element.tag} {name}="{text}">: a number is not finite')
+    if not (np.abs(values) <= _LARGEST).all():
+        raise _RefusedError(f'<{element.tag} {name}="{text[:80]}">: a number is not finite, or beyond {_LARGEST:g}')
     return values
 
 

@@ -28,10 +28,10 @@ def ends(program: Program) -> Array:
     return program.motions.target[:, :3, 3] * 1e3
 
 
-def outcome(text: str, *, bulk: bool) -> list[object]:
+def outcome(text: str, cell: Cell = CELL, *, bulk: bool) -> list[object]:
     """Everything that reading a text gives: an error's message, or all arrays and tuples of the program."""
     try:
-        program = read(text, bulk=bulk)
+        program = read(text, cell, bulk=bulk)
     except PostprocError as error:
         return [type(error), str(error)]
     motions = program.motions

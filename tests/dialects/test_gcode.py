@@ -281,6 +281,17 @@ def test_events_stand_before_the_motion_of_their_line_and_stops_after_it() -> No
     ]
 
 
+def test_a_tool_change_stops_the_spindle_first() -> None:
+    assert events(read("G0 X0 Y0 Z10 S100 M3\nT2 M6\nT3 M6 S50 M4\nG1 Z0 F100\nM5\nM30\n")) == [
+        (0, "spindle_on", 1, 100.0, ""),
+        (1, "spindle_off", 2, 0.0, ""),
+        (1, "tool_change", 2, 2.0, ""),
+        (1, "tool_change", 3, 3.0, ""),
+        (1, "spindle_ccw", 3, 50.0, ""),
+        (2, "spindle_off", 5, 0.0, ""),
+    ]
+
+
 def test_the_end_of_the_program_switches_off_what_still_runs() -> None:
     assert events(read("G0 X0 Y0 Z10 S100 M4 M7\nM30\n")) == [
         (0, "spindle_ccw", 1, 100.0, ""),

@@ -11,10 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from postproc.errors import ProgramError
-from postproc.frames import Array
-from postproc.program import CIRC, Program
-from tests.dialects.gcode_reading import CELL, ends, read
-from tests.oracle.rs274 import Move, RejectedError, accepts, canonical, needs_rs274
+from tests.dialects.gcode_reading import CELL, read
+from tests.oracle.rs274 import RejectedError, accepts, assert_same_moves, canonical, needs_rs274
 
 pytestmark = needs_rs274
 
@@ -130,40 +128,6 @@ def programs(draw: st.DrawFn) -> Writer:
     for step in draw(st.lists(st.sampled_from(["straight", "arc", "arc", "mode"]), min_size=1, max_size=12)):
         getattr(writer, step)()
     return writer
-
-
-def sweep_of(start: Array, end: Array, centre: Array, plane: str, rotation: int) -> float:
-    first, second, _ = PLANES[{"XY": "G17", "XZ": "G18", "YZ": "G19"}[plane]]
-    a, b = (math.atan2(p[second] - centre[second], p[first] - centre[first]) for p in (start, end))
-    turned = (b - a if rotation > 0 else a - b) % (2.0 * math.pi)
-    if np.hypot(*(end - start)[[first, second]]) < 1e-6:
-        turned = 2.0 * math.pi
-    return turned + 2.0 * math.pi * (abs(rotation) - 1)
-
-
-def assert_same_moves(program: Program, expected: list[Move], scale: float) -> None:
-    """Compare motions with canonical moves of a program whose lengths are `scale` times as long."""
-    starts = [np.full(3, np.nan), *[move.end / scale for move in expected]]
-    pairs = [
-        (start, move)
-        for n, (start, move) in enumerate(zip(starts, expected, strict=False))
-        if n == 0 or move.command == "ARC_FEED" or np.linalg.norm(move.end / scale - start) > 2e-6
-    ]
-    motions = program.motions
-    assert len(motions) == len(pairs)
-    position, rapid, circular = ends(program), motions.rapid, motions.kind == CIRC
-    np.testing.assert_allclose(position, [move.end / scale for _, move in pairs], rtol=0.0, atol=1e-6)
-    assert rapid.tolist() == [move.command == "STRAIGHT_TRAVERSE" for _, move in pairs]
-    assert circular.tolist() == [move.command == "ARC_FEED" for _, move in pairs]
-    np.testing.assert_allclose(motions.feed[~rapid] * 60e3, [m.feed for _, m in pairs if m.command[-4:] == "FEED"])
-    for n in np.flatnonzero(circular):
-        start, move = pairs[n]
-        np.testing.assert_allclose(motions.centre[n] * 1e3, move.centre / scale, rtol=0.0, atol=1e-6)
-        normal = np.zeros(3)
-        normal["XYZ".index(({"X", "Y", "Z"} - set(move.plane)).pop())] = math.copysign(1.0, move.rotation)
-        np.testing.assert_array_equal(motions.normal[n], normal)
-        expected_sweep = sweep_of(start, move.end / scale, move.centre / scale, move.plane, move.rotation)
-        assert motions.sweep[n] == pytest.approx(expected_sweep, abs=1e-5)
 
 
 @settings(max_examples=250, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])

@@ -13,6 +13,7 @@ Decisions, where controls differ:
 - **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first.
 - **G4 P** is in seconds, as in LinuxCNC. More than a minute gives a warning: some controls count milliseconds.
 - **M2, M30** end the program; spindle and coolant that still run are switched off there, as LinuxCNC does.
+- **M6** stops the spindle first, as LinuxCNC does.
 - A new S while the spindle runs is an event like M3 with that speed.
 - **F** belongs to the units of its own block, also when G20 or G21 stands in the same block.
 - **A0, U0** (and B, C, V, W) keep an axis that the robot has not at zero: they are read over, and an issue says so.
@@ -218,6 +219,9 @@ class _Reader:
     def _machine(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
         self.tool = values.pop("T", self.tool)
         if codes.CHANGE in m:
+            if self.spindle != "spindle_off":
+                self.spindle = "spindle_off"
+                self._event(row, "spindle_off")
             self._event(row, "tool_change", self.tool)
             self.mounted.add(self.tool)
             if len(self.mounted) > 1:

@@ -1,0 +1,145 @@
+"""Random G-code against rs274: the same motions and the same switching, refused exactly where it should be.
+
+    python -m tests.attack.gcode --minutes 60 [--seed 0]
+
+Each program is written twice, with its lengths as they are and 2000 times as long, so that the four decimals that rs274
+prints show what is read to 5e-8. Half of the programs are spoilt. What is accepted by one side only must be one of the
+differences that `postproc.dialects.gcode` states. Then the text itself is spoilt (`inputs`): no reader may fail in any
+other way than with its own errors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import re
+import time
+import traceback
+from collections import Counter
+
+from msgspec.structs import replace
+
+from postproc.dialects import gcode
+from postproc.errors import MOST, InputError
+from postproc.program import Program
+from tests.attack import inputs
+from tests.attack.gcode_generator import OFFSETS, Generator, mutated
+from tests.dialects.gcode_reading import CELL, START_FLANGE, outcome
+from tests.oracle.rs274 import RejectedError, assert_same_moves, canonical
+
+SCALE = 2000
+NUMBERS = {"G54": 1, "G55": 2, "G56": 3, "G57": 4, "G58": 5, "G59": 6, "G59.1": 7, "G59.2": 8, "G59.3": 9}
+PLACES = {NUMBERS[name]: frame.pose() for name, frame in OFFSETS.items()}
+CELL_HERE = replace(CELL, work_offsets={name: frame for name, frame in OFFSETS.items() if name != "G54"})
+
+REFUSED_HERE = re.compile(
+    r"is not supported|is not known|not in the cell|parameters and expressions|O word|word without a code that uses it"
+    r"|G4 in one block with an arc|before the position is known|plausible range|moves nothing|G80 G80|force comment"
+)
+"""What rs274 may accept and the reader refuses, see `postproc.dialects.gcode`."""
+ACCEPTED_HERE = re.compile(
+    r"(?i)too many m codes|[IJK] word given for arc|mixed radius|no percent sign or program end|tool"
+)
+"""What rs274 may refuse and the reader accepts."""
+
+
+class Wrong(AssertionError):
+    """The reader and rs274 do not agree."""
+
+
+def variables(scale: int) -> str:
+    """The work offsets as the variable file of rs274, which counts in inches."""
+    lines = ["5161 0", "5220 1"]
+    for name, frame in OFFSETS.items():
+        first = 5201 + 20 * NUMBERS[name]
+        lines += [f"{first + n} {value * scale / 25.4:.6f}" for n, value in enumerate((frame.X, frame.Y, frame.Z))]
+        lines.append(f"{first + 9} {frame.A:.6f}")
+    return "\n".join(lines) + "\n"
+
+
+def try_program(seed: int) -> str:
+    """Make one program and compare. Returns what came of it in a word.
+
+    :raises Wrong: with the program.
+    """
+    rng = random.Random(seed)
+    made = Generator(rng)
+    made.program()
+    if rng.random() < 0.5:
+        mutated(made, rng)
+        made.sound = False
+    text = made.text(1)
+    try:
+        return _compared(made, text)
+    except Exception as cause:
+        raise Wrong(f"seed {seed}:\n{text}\n{traceback.format_exc()}") from cause
+
+
+def _compared(made: Generator, text: str) -> str:
+    ends = [row for row, block in enumerate(made.blocks) if set(block.words) & {"M2", "M30", "M02"}]
+    refused = {row + 1 + made.tape for row in made.refused if row <= min(ends, default=row)}
+    here: Program | InputError
+    try:
+        here = gcode.read(gcode.decode("part.nc", text.encode()), CELL_HERE, START_FLANGE, "part")
+    except InputError as error:
+        here = error
+    assert outcome(text, CELL_HERE, bulk=True) == outcome(text, CELL_HERE, bulk=False), "bulk reading differs"
+    if isinstance(here, InputError):
+        errors = [here, *here.others]
+        missed = refused - {error.line for error in errors}
+        assert not missed or len(errors) > MOST, f"not refused: lines {missed}"
+    else:
+        assert not refused, f"accepted: lines {refused}"
+    if not made.sound and "G59.3" in text.upper() and re.search(r"(?i)M0?6", text):
+        return "not comparable"  # the stand-alone rs274 forgets the turn of a work offset when the tool is changed
+    try:
+        there = canonical(text, variables(1))
+    except RejectedError as cause:
+        if isinstance(here, InputError):
+            return "refused by both"
+        reason = re.sub(r"(?m)^ *\d+ N\S* .*\n", "", str(cause))
+        kept_feed = "zero feed rate" in reason and "G94" in text.upper()
+        assert kept_feed or ACCEPTED_HERE.search(reason), f"accepted, but rs274 says {reason}"
+        return "accepted here only"
+    if isinstance(here, InputError):
+        if any(error.problem.startswith("M99") for error in errors):
+            return "refused here only"  # which rs274 takes for the end
+        assert all(REFUSED_HERE.search(error.problem) for error in errors), f"refused, but rs274 accepts: {here}"
+        return "refused here only"
+    assert_same_moves(here, there, 1.0, digits=2e-4 * 25.4, offsets=PLACES)
+    if not made.sound:
+        return "same, to four decimals"
+    try:
+        large = canonical(made.text(SCALE), variables(SCALE))
+    except RejectedError:
+        return "same, to four decimals"
+    assert_same_moves(here, large, SCALE, offsets=PLACES)
+    return "same"
+
+
+def main() -> None:
+    """Attack for some minutes and print what came of it; end with an error at the first that is wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--keep-going", action="store_true", help="count what is wrong instead of ending")
+    options = parser.parse_args()
+    until, seed = time.monotonic() + 60.0 * options.minutes, options.seed
+    found: Counter[str] = Counter()
+    while time.monotonic() < until:
+        for attack in (try_program, *inputs.ATTACKS):
+            try:
+                found[f"{attack.__name__}: {attack(seed)}"] += 1
+            except AssertionError as wrong:
+                found[f"{attack.__name__}: WRONG"] += 1
+                print(f"--- {attack.__name__}({seed})\n{wrong}", flush=True)
+                if not options.keep_going:
+                    raise SystemExit(1) from None
+        seed += 1
+    print(f"seeds {options.seed} to {seed - 1}")
+    for what, count in sorted(found.items()):
+        print(f"{count:8d} {what}")
+
+
+if __name__ == "__main__":
+    main()
