@@ -94,6 +94,15 @@ class Marker(FlangePoint, frozen=True):
     normal: tuple[float, float, float] | None = None
 
 
+class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What the flange carried in all readings, beside the load: kg, and its centre of mass in the flange frame, mm."""
+
+    mass_kg: Positive
+    X: float = 0.0
+    Y: float = 0.0
+    Z: float = 0.0
+
+
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`."""
 
@@ -101,6 +110,7 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sigma_mm: Positive
     load_point: FlangePoint
     points: dict[str, Marker]
+    payload: Payload | None = None
     rig: Rig | None = None
     tracker: Tracker | None = None
     floor: Floor = Floor()

@@ -69,14 +69,16 @@ def identify_folder(
     """
     setup = read_experiment(experiment)
     prior_folder = robots.find(setup.robot, experiment.parent)
-    prior = robots.load(prior_folder)
+    shipped = robots.load(prior_folder)
+    before = model_folder.without_found_springs(model_folder.read_prior(prior_folder, setup.payload, experiment.name))
+    prior = robots.assemble(shipped.name, before, shipped.nominal)
     if compensator is not None:
         prior = with_compensator_geometry(prior, compensator)
     result = identify(prior, read(measurements, setup), method, depth, progress)
     data = report_data(result)
     marked = None if compensator is None else f"identified from markers ({compensator.name})"
     source = f"identified from {measurements.name}, {method}"
-    content = model_folder.model_file(result, model_folder.read_prior(prior_folder), source, marked)
+    content = model_folder.model_file(result, before, source, marked)
     if geometry:
         progress("geometry")
         found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
@@ -100,13 +102,14 @@ def geometry_folder(
     """
     setup = read_experiment(experiment)
     folder = model or robots.find(setup.robot, experiment.parent)
-    robot = robots.load(folder)
+    content = model_folder.read_prior(folder, setup.payload, experiment.name)
+    nominal = robots.load(folder).nominal
+    robot = robots.assemble(folder.resolve().name, content, nominal)
     data = read(measurements, setup, loads=False)
     check_points(data)
     check_frames(robot, data)
     data, left_out = outliers.model_free(data)
-    content = model_folder.read_prior(folder)
-    found = calibration.identify_geometry(content, robot.nominal, robot.name, data)
+    found = calibration.identify_geometry(content, nominal, robot.name, data)
     report = {
         "method": "geometry",
         "robot": robot.name,

@@ -13,6 +13,7 @@ import numpy as np
 from postproc import files
 from postproc.errors import InputError, ModelError
 from postproc.frames import MM_PER_M
+from postproc.identification.experiment import Payload
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.procedure import Identification
 from postproc.robot import JOINT_COMPLIANCES
@@ -23,6 +24,7 @@ from postproc.robot.model_file import (
     JointSpring,
     LinkSprings,
     ModelFile,
+    PayloadEntry,
 )
 
 
@@ -53,6 +55,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         joints=joints,
         gravity=Gravity(reference=prior.gravity.reference, in_gears=result.fit.structure.in_gears),
         compensator=_compensator(result, prior, tables["compensator"], source, geometry_source),
+        payload=prior.payload,
         geometry=prior.geometry,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
         covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
@@ -110,9 +113,24 @@ def write(
     return files.write_whole(folder, files_of)
 
 
-def read_prior(folder: Path) -> ModelFile:
-    """Return the content of the prior's `model.toml`."""
-    return files.read_toml(folder / "model.toml", ModelFile, ModelError)
+def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
+    """Return the content of the prior's `model.toml`, the flange carrying what the experiment says.
+
+    :param source: the file that says so.
+    """
+    content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
+    carried = None
+    if payload is not None:
+        carried = PayloadEntry(
+            source=f"stated in {source}", mass_kg=payload.mass_kg, X_mm=payload.X, Y_mm=payload.Y, Z_mm=payload.Z
+        )
+    return msgspec.structs.replace(content, payload=carried)
+
+
+def without_found_springs(content: ModelFile) -> ModelFile:
+    """Return a model with joint springs alone: those of links, and what fades of the gears, are looked for anew."""
+    joints = {name: msgspec.structs.replace(spring, stiffening=[]) for name, spring in content.joints.items()}
+    return msgspec.structs.replace(content, joints=joints, links={}, covariance=None)
 
 
 def to_toml(content: ModelFile) -> str:

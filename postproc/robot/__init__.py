@@ -277,7 +277,10 @@ def load(folder: str | Path) -> RobotModel:
     path = folder / "robot.urdf"
     robot = assemble(folder.resolve().name, content, urdf.read(files.read_text(path, ModelError), str(path)))
     for parameter in robot.covariance.parameters if robot.covariance is not None else ():
-        parameter.row(robot)
+        try:
+            parameter.row(robot)
+        except ModelError as error:
+            raise ModelError(error.problem, file=where) from None
     return robot
 
 
@@ -290,6 +293,8 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         else:
             placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
     actual = replace(nominal, placement=placement, flange=flange)
+    if (carried := content.payload) is not None:
+        actual = actual.with_payload(carried.mass_kg, np.array([carried.X_mm, carried.Y_mm, carried.Z_mm]) * M_PER_MM)
     values, table = parameters.stated(content), content.covariance
     rigid = RobotModel(
         name=name,
@@ -322,6 +327,13 @@ def _placement(entry: Displacement) -> Array:
 def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
     if covariance is None:
         return
+    unknown = [name for name in covariance.parameters if parameters.named(name) is None]
+    if unknown:
+        raise ModelError(
+            f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called",
+            file=where,
+            advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), A2.RX (a spring of a link), K_c, s_0.",
+        )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:
         raise ModelError(f"[covariance] matrix is not {size}×{size}", file=where)
@@ -348,6 +360,9 @@ def _provenance(content: ModelFile, nominal: Chain) -> Iterator[Provenance]:
         yield Provenance("compensator geometry", value, geometry_source, assumed)
         value = f"K_c {spring_law.stiffness_N_per_m:g} N/m, s_0 {spring_law.free_length_mm:g} mm"
         yield Provenance("compensator spring", value, spring_law.source, spring_law.assumed)
+    if (carried := content.payload) is not None:
+        value = f"{carried.mass_kg:g} kg at {carried.X_mm:g}, {carried.Y_mm:g}, {carried.Z_mm:g} mm of the flange"
+        yield Provenance("payload when measured", value, carried.source, carried.assumed)
     for name, springs in content.links.items():
         count = sum(spring.link == name for spring, _ in LinkSpring.stated(content))
         yield Provenance(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)

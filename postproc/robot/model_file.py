@@ -107,6 +107,18 @@ class Displacement(Sourced, frozen=True, kw_only=True):
     RZ_deg: Finite = 0.0
 
 
+class PayloadEntry(Sourced, frozen=True, kw_only=True):
+    """What the flange carried when the robot was measured; the payload of a cell comes in addition to it.
+
+    `mass_kg`, centre of mass X_mm, Y_mm, Z_mm in the flange frame.
+    """
+
+    mass_kg: Positive
+    X_mm: float = 0.0
+    Y_mm: float = 0.0
+    Z_mm: float = 0.0
+
+
 class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m))."""
 
@@ -122,6 +134,7 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     date: str = ""
     gravity: Gravity = Gravity()
     compensator: CompensatorEntry | None = None
+    payload: PayloadEntry | None = None
     geometry: dict[str, Displacement] = {}
     links: dict[str, LinkSprings] = {}
     covariance: CovarianceTable | None = None
