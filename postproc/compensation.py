@@ -44,11 +44,6 @@ class Compensation:
     theta: Array
 
 
-def uncorrected(robot: RobotModel, q: Array, tool: Array) -> Compensation:
-    """Return joint angles (N, 6) as commands without any correction."""
-    return Compensation(q, kinematics.tcp(robot.nominal, q, tool)[0], np.zeros((len(q), robot.actual.nv)))
-
-
 def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
     """Find the commands under which the loaded tool stands at its targets.
 

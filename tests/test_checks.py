@@ -83,9 +83,9 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
 
     honest = krl.emit
 
-    def wrong(made, targets, cell):
+    def wrong(made, targets, *others):
         targets.pose[2:, 0, 3] += 1e-5 * factor
-        written = honest(made, targets, cell)
+        written = honest(made, targets, *others)
         targets.pose[2:, 0, 3] -= 1e-5 * factor
         return written
 

@@ -87,7 +87,8 @@ class ClosedForm:
         """Return joint angles (6, n) [rad] of flange poses (3, 4, n) [m] on branches; NaN out of reach."""
         behind, past, flipped = (np.asarray(branch) >> bit & 1 for bit in range(3))
         columns = [flange[:, k] for k in range(3)]
-        ahead, across, height = self.axes @ (combination(columns, self.wrist) + flange[:, 3] - self.base[:, None])
+        wrist = combination(columns, self.wrist) + flange[:, 3] - self.base[:, None]
+        ahead, across, height = np.einsum("ij,jn->in", self.axes, wrist)
         a, b = self.upper_arm, self.forearm
         with np.errstate(invalid="ignore"):
             far = (1 - 2 * behind) * np.sqrt(ahead * ahead + across * across - self.aside**2)
@@ -99,14 +100,14 @@ class ClosedForm:
         along, aside = a + b * cosine, b * sine
         upper = np.arctan2(far * along - height * aside, height * along + far * aside)
 
-        hand = np.concatenate([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
-        x, y, z = (self.axes @ hand).reshape(3, 3, -1)
+        hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
+        x, y, z = np.einsum("ij,jkn->ikn", self.axes, hand)
         sine, cosine = sine_and_cosine(heading)
         x, y = x * cosine + y * sine, y * cosine - x * sine
         sine, cosine = sine_and_cosine(upper + elbow - self.tilt[1])
         x, z = x * cosine - z * sine, z * cosine + x * sine
         # what the wrist has to turn is Rz(A4)·Ry(A5 + bend)·Rz(A6)
-        m = (self.before_wrist @ np.stack([x, y, z]).reshape(3, -1)).reshape(3, 3, -1)
+        m = np.einsum("ij,jkn->ikn", self.before_wrist, np.stack([x, y, z]))
         side = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
         unique = side > _NO_TURN
         turn = (1 - 2 * flipped) / np.where(unique, side, 1.0)
@@ -161,7 +162,7 @@ def closed_form(robot: RobotModel) -> ClosedForm:
         hand=clean(flange[:, :3].T @ own.T @ about_y),
         bend=bend,
     )
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 6))
+    q = np.sin(np.arange(120.0)).reshape(20, 6)  # spread evenly enough
     with np.errstate(divide="ignore", invalid="ignore"):
         found = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
     if not np.abs(_wrapped(found - q)).max() < _SAME:

@@ -8,7 +8,7 @@ from postproc.frames import Array
 from postproc.kinematics.forward import tcp
 from postproc.robot import RobotModel
 
-_LOOKED_AT = 10_000
+_LOOKED_AT = 4_000
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:
@@ -19,7 +19,7 @@ def joint_margin(robot: RobotModel, q: Array) -> Array:
 def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     """Return the smallest singular value of the tool's Jacobian along a path: metres and radians per radian.
 
-    Along a dense path it changes slowly: of more than some ten thousand rows only every n-th is looked at first, then
+    Along a dense path it changes slowly: of more than some thousand rows only every n-th is looked at first, then
     all around the smallest.
 
     :param q: (N, 6) joint angles [rad]; NaN is returned for none.

@@ -10,7 +10,7 @@ import numpy as np
 from postproc import elastostatics, forces, kinematics, provenance, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
-from postproc.compensation import Compensation, compensate, uncorrected
+from postproc.compensation import Compensation, compensate
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
@@ -135,7 +135,7 @@ def process(
         also = more if also is None else _joined(also, more)
     everywhere = row
     if mode == "predict":  # it was corrected only to find the places
-        sampled = replace(sampled, command=_as_it_stands(program, place, sampled.sample, sampled.joints))
+        sampled = replace(sampled, command=_as_it_stands(place, sampled.sample, sampled.joints))
         targets, text = replace(targets, pose=sampled.sample.pose[row]), None
         issues = [*told, *program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         everywhere = np.arange(len(sampled.sample))
@@ -260,20 +260,20 @@ def _sample(
         message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
         raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
     if mode == "nominal":
-        return _Sampled(path, load, arcs, sample, wrench, joints, _as_it_stands(program, place, sample, joints))
+        return _Sampled(path, load, arcs, sample, wrench, joints, _as_it_stands(place, sample, joints))
     movable = np.isnan(m.joints[motion, 0])
     try:
         command = _compensated(program, place, sample, wrench, joints, movable)
     except NotConvergedError as cause:
         if mode == "convert":
             raise _BlockedError(_at_rows("not-converged", _NO_BALANCE, program, motion[list(cause.rows)])) from None
-        command = _as_it_stands(program, place, sample, joints)  # what cannot be corrected can still be predicted
+        command = _as_it_stands(place, sample, joints)  # what cannot be corrected can still be predicted
     return _Sampled(path, load, arcs, sample, wrench, joints, command)
 
 
-def _as_it_stands(program: Program, place: InRoot, sample: Toolpath, joints: JointPath) -> Compensation:
+def _as_it_stands(place: InRoot, sample: Toolpath, joints: JointPath) -> Compensation:
     """Return the commands of the program as it is."""
-    return replace(uncorrected(place.robot, joints.q, place.tool(program, sample.motion)), pose=sample.pose)
+    return Compensation(joints.q, sample.pose, np.zeros((len(joints.q), place.robot.actual.nv)))
 
 
 def _at_rows(kind: str, message: str, program: Program, motion: Ints) -> Issue:
@@ -286,20 +286,20 @@ def _compensated(
     program: Program, place: InRoot, sample: Toolpath, wrench: Array, joints: JointPath, movable: Bools
 ) -> Compensation:
     """Correct all samples but axis targets, which are left as they stand."""
-    moved = np.flatnonzero(movable)
 
-    def corrected(rows: Ints) -> tuple[Array, Array, Array]:
-        motion = sample.motion[rows]
-        target, force = place.pose(program, motion, sample.pose[rows]), place.wrench(program, motion, wrench[rows])
-        found = compensate(place.robot, target, joints.q[rows], place.tool(program, motion), force)
-        return found.q, place.back(program, motion, found.pose), found.theta
+    def corrected(motion: Ints, pose: Array, wrench: Array, q: Array, movable: Bools) -> tuple[Array, Array, Array]:
+        rows = np.flatnonzero(movable)
+        motion = motion[rows]
+        target, force = place.pose(program, motion, pose[rows]), place.wrench(program, motion, wrench[rows])
+        try:
+            found = compensate(place.robot, target, q[rows], place.tool(program, motion), force)
+        except NotConvergedError as cause:
+            raise NotConvergedError(str(cause), rows[list(cause.rows)]) from None
+        q, pose, theta = q.copy(), pose.copy(), np.zeros((len(q), place.robot.actual.nv))
+        q[rows], pose[rows], theta[rows] = found.q, place.back(program, motion, found.pose), found.theta
+        return q, pose, theta
 
-    out = Compensation(joints.q.copy(), sample.pose.copy(), np.zeros((len(movable), place.robot.actual.nv)))
-    try:
-        out.q[moved], out.pose[moved], out.theta[moved] = in_chunks(corrected, moved)
-    except NotConvergedError as cause:
-        raise NotConvergedError(str(cause), moved[list(cause.rows)].tolist()) from None
-    return out
+    return Compensation(*in_chunks(corrected, sample.motion, sample.pose, wrench, joints.q, movable))
 
 
 def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:

@@ -112,4 +112,5 @@ def statistics(distance: Array, rapid: Bools) -> Statistics:
     if len(cutting) == 0:
         return Statistics(0.0, 0.0, 0.0, 0.0)
     rms = float(np.sqrt(np.mean(cutting**2)))
-    return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(np.percentile(cutting, 95)))
+    p95 = np.interp(0.95 * (len(cutting) - 1), np.arange(len(cutting)), np.sort(cutting))
+    return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(p95))

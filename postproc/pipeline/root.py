@@ -78,13 +78,13 @@ class InRoot:
     def points_back(self, program: Program, motion: Ints, point_in_root: Array) -> Array:
         """Return points (n, 3) in `$BASE` of their motions of points in the root [m]."""
         base = self._base(program, motion)
-        return np.asarray(((point_in_root - base[..., :3, 3])[:, None] @ base[..., :3, :3])[:, 0])
+        return np.asarray(np.einsum("...i,...ij->...j", point_in_root - base[..., :3, 3], base[..., :3, :3]))
 
     def wrench(self, program: Program, motion: Ints, wrench_in_base: Array) -> Array:
         """Return wrenches (n, 6) in root axes of wrenches in `$BASE` axes."""
         rotation = self._base(program, motion)[..., :3, :3]
         pairs = wrench_in_base.reshape(-1, 2, 3)
-        return np.asarray(pairs @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
+        return np.asarray(np.einsum("...ij,...kj->...ki", rotation, pairs)).reshape(-1, 6)
 
     def _base(self, program: Program, motion: Ints) -> Array:
         if len(program.bases) == 1:

@@ -105,9 +105,10 @@ def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point
     m = program.motions
     in_tool = inverse(program.tools) @ np.append(point, 1.0)
     if len(program.bases) == len(program.tools) == 1:
-        return np.asarray((pose_tcp_in_base @ in_tool[0]) @ program.bases[0, :3].T)
-    in_base = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
-    return np.asarray((program.bases[m.base[motion], :3] @ in_base)[..., 0])
+        in_base = np.einsum("nij,j->ni", pose_tcp_in_base, in_tool[0])
+        return np.asarray(np.einsum("ij,nj->ni", program.bases[0, :3], in_base))
+    placed = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
+    return np.asarray((program.bases[m.base[motion], :3] @ placed)[..., 0])
 
 
 def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:

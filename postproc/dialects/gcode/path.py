@@ -137,7 +137,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
     target = np.zeros((len(kept), 4, 4))
     target[:, 3, 3] = 1.0
     is_arc = kind == CIRC
-    for code in np.unique(rows.offset[kept]).tolist():
+    for code in sorted(set(rows.offset[kept].tolist())):
         pose = setting.offsets[code]
         here, there = rows.offset[kept] == code, rows.offset[circular] == code
         target[here, :3, :3] = pose[:3, :3] @ setting.tool
@@ -174,7 +174,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
 
 
 def _placed(pose: Array, mm: Array) -> Array:
-    placed: Array = mm @ (pose[:3, :3].T * M_PER_MM) + pose[:3, 3]
+    placed: Array = np.einsum("...j,ij->...i", mm, pose[:3, :3] * M_PER_MM) + pose[:3, 3]
     return placed
 
 
