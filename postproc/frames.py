@@ -149,6 +149,12 @@ def sine_and_cosine(angle: Array) -> tuple[Array, Array]:
     return half * rest, rest - 1.0
 
 
+def angle_between(one: Array, other: Array) -> Array:
+    """Return the angles (n,) [rad] between rotations (n, 3, 3): ‖R₁ − R₂‖² = 8·sin²(θ/2)."""
+    apart = (one - other).reshape(-1, 9)
+    return np.asarray(2.0 * np.arcsin(np.minimum(norm(apart) / np.sqrt(8.0), 1.0)))
+
+
 def norm(vector: Array) -> Array:
     """Return the lengths (...) of vectors (..., k)."""
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", vector, vector)))

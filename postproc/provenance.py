@@ -19,6 +19,7 @@ from postproc.program import Document
 FORMAT = 1
 State = Literal["intact", "changed", "none"]
 _LINE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*;[ \t]*POSTPROC\b([^\r\n]*)(?:\r{0,2}\n|\r|\Z)", re.IGNORECASE)
+_WORD = re.compile(r";[ \t]*(?i:POSTPROC)\b")
 _DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
 _END = re.compile(r"\r{0,2}\n|\r")
 _CONTENT = re.compile(r"\s*(\d+)((?:\s+\w+=\S+)*)\s*")
@@ -69,7 +70,7 @@ def digest(contents: Iterable[bytes]) -> str:
 
 def of(documents: Sequence[Document]) -> Provenance:
     """Return what the files of a KRL program, the `.src` first, say of where they come from."""
-    found = list(_LINE.finditer(documents[0].text))
+    found = _lines(documents[0].text)
     if not found:
         return Provenance("none")
     line = _line_at(documents[0].text, found[0].start())
@@ -89,9 +90,9 @@ def marked(documents: Sequence[Document], origin: Origin) -> tuple[tuple[Documen
     :returns: the files, and the 1-based line from which on lines of the `.src` have moved down by one; 0 if none has.
     """
     main, *others = documents
-    old = _LINE.search(main.text)
-    if old is not None:
-        start, stop, end = old.start(), old.end(), _ending(old[0])
+    old = _lines(main.text)
+    if old:
+        start, stop, end = old[0].start(), old[0].end(), _ending(old[0][0])
     else:
         head = _DEF.search(main.text)
         start = stop = head.end() if head else 0
@@ -107,8 +108,17 @@ def marked(documents: Sequence[Document], origin: Origin) -> tuple[tuple[Documen
     }
     line = f";POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
     text = main.text[:start] + line + main.text[stop:]
-    moved = 0 if old is not None else _line_at(main.text, start)
+    moved = 0 if old else _line_at(main.text, start)
     return (replace(main, text=text), *others), moved
+
+
+def _lines(text: str) -> list[re.Match[str]]:
+    """Return the lines that say where a program comes from."""
+    lines = []
+    for word in _WORD.finditer(text):  # found fast, unlike lines
+        start = max(text.rfind(end, 0, word.start()) for end in "\r\n") + 1
+        lines.append(_LINE.match(text, start))
+    return [line for line in lines if line is not None]
 
 
 def _text(documents: Sequence[Document], line: re.Match[str]) -> str:

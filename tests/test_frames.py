@@ -70,3 +70,11 @@ def test_interpolation_turns_about_one_axis_and_moves_on_a_line():
     a, b = frames.pose_from_xyzabc([[0.0, 0, 0, 0, 0, 0], [100.0, 0, 0, 90, 0, 0]])
     middle = frames.interpolated(a[None], b[None], np.array([0.5]))
     np.testing.assert_allclose(frames.xyzabc_from_pose(middle)[0], [50, 0, 0, 45, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-7, 1e-3, 1.0, 3.0])
+def test_angle_between_rotations_is_that_of_the_rotation_from_one_to_the_other(size):
+    axis = np.array([[0.6, -0.64, 0.48]])
+    one = frames.rotation_from_vector(np.array([[0.3, -1.0, 0.8]]))
+    other = frames.rotation_from_vector(size * axis) @ one
+    assert frames.angle_between(one, other) == pytest.approx(size, rel=1e-3 if size < 1e-9 else 1e-8, abs=1e-15)

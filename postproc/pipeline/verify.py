@@ -104,13 +104,20 @@ def simulate(
     changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
     begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
     curved = np.flatnonzero((program.motions.kind[targets.motion] == CIRC) | (m.kind[row] == CIRC))
+
+    def unevenness(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
+        quarters = (
+            toolpath.positions(written, written_path, on, np.full(len(on), share))
+            - toolpath.positions(program, path, of, begin + share * (end - begin))
+            for share in (0.25, 0.75)
+        )
+        one, other = (norm(displaced - correction) for displaced in quarters)
+        return (np.maximum(one, other),)
+
     uneven = np.zeros(len(targets))
-    for quarter in (0.25, 0.75):
-        t = begin[curved] + quarter * (targets.t - begin)[curved]
-        nominal = toolpath.at(program, path, targets.motion[curved], t)
-        read = toolpath.at(written, written_path, row[curved], np.full(len(curved), quarter))
-        apart = norm(read.pose[:, :3, 3] - nominal.pose[:, :3, 3] - correction[curved])
-        uneven[curved] = np.maximum(uneven[curved], apart)
+    (uneven[curved],) = in_chunks(
+        unevenness, targets.motion[curved], begin[curved], targets.t[curved], row[curved], correction[curved]
+    )
     steep = (changed > _STEEP) | (uneven > _UNEVEN * place.tolerance)
     index, share = _probes(m, row, written_path, curved, steep)
     t = begin[index] + share * (targets.t - begin)[index]

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.chunks import in_chunks
-from postproc.frames import Array, interpolated, inverse, norm, twist_between
+from postproc.frames import Array, angle_between, interpolated, inverse, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
+
+_STILL = 1e-6
+"""Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,12 +20,14 @@ class Segments:
     """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
 
     :param start: tool frames where the motions start.
+    :param begin: (M, 3) positions there [m].
     :param length: (M,) path length of the TCP; 0 for PTP.
     :param turn: (M,) angle between the orientations at start and end [rad].
     :param arcs: the geometry of the arcs among them.
     """
 
     start: Starts
+    begin: Array
     length: Array
     turn: Array
     arcs: Arcs
@@ -125,21 +130,22 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     m = program.motions
     start = starts(program, m.target.__getitem__, start_flange_in_root)
 
-    def chord(rows: Ints) -> tuple[Array, Array]:
-        between = twist_between(start.at(rows), m.target[rows])
-        return norm(between[:, :3]), norm(between[:, 3:])
+    def chord(rows: Ints) -> tuple[Array, Array, Array]:
+        one, other = start.at(rows), m.target[rows]
+        begin = one[:, :3, 3]
+        return begin, norm(other[:, :3, 3] - begin), angle_between(one[:, :3, :3], other[:, :3, :3])
 
-    length, turn = in_chunks(chord, np.arange(len(m)))
-    arcs = _arcs(program, start)
+    begin, length, turn = in_chunks(chord, np.arange(len(m)))
+    arcs = _arcs(program, begin)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
-    return Segments(start, length, turn, arcs)
+    return Segments(start, begin, length, turn, arcs)
 
 
-def _arcs(program: Program, start: Starts) -> Arcs:
+def _arcs(program: Program, begin: Array) -> Arcs:
     m = program.motions
     motion = np.flatnonzero(m.kind == CIRC)
-    begin, end, normal = start.at(motion)[:, :3, 3], m.target[motion, :3, 3], m.normal[motion]
+    begin, end, normal = begin[motion], m.target[motion, :3, 3], m.normal[motion]
     height = np.einsum("ni,ni->n", begin - m.centre[motion], normal)[:, None] * normal
     climb = np.einsum("ni,ni->n", end - begin, normal)[:, None] * normal
     centre = m.centre[motion] + height
@@ -156,17 +162,33 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """
     m = program.motions
     pose = m.target[motion]
+    turns = np.where((t < 1.0) & (m.kind[motion] != PTP), path.turn[motion], 0.0)
+    still = np.flatnonzero((turns > 0.0) & (turns < _STILL))
+    if len(still):
+        before = path.start.at(motion[still])
+        pose[still] += (1.0 - t[still])[:, None, None] * (before - pose[still])
+    turning = np.flatnonzero(turns >= _STILL)
+    if len(turning):
+        rows = motion[turning]
+        pose[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])
+    pose[:, :3, 3] = positions(program, path, motion, t)
+    return Toolpath(motion, t, pose, path.length[motion] * t)
+
+
+def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
+    """Return where the TCP is nominally (n, 3) at places (motion, t), as `at`."""
+    m = program.motions
+    out = m.target[motion, :3, 3]
     kind = m.kind[motion]
-    inner = (t < 1.0) & (kind != PTP)
-    turns = path.turn[motion] > 0.0
-    linear = np.flatnonzero(inner & (turns | (kind == LIN)))
-    if len(linear):
-        rows = motion[linear]
-        pose[linear] = interpolated(path.start.at(rows), m.target[rows], t[linear])
+    inner = t < 1.0
+    lines = np.flatnonzero(inner & (kind == LIN))
+    if len(lines):
+        begin = path.begin[motion[lines]]
+        out[lines] = begin + t[lines, None] * (out[lines] - begin)
     arcs = np.flatnonzero(inner & (kind == CIRC))
     if len(arcs):
-        pose[arcs, :3, 3] = path.arcs.position(motion[arcs], t[arcs])
-    return Toolpath(motion, t, pose, path.length[motion] * t)
+        out[arcs] = path.arcs.position(motion[arcs], t[arcs])
+    return out
 
 
 def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
@@ -176,7 +198,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     kind = m.kind[motion]
     long = np.flatnonzero((kind == LIN) & (path.length[motion] > 0.0))
     rows = motion[long]
-    out[long] = (m.target[rows, :3, 3] - path.start.at(rows)[:, :3, 3]) / path.length[rows, None]
+    out[long] = (m.target[rows, :3, 3] - path.begin[rows]) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])

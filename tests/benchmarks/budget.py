@@ -26,13 +26,17 @@ STAGES = {
     "/elastostatics/": "equilibrium",
     "/compensation.py": "equilibrium",
     "/pipeline/checks.py": "checks",
+    "/pipeline/blending.py": "checks",
+    "/pipeline/bounds.py": "checks",
     "/pipeline/select.py": "targets",
     "/dialects/krl/emit.py": "write",
     "/dialects/krl/rewrite.py": "write",
+    "/provenance.py": "write",
     "/pipeline/verify.py": "simulate",
     "/report/targets.py": "CSV",
     "/report/": "page",
-    "/files.py": "files",
+    "/files/": "files",
+    "/batch/outputs.py": "files",
 }
 """Part of a module's path → its stage."""
 WITHIN = {
