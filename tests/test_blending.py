@@ -149,5 +149,6 @@ def test_krl_keeps_its_corners_and_stops_at_inserted_targets_only_where_it_stops
         assert "the program itself by 0.707 mm" in report.of_one(content)
         assert re.search("approximation .* rounds the path", " ".join(issue.message for issue in result.issues))
     else:
+        assert "stop-inserted" in {issue.kind for issue in result.issues}
         assert content["blending"]["max_mm"] == 0.0
         assert content["tolerance_held"] is True

@@ -64,4 +64,4 @@ def test_sample_is_corrected_within_tolerance_and_far_from_limits(tmp_path, prog
     )
     assert content["limits"]["min_joint_margin_deg"] > 10.0
     assert content["limits"]["min_singular_value"] > 0.2
-    assert {issue["kind"] for issue in content["issues"]} <= {"blending", "home-from-cell"}
+    assert {issue["kind"] for issue in content["issues"]} <= {"blending", "home-from-cell", "stop-inserted"}

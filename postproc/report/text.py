@@ -57,7 +57,8 @@ def _facts(content: Summary) -> list[str]:
         facts.append(f"approximation (C_DIS) rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
     origin = content["provenance"]
     if origin["state"] == "intact":
-        facts.append(f"written by postproc {origin['version']} ({origin['mode']}), unchanged since")
+        corrected = ": what is predicted here is what its targets make up for" if origin["mode"] == "corrected" else ""
+        facts.append(f"written by postproc {origin['version']} ({origin['mode']}), unchanged since{corrected}")
     limits = content["limits"]
     facts.append(
         f"smallest joint margin {number(limits['min_joint_margin_deg'], 1)}°, "

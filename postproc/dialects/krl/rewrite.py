@@ -27,11 +27,16 @@ from postproc.dialects.krl.moves import Move, Operand
 from postproc.dialects.krl.points import Points, Use, mentions
 from postproc.dialects.krl.source import Source, comment_start
 from postproc.dialects.krl.splice import Edits
-from postproc.dialects.krl.statements import Statements, edits, written
+from postproc.dialects.krl.statements import APPROXIMATION, Statements, edits, written
 from postproc.dialects.krl.triggers import Trigger, placed
 from postproc.dialects.krl.wanted import DECIMALS, wanted
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, TargetForces, Targets, Written
+
+_STOP = (
+    "The robot stops at an inserted target, as it does at the end of this motion: $APO.CDIS as the program sets it "
+    "would round the path there by too much."
+)
 
 
 def rewrite(program: Program, targets: Targets, carried: TargetForces | None = None) -> Written:
@@ -181,7 +186,10 @@ class _Rewriter:
             if k in forces and not self._replaced_comment(k, forces[k]):
                 lines.add(before, forces[k] + self.statements.line_end(int(line[k])))
             if not self.last[k]:
-                lines.add(before, self.statements.inserted(int(self.row[k]), k), k)
+                text = self.statements.inserted(int(self.row[k]), k)
+                lines.add(before, text, k)
+                if self.targets.blend[k] == 0.0 and not APPROXIMATION.search(text):
+                    self._tell("stop-inserted", _STOP, int(line[k]))
         return lines.numbers(line)
 
     def _forces(self, line: Ints, at: Mapping[int, int]) -> dict[int, str]:

@@ -18,7 +18,7 @@ from postproc.program import CIRC, LIN, PTP, Targets
 
 _WORD = re.compile(r"[A-Za-z_]+")
 _RELATIVE = re.compile("_REL$", re.IGNORECASE)
-_APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
+APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
 _BINARY = re.compile(r"'[Bb]([01]+)'")
 
 
@@ -202,7 +202,7 @@ class Statements:
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
         tail = self.text[slice(*layout.tail[row].tolist())]
-        if self.targets.blend[k] > 0.0 and not _APPROXIMATION.search(tail):
+        if self.targets.blend[k] > 0.0 and not APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
