@@ -95,17 +95,17 @@ def identify(
         return _serial(prior, data, placement, left_out, warnings)
 
     progress("joint springs and compensator")
-    fit, levels, spring, missing = _joints(prior, data, placement)
+    found = _joints(prior, data, placement)
     if not prior.subtract_reference:  # where the robot stands without load depends on the springs
-        placement = locate(fit.robot, data)
-        fit, levels, spring, missing = _joints(prior, data, placement)
-    choice = None
-    if _unexplained(fit):
-        cleaned, fewer, names = _cleaned(prior, data, placement, fit)
+        placement = locate(found.fit.robot, data)
+        found = _joints(prior, data, placement)
+    if _unexplained(found.fit):
+        cleaned, fewer, names = _cleaned(prior, data, placement, found.fit)
         if names and not _unexplained(fewer):
             data, left_out = cleaned, left_out + names
             placement = locate(prior if prior.subtract_reference else fewer.robot, data)
-            fit, levels, spring, missing = _joints(prior, data, placement)
+            found = _joints(prior, data, placement)
+    fit, missing, choice = found.fit, found.missing, None
     if _unexplained(fit):
         ratio = fit.chi2 / fit.dof
         note = f"joint springs and compensator leave {fit.rms * MM_PER_M:.3f} mm RMS, {ratio:.1f} times noise variance"
@@ -114,33 +114,28 @@ def identify(
             fit = replace(fit, covariance=fit.covariance * ratio)
         else:
             progress(f"{note}: looking for link springs and stiffening gears")
-            choice = choose(prior, data, placement)
-            for _ in range(3):
-                cleaned, names = outliers.against_model(data, placement, choice.fit)
-                if not names:
-                    break
-                data, left_out = cleaned, left_out + names
-                choice = choose(prior, data, placement)
-            fit = choice.fit
+            data, choice, names = _chosen(prior, data, placement)
+            fit, left_out = choice.fit, left_out + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
             warnings.append(note + "; " + choice.reason)
             missing = _still_missing(fit, missing)
-    warnings += [str(entry) for entry in missing]
-    warnings += [f"outlier: {name}" for name in left_out]
-    return Identification(
-        "enhanced",
-        prior,
-        data,
-        placement,
-        fit,
-        levels,
-        spring,
-        tuple(missing),
-        choice,
-        tuple(left_out),
-        tuple(warnings),
-    )
+    warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
+    rest = (tuple(missing), choice, tuple(left_out), tuple(warnings))
+    return Identification("enhanced", prior, data, placement, fit, found.levels, found.spring, *rest)
+
+
+def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tuple[Measurements, Choice, list[str]]:
+    """Choose the springs, leave out gross errors against them, and choose again, three times at most."""
+    choice = choose(prior, data, placement)
+    left_out: list[str] = []
+    for _ in range(3):
+        cleaned, names = outliers.against_model(data, placement, choice.fit)
+        if not names:
+            break
+        data, left_out = cleaned, left_out + names
+        choice = choose(prior, data, placement)
+    return data, choice, left_out
 
 
 def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
@@ -163,16 +158,24 @@ def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable
     return found
 
 
-def _joints(
-    prior: RobotModel, data: Measurements, placement: Placement
-) -> tuple[Fit, Levels | None, SpringOfJoint2 | None, list[NotObservable]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Joints:
+    """Joint springs and compensator: the fit, the paper's two steps on the way to it, and what is left open."""
+
+    fit: Fit
+    levels: Levels | None
+    spring: SpringOfJoint2 | None
+    missing: list[NotObservable]
+
+
+def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
     extended = extended_set(prior, data, placement)
     levels = extended[1] if extended else None
     spring = None
     if levels is not None and prior.compensator is not None:
         spring = compensator_from_levels(levels, prior.compensator)
     fit, missing = fit_joints(prior, data, placement, spring)
-    return fit, levels, spring, missing
+    return _Joints(fit, levels, spring, missing)
 
 
 def _serial(
@@ -223,7 +226,7 @@ def _cleaned(
         if not found:
             break
         data, names = cleaned, names + found
-        fit, *_ = _joints(prior, data, placement)
+        fit = _joints(prior, data, placement).fit
         if not _unexplained(fit):
             break
     return data, fit, names

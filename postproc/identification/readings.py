@@ -133,6 +133,11 @@ def _check_complete(data: Measurements, where: str, loads: bool) -> None:
             line=int(data.line[rows[1]]),
             advice="Is a point name wrong?",
         )
+    _check_sets(data, where)
+    _check_loads(data, where, loads)
+
+
+def _check_sets(data: Measurements, where: str) -> None:
     for state in range(len(data.load)):
         for repeat in np.unique(data.repeat[data.state == state]):
             rows = np.flatnonzero((data.state == state) & (data.repeat == repeat))
@@ -145,6 +150,9 @@ def _check_complete(data: Measurements, where: str, loads: bool) -> None:
                     line=int(data.line[rows[0]]),
                     advice="Measure it, or leave this repeat out.",
                 )
+
+
+def _check_loads(data: Measurements, where: str, loads: bool) -> None:
     for index, config in enumerate(data.config):
         loads_here = data.load[data.state_config == index]
         line = int(data.line[data.state_config[data.state] == index][0])

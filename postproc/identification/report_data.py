@@ -12,7 +12,7 @@ from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.placement import describe, describe_points
 from postproc.identification.procedure import Identification, before_and_after
 from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter
-from postproc.robot.parameters import PER_URAD
+from postproc.robot.parameter import PER_URAD
 
 
 def report_data(result: Identification) -> dict[str, Any]:

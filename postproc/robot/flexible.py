@@ -9,7 +9,7 @@ import numpy as np
 from postproc.frames import Array
 from postproc.robot.chain import Chain
 from postproc.robot.model_file import BASE, JOINTS
-from postproc.robot.parameters import LinkSpring
+from postproc.robot.spring_parameters import LinkSpring
 
 
 def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:

@@ -1,0 +1,137 @@
+"""A robot is a folder: which there are, and how one becomes a `RobotModel`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from postproc import files
+from postproc.errors import ModelError
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.robot import parameters, urdf
+from postproc.robot.chain import Chain
+from postproc.robot.model import Covariance, RobotModel
+from postproc.robot.model_file import BASE, FLANGE, JOINTS, CovarianceTable, Displacement, ModelFile
+from postproc.robot.provenance import provenance
+from postproc.robot.spring_parameters import LinkSpring
+
+
+def shipped() -> dict[str, Path]:
+    """Return the robot models that come with the package: name → folder."""
+    package = Path(__file__).parent.parent
+    root = package / "robot_models"  # where a wheel puts it; in a checkout it stands beside the package
+    root = root if root.is_dir() else package.parent / "robot_models"
+    return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "model.toml").is_file()}
+
+
+def find(name: str, relative_to: Path | None = None) -> Path:
+    """Return the folder of a robot given by name or by path (relative to `relative_to`).
+
+    :raises ModelError: there is no such robot; the message lists the known ones.
+    """
+    known = shipped()
+    if name in known:
+        return known[name]
+    folder = (relative_to or Path()) / name
+    if not (folder / "model.toml").is_file():
+        raise ModelError(
+            f"no robot {name!r}",
+            advice=f"Give the path of a folder with robot.urdf and model.toml, or one of: {', '.join(known)}.",
+        )
+    return folder
+
+
+def load(folder: str | Path) -> RobotModel:
+    """Read a robot model folder.
+
+    :raises ModelError: a file is missing or wrong: not six revolute joints A1…A6 in a chain that ends in `flange`, a
+        limit missing, values not finite, a joint without compliance.
+    """
+    folder = Path(folder)
+    content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
+    where = str(folder / "model.toml")
+    for table, valid in (
+        (content.joints, JOINTS),
+        (content.geometry, (*JOINTS, FLANGE)),
+        (content.links, (BASE, *JOINTS)),
+    ):
+        wrong = [name for name in table if name not in valid]
+        if wrong:
+            raise ModelError(f"unknown joint {wrong[0]!r}", file=where, advice=f"Valid: {', '.join(valid)}.")
+    missing = [name for name in JOINTS if name not in content.joints]
+    if missing:
+        raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")
+    for name, spring in content.joints.items():
+        if sum(part.compliance_urad_per_Nm for part in spring.stiffening) > spring.compliance_urad_per_Nm * (1 + 1e-6):
+            raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
+    _check_covariance(content.covariance, where)
+    path = folder / "robot.urdf"
+    robot = assemble(folder.resolve().name, content, urdf.read(files.read_text(path, ModelError), str(path)))
+    for parameter in robot.covariance.parameters if robot.covariance is not None else ():
+        try:
+            parameter.row(robot)
+        except ModelError as error:
+            raise ModelError(error.problem, file=where) from None
+    return robot
+
+
+def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
+    """Build a `RobotModel` from the content of `model.toml` and the controller's geometry."""
+    placement, flange = nominal.placement.copy(), nominal.flange
+    for place, entry in content.geometry.items():
+        if place == FLANGE:
+            flange = flange @ _placement(entry)
+        else:
+            placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
+    actual = replace(nominal, placement=placement, flange=flange)
+    if (carried := content.payload) is not None:
+        actual = actual.with_payload(carried.mass_kg, np.array([carried.X_mm, carried.Y_mm, carried.Z_mm]) * M_PER_MM)
+    values, table = parameters.stated(content), content.covariance
+    rigid = RobotModel(
+        name=name,
+        title=content.name,
+        nominal=nominal,
+        actual=actual,
+        loaded=actual,
+        stiffness=np.diag(np.full(len(JOINTS), np.inf)),
+        actuated=tuple(range(len(JOINTS))),
+        compensator=content.compensator.law() if content.compensator else None,
+        subtract_reference=content.gravity.reference == "calibrated",
+        lower=nominal.lower,
+        upper=nominal.upper,
+        speed=nominal.speed,
+        covariance=None if table is None else Covariance.of(table.parameters, table.matrix),
+        provenance=tuple(provenance(content, nominal)),
+        carries_weight=content.gravity.in_gears,
+    )
+    springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
+    return rigid.with_link_springs(springs).with_values(values)
+
+
+def _placement(entry: Displacement) -> Array:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
+    pose[:3, 3] = np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM
+    return pose
+
+
+def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
+    if covariance is None:
+        return
+    unknown = [name for name in covariance.parameters if parameters.named(name) is None]
+    if unknown:
+        raise ModelError(
+            f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called",
+            file=where,
+            advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), A2.RX (a spring of a link), K_c, s_0.",
+        )
+    size = len(covariance.parameters)
+    if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:
+        raise ModelError(f"[covariance] matrix is not {size}×{size}", file=where)
+    matrix = np.array(covariance.matrix)
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0) or np.linalg.eigvalsh(matrix).min(
+        initial=0.0
+    ) < -1e-9 * np.abs(matrix).max(initial=0.0):
+        raise ModelError("[covariance] matrix is not symmetric positive semidefinite", file=where)

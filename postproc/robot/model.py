@@ -1,0 +1,160 @@
+"""The robot as the package computes with it: two chains, springs, compensator, covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from postproc.compensator import Compensator
+from postproc.errors import ModelError
+from postproc.frames import Array
+from postproc.robot import parameters
+from postproc.robot.chain import Chain
+from postproc.robot.flexible import elastic_chain
+from postproc.robot.model_file import BASE, JOINTS
+from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
+from postproc.robot.parameters import COMPENSATOR
+from postproc.robot.provenance import Provenance
+from postproc.robot.spring_parameters import LINK_AXES, LinkSpring
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Covariance:
+    """Covariance of identified parameters.
+
+    :param parameters: (n,) of them.
+    :param matrix: (n, n) of their values in files, in units of files.
+    """
+
+    parameters: tuple[Parameter, ...]
+    matrix: Array
+
+    @classmethod
+    def of(cls, names: Iterable[str], matrix: Sequence[Sequence[float]] | Array) -> Covariance:
+        """Return the covariance of parameters by their names in files.
+
+        :raises ModelError: a name that no parameter has.
+        """
+        found = {name: parameters.named(name) for name in names}
+        unknown = [name for name, parameter in found.items() if parameter is None]
+        if unknown:
+            raise ModelError(f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called")
+        return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A robot as the package computes with it. SI units, KUKA joint signs, root frame = `$ROBROOT`.
+
+    :param name: name of the model folder.
+    :param title: full name of the robot.
+    :param nominal: the controller's geometry.
+    :param actual: geometry of the real robot (calibrated where known), with the masses of its links.
+    :param loaded: `actual` with the payload that is carried beyond the calibrated state.
+    :param stiffness: (nv, nv) K⁰_θ of the virtual springs at small torque [N·m/rad, N/m].
+    :param actuated: (6,) rows of A1…A6 among the nv coordinates of `actual`.
+    :param compensator: spring beside A2, or None.
+    :param subtract_reference: True if the geometry holds the state of rest under own weight (``"calibrated"``).
+    :param lower: (6,) joint limits [rad].
+    :param upper: (6,) joint limits [rad].
+    :param speed: (6,) joint speed limits [rad/s].
+    :param covariance: of the identified parameters, or None.
+    :param provenance: where each value comes from.
+    :param terms: parameters of springs that do not grow with the torque, with their values.
+    :param carries_weight: they feel the torque at rest (weights, compensator) too, not the load alone.
+    :param link_springs: springs of the links, in the order of their coordinates.
+    """
+
+    name: str
+    title: str
+    nominal: Chain
+    actual: Chain
+    loaded: Chain
+    stiffness: Array
+    actuated: tuple[int, ...]
+    compensator: Compensator | None
+    subtract_reference: bool
+    lower: Array
+    upper: Array
+    speed: Array
+    covariance: Covariance | None
+    provenance: tuple[Provenance, ...]
+    terms: tuple[tuple[Spring, float], ...] = ()
+    carries_weight: bool = False
+    link_springs: tuple[LinkSpring, ...] = ()
+
+    @cached_property
+    def compliance(self) -> Array:
+        """C⁰ (nv,) of the virtual springs [rad/(N·m), m/N]; zero where a spring is rigid (infinite stiffness)."""
+        return np.asarray(1.0 / np.diag(self.stiffness))
+
+    @cached_property
+    def steady(self) -> Array:
+        """Compliance (nv,) that does not change with the torque [rad/(N·m), m/N]."""
+        return self.compliance - self._at_small_torque(self.terms)
+
+    def _at_small_torque(self, terms: Iterable[tuple[Spring, float]]) -> Array:
+        """Return the compliance (nv,) of terms at small torque."""
+        zero, out = np.zeros(1), np.zeros(self.actual.nv)
+        for parameter, value in terms:
+            out[parameter.row(self)] += value * parameter.effect(zero, zero)[1][0]
+        return out
+
+    @cached_property
+    def passive(self) -> tuple[int, ...]:
+        """Coordinates of the link springs: those that no motor moves."""
+        return tuple(sorted(set(range(self.actual.nv)) - set(self.actuated)))
+
+    @cached_property
+    def geometry_is_nominal(self) -> bool:
+        """True if the actual geometry is the controller's."""
+        plain = elastic_chain(self.nominal, self.link_springs)[0]
+        return bool((plain.placement == self.actual.placement).all() and (plain.flange == self.actual.flange).all())
+
+    @cached_property
+    def has_weight(self) -> bool:
+        """True if links or payload have mass."""
+        return bool((self.loaded.mass > 0.0).any())
+
+    def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
+        """Return the robot, of six coordinates and without payload, with one more for each spring, rigid as yet."""
+        order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
+        wanted = tuple(sorted(set(springs), key=order.index))
+        if not wanted:
+            return self
+        chain, actuated, _ = elastic_chain(self.actual, wanted)
+        stiffness = np.full(chain.nv, np.inf)
+        stiffness[list(actuated)] = np.diag(self.stiffness)
+        return replace(
+            self, actual=chain, loaded=chain, stiffness=np.diag(stiffness), actuated=actuated, link_springs=wanted
+        )
+
+    def with_values(self, values: Mapping[Parameter, float]) -> RobotModel:
+        """Return the robot with these (linear) values of its parameters, SI; those not named keep theirs."""
+        steady, terms = self.steady.copy(), dict(self.terms)
+        law = self.compensator
+        for parameter, value in values.items():
+            if not isinstance(parameter, Spring):
+                continue
+            if parameter.linear:
+                steady[parameter.row(self)] = value
+            else:
+                terms[parameter] = value
+        if law is not None and any(isinstance(parameter, CompensatorTorque) for parameter in values):
+            law = law.with_spring(*(values.get(parameter, parameter.of(self)) for parameter in COMPENSATOR))
+        with np.errstate(divide="ignore"):
+            stiffness = np.diag(1.0 / (steady + self._at_small_torque(terms.items())))
+        return replace(self, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
+
+    def with_payload(self, mass: float, centre: Array) -> RobotModel:
+        """Return the model carrying a further payload.
+
+        :param mass: [kg].
+        :param centre: (3,) centre of mass in the flange frame [m].
+        """
+        if mass == 0.0:
+            return self
+        return replace(self, loaded=self.loaded.with_payload(mass, np.asarray(centre, dtype=float)))

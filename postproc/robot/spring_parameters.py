@@ -1,0 +1,201 @@
+"""Parameters of springs: compliance of a joint, the part of it that fades with load, spring of a link."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.robot.model_file import BASE, JOINTS, ModelFile
+from postproc.robot.parameter import PER_URAD, Parameter, Spring, missing
+
+if TYPE_CHECKING:
+    from postproc.robot.model import RobotModel
+
+LINK_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
+
+
+@dataclass(frozen=True, slots=True)
+class JointCompliance(Spring):
+    """Compliance of a joint that does not fade: ``k1`` … ``k6``; in files that at small torque, with what fades."""
+
+    joint: str
+
+    @property
+    def index(self) -> int:
+        """Return the number of the joint, from 0."""
+        return JOINTS.index(self.joint)
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``k1``."""
+        return f"k{self.index + 1}"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the compliance of a joint."""
+        return next((cls(joint) for joint in JOINTS if name == cls(joint).name), None)
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the compliances of [joints], less what fades."""
+        for joint in JOINTS:
+            spring = content.joints[joint]
+            fades = sum(part.compliance_urad_per_Nm for part in spring.stiffening)
+            yield cls(joint), (spring.compliance_urad_per_Nm - fades) / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write [joints.A1]."""
+        tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half}
+
+    def row(self, robot: RobotModel) -> int:
+        """Return the coordinate of the joint."""
+        return robot.actuated[self.index]
+
+    def of(self, robot: RobotModel) -> float:
+        """Return what of the joint's compliance does not fade."""
+        return float(robot.steady[self.row(robot)])
+
+    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+        """Return the compliance at small torque, fading parts included."""
+        slopes = dict.fromkeys((p for p in given if p == self or self in p.partners()), self.per_si)
+        return sum(slope * given[p] for p, slope in slopes.items()), slopes
+
+
+@dataclass(frozen=True, slots=True)
+class FadingPart(Spring):
+    """Part of a joint's compliance that fades as the torque grows beyond `torque` [N·m]: ``k1@800``.
+
+    Deflection T·(f(u) − f(u₀)) with f = asinh, u = (torque + rest)/T, u₀ = rest/T: a sum of such parts follows any gear
+    whose compliance falls with load; every part stays monotone, so that the spring is always stable.
+    """
+
+    joint: str
+    torque: float
+    sparse: ClassVar[bool] = True
+    linear: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``k1@800``."""
+        return f"{JointCompliance(self.joint).name}@{self.torque:g}"
+
+    @property
+    def title(self) -> str:
+        """Return joint and torque in words."""
+        return f"{JointCompliance(self.joint).name}, fades beyond {self.torque:g} N·m"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the part of a name like ``k6@6.2``."""
+        head, _, torque = name.partition("@")
+        whole = JointCompliance.named(head)
+        try:
+            return None if whole is None else cls(whole.joint, float(torque))
+        except ValueError:
+            return None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield `stiffening` of [joints]."""
+        for joint in JOINTS:
+            for part in content.joints[joint].stiffening:
+                yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Add to `stiffening` of the joint."""
+        part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
+        tables["joints"][self.joint].setdefault("stiffening", []).append(part)
+
+    def row(self, robot: RobotModel) -> int:
+        """Return the coordinate of the joint."""
+        return JointCompliance(self.joint).row(robot)
+
+    def of(self, robot: RobotModel) -> float:
+        """Return how much of the joint's compliance fades there; zero if the robot has no such part."""
+        return dict(robot.terms).get(self, 0.0)
+
+    def partners(self) -> tuple[Parameter, ...]:
+        """Return the compliance of the joint, which contains the part."""
+        return (JointCompliance(self.joint),)
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return T·(f(u) − f(u₀)) and f′(u)."""
+        u0 = rest / self.torque
+        u = torque / self.torque + u0
+        return self.torque * (np.arcsinh(u) - np.arcsinh(u0)), 1.0 / np.sqrt(1.0 + u**2)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSpring(Spring):
+    """Spring of a link: ``A2.RX``. `link` is base, A1…A6; `axis` X, Y, Z, RX, RY, RZ or end_RX, end_RY, end_RZ."""
+
+    link: str
+    axis: str
+    sparse: ClassVar[bool] = True
+
+    @property
+    def slides(self) -> bool:
+        """Return whether it is a translation."""
+        return self.axis in LINK_AXES[:3]
+
+    @property
+    def at_end(self) -> bool:
+        """Return whether it stands where the link ends."""
+        return self.axis in LINK_AXES[6:]
+
+    @property
+    def direction(self) -> Array:
+        """Return the unit axis (3,) of the joint frame along or about which it gives way."""
+        return np.asarray(np.eye(3)[LINK_AXES.index(self.axis) % 3])
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``A2.RX``."""
+        return f"{self.link}.{self.axis}"
+
+    @property
+    def unit(self) -> str:
+        """Return the unit in files."""
+        return "um/N" if self.slides else "urad/(N·m)"
+
+    @property
+    def usual(self) -> float:
+        """Return a usual compliance [m/N, rad/(N·m)]."""
+        return 1e-8 if self.slides else 1e-6
+
+    @property
+    def key(self) -> str:
+        """Return the key in [links.A2] of model.toml."""
+        return f"{self.axis}_{'um_per_N' if self.slides else 'urad_per_Nm'}"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the spring of a name like ``A2.end_RX``."""
+        link, _, axis = name.partition(".")
+        return cls(link, axis) if link in (BASE, *JOINTS) and axis in LINK_AXES else None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the springs of [links] that are not rigid, in the order of the chain."""
+        for spring in (cls(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES if link in content.links):
+            value = getattr(content.links[spring.link], spring.key)
+            if value > 0.0:
+                yield spring, value / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write one direction of [links.A2]."""
+        tables["links"].setdefault(self.link, {"source": source})[self.key] = value
+
+    def row(self, robot: RobotModel) -> int:
+        """Return the spring's own coordinate."""
+        if self not in robot.link_springs:
+            raise missing(self)
+        return robot.passive[robot.link_springs.index(self)]
+
+    def of(self, robot: RobotModel) -> float:
+        """Return its compliance; zero if the link is rigid there."""
+        return float(robot.steady[self.row(robot)]) if self in robot.link_springs else 0.0
