@@ -54,7 +54,8 @@ class Held:
         self.place = Path("held").absolute()
         self.place.mkdir()
         (self.place / "sitecustomize.py").write_text(_CUSTOMIZE)
-        self.environment = os.environ | {"PYTHONPATH": str(self.place), "HELD_AT": at}
+        path = os.pathsep.join([str(self.place), *filter(None, [os.environ.get("PYTHONPATH")])])
+        self.environment = os.environ | {"PYTHONPATH": path, "HELD_AT": at}
         self.process = subprocess.Popen(
             [*COMMAND, *arguments], env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             start_new_session=True,

@@ -92,10 +92,18 @@ def test_a_file_that_was_changed_since_is_not_replaced(name):
     assert content() != before
 
 
-def test_a_report_that_is_gone_leaves_nothing_that_says_whose_the_others_are():
+def test_without_its_report_only_the_program_says_whose_it_is():
     convert()
     Path("out/part.report.json").unlink()
-    assert "part.src" in convert(code=1).stderr
+    assert f"changed since: {Path('out/part.targets.csv')}, {Path('out/part.report.html')}. " in convert(code=1).stderr
+    for name in ("targets.csv", "report.html"):
+        Path(f"out/part.{name}").unlink()
+    convert()
+    for name in ("targets.csv", "report.html", "report.json"):
+        Path(f"out/part.{name}").unlink()
+    with Path("out/part.src").open("a") as file:
+        file.write("HALT\n")
+    assert f"changed since: {Path('out/part.src')}. " in convert(code=1).stderr
 
 
 def test_all_folders_are_looked_at_before_anything_is_written():
@@ -202,12 +210,10 @@ def test_a_name_may_be_given_for_one_program():
         (("part.nc", "--name", "7 up"), 2, "does not begin with a letter"),
         (("part.nc", "--name", "LOOP"), 2, "a word of KRL"),
         (("part.nc", "other.nc", "--name", "P7"), 1, "one name for 2 programs"),
-        (("part.src", "--name", "P7"), 1, "keeps the name in its DEF"),
     ],
 )
 def test_a_name_that_cannot_be_given_is_an_error(arguments, code, message):
-    for name in ("other.nc", "part.src"):
-        Path(name).write_text("G0 X0\n")
+    Path("other.nc").write_text("G0 X0\n")
     assert message in convert(*arguments, code=code).stderr
     assert not Path("out").exists()
 

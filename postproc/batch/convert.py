@@ -20,6 +20,7 @@ from postproc.batch.job import Job
 from postproc.batch.marking import marked
 from postproc.batch.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.cell import Cell
+from postproc.dialects import krl
 from postproc.dialects.krl.names import fault_of
 from postproc.errors import InputError, Issue, PostprocError
 from postproc.forces import read_force_csv
@@ -114,9 +115,12 @@ def _no_collection() -> Iterator[None]:
 
 
 def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Result:
-    program = read_program(job.program, robot, cell, job.dialect, job.stem)
+    name = job.stem if job.dialect == "gcode" else None
+    program = read_program(job.program, robot, cell, job.dialect, name)
     rows = None if job.forces is None else read_force_csv(job.forces)
     result = pipeline.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
+    if job.dialect == "krl" and job.name is not None:
+        result = replace(result, documents=krl.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)
     fault = fault_of(job.program.stem)
     if settings.mode != "predict" and job.dialect == "gcode" and fault is not None:

@@ -35,28 +35,20 @@ def find_jobs(
     :param dialect: how to read all of them; None = by extension.
     :param forces: CSV file (for one program), or a folder that holds NAME.csv or NAME.forces.csv for each.
     :param output: folder to write into; None = a folder `corrected` beside each program.
-    :param name: of the written program, for one program of G-code; None = that of the file, made valid for KRL.
+    :param name: of the written program, for one program; None = that of the file, for G-code made valid.
     :raises InputError: an input names nothing or no known kind of program, or the name cannot be given.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     csv = _forces_for(programs, forces)
     if name is not None and len(programs) > 1:
         raise InputError(f"one name for {len(programs)} programs", advice="Give --name with one program.")
-    return [
-        _job(
-            path, dialect or dialect_of(path), path.parent / "corrected" if output is None else output, csv[path], name
-        )
-        for path in programs
-    ]
-
-
-def _job(path: Path, dialect: str, output: Path, forces: Path | None, name: str | None) -> Job:
-    if dialect == "gcode":
-        return Job(path, dialect, output, forces, valid(path.stem) if name is None else name)
-    if name is not None:
-        advice = "A KRL program keeps the name in its DEF; write it into another folder with -o instead."
-        raise InputError("--name is for G-code", file=str(path), advice=advice)
-    return Job(path, dialect, output, forces)
+    jobs = []
+    for path in programs:
+        folder = path.parent / "corrected" if output is None else output
+        how = dialect or dialect_of(path)
+        written = valid(path.stem) if name is None and how == "gcode" else name
+        jobs.append(Job(path, how, folder, csv[path], written))
+    return jobs
 
 
 def dialect_of(path: Path) -> str:

@@ -48,7 +48,8 @@ class Job:
         if self.forces is not None:
             reports.insert(1, f"{report}forces.csv")
         if self.dialect == "krl":
-            return [self.program.name, *(path.name for path in data_beside(self.program)[:1]), *reports]
+            files = [self.program, *data_beside(self.program)[:1]]
+            return [*(path.name if self.name is None else f"{self.name}{path.suffix}" for path in files), *reports]
         return [f"{self.stem}.src", *reports]
 
 

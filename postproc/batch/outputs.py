@@ -1,7 +1,7 @@
 """What stands in an output folder: whose files are there, and which are of an earlier run.
 
-`report.json` names the files that were written with it and the SHA-256 of each. A file that is not named there, or that
-was changed since, is not ours to replace.
+`report.json` names the files that were written with it and the SHA-256 of each. A file that is not named there, or was
+changed since, is not ours to replace; nor is one without such a report, but for a program that says the same itself.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from postproc import report
+from postproc import provenance, report
+from postproc.batch.inputs import read_documents
 from postproc.batch.job import Job
-from postproc.errors import InputError
+from postproc.errors import InputError, ProgramError
 from postproc.pipeline import Mode
 from postproc.report import FileEntry, Summary
 
@@ -126,11 +127,21 @@ def _strange(job: Job, names: Iterable[str], mode: Mode) -> list[str]:
     """Return which of the files that are there are not as postproc wrote them."""
     report = job.report(mode)
     record = _record(job.output / report)
-    return [
-        name
-        for name in _there(job, names)
-        if record is None or (name != report and record.get(name) != _digest(job.output / name))
-    ]
+    if record is None:
+        return [name for name in _there(job, names) if name not in _marked(job, mode)]
+    return [name for name in _there(job, names) if name != report and record.get(name) != _digest(job.output / name)]
+
+
+def _marked(job: Job, mode: Mode) -> list[str]:
+    """Return the files of a program that says itself that it is as it was written, though its report is gone."""
+    program = job.output / job.writes(mode)[0]
+    if mode == "predict" or not program.is_file():
+        return []
+    try:
+        documents = read_documents(program, "krl")
+    except ProgramError:
+        return []
+    return [document.name for document in documents] if provenance.of(documents).state == "intact" else []
 
 
 def _record(path: Path) -> dict[str, str] | None:

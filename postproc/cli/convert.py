@@ -55,7 +55,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 )
 @click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
-@click.option("--name", metavar="NAME", help="Name of the written program, for one program of G-code.")
+@click.option("--name", metavar="NAME", help="Name of the written program, for one PROGRAM.")
 @click.option(
     "--scheduler",
     metavar="ADDRESS",

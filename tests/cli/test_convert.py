@@ -320,6 +320,25 @@ def test_real_program_is_converted_in_a_process_of_its_own(folder):
     assert all(written[line - 1].split()[0] in ("LIN", "PTP", "CIRC") for line in lines)
 
 
+def test_a_krl_program_is_written_under_another_name(folder):
+    sample = str(SAMPLES / "inline.src")
+    assert _run("convert", sample, "--cell", CELL_270, "-o", "out").exit_code == 0
+    assert _run("convert", sample, "--cell", CELL_270, "-o", "named", "--name", "Other_1").exit_code == 0
+    assert {path.name for path in Path("named").iterdir()} == {
+        path.name.replace("inline", "Other_1") for path in Path("out").iterdir()
+    }
+    for ending, head in ((".src", "DEF"), (".dat", "DEFDAT")):
+        text = Path("out", f"inline{ending}").read_text()
+        lines = zip(text.splitlines(), Path("named", f"Other_1{ending}").read_text().splitlines(), strict=True)
+        changed = [(a, b) for a, b in lines if a != b and ";POSTPROC" not in a]
+        assert len(changed) == 1
+        assert changed[0][1].split("(")[0].split()[:2] == [head, "Other_1"]
+    assert _run("predict", "named/Other_1.src", "--cell", CELL_270, "-o", "predicted").exit_code == 0
+    again = _run("convert", "named/Other_1.src", "--cell", CELL_270, "-o", "again")
+    assert again.exit_code == 1
+    assert "corrected by postproc" in again.stderr
+
+
 def test_processes_give_the_same_files_as_one_after_the_other(folder):
     source = (SAMPLES / "inline.src").read_bytes()
     for index in range(3):
