@@ -513,6 +513,8 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
         ("T1.5", "not a valid block"),
         ("N" + "9" * 5000 + " G0 X1", "plausible range"),
         ("L" + "9" * 400, "plausible range"),
+        ("G0" * 100_000, "more than 100 words"),
+        ("G1 X1" + " E" * 100_000 + "x", "E without a number"),
         ("S-1", "negative spindle speed"),
         ("H1", "H word without a code"),
         ("G0 A.001", "A word without a code"),

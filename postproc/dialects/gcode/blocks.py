@@ -19,6 +19,8 @@ _PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O\d+{MARK}*")
 _O_WORD = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O")
 
 
+_MOST_WORDS = 100
+"""A block of more words than all letters and modal groups could make is no block."""
 _O_ADVICE = "Let the CAM system write one program without subprograms and loops; an O number stands alone in its line."
 
 
@@ -83,6 +85,8 @@ def _split(code: str) -> list[tuple[str, str]]:
         if match[1] == "O":
             raise BlockError("an O word amid other words", _O_ADVICE)
         own.append((match[1], _plain(match[1], match[2])))
+        if len(own) > _MOST_WORDS:
+            raise BlockError(f"more than {_MOST_WORDS} words in one block", "Check the line ends of the file.")
         position = match.end()
     for letter, count in Counter(letter for letter, _ in own).items():
         if count > 1 and letter not in "GM":

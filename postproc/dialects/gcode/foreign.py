@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 _POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fanuc (ISO) without cycles and macros"
 _ASIDE = re.compile(r'\([^()"]*\)|;.*')
+_ENOUGH = 300
+"""Characters of a line that are looked at."""
 
 
 class Foreign(NamedTuple):
@@ -75,6 +77,6 @@ def recognised(lines: Sequence[str]) -> tuple[int, Foreign] | None:
     """
     for index, line in enumerate(lines):
         for kind in FOREIGN:
-            if kind.line.match(_ASIDE.sub("", line)):
+            if kind.line.match(_ASIDE.sub("", line[:_ENOUGH])):
                 return index, kind
     return None
