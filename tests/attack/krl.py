@@ -177,6 +177,46 @@ def attack(seed):
             raise Wrong(f"seed {seed}: {type(cause).__name__}: {cause}\n{files}") from cause
 
 
+PIECES = [
+    *"(){}[],;\"':=#$.-+*/ \t\r\n\x0c",
+    "1E999",
+    "1e308",
+    "'H",
+    "\u00b2",
+    "\u0661",
+    "DEF ",
+    "END",
+    "IF ",
+    "P[",
+    "XP1",
+]
+PIECES += ["LIN ", "NaN", "9" * 400, "(" * 600, "GLOBAL ", "INTERRUPT ", "DO ", "TRIGGER ", "WITH ", "C_DIS", "A1"]
+PIECES += ["E1 5", "RETURN", "FOR ", "ENDFOR", "BAS(", "#INITMOV", "DECL ", "CIRC ", ",CA 1E5", "-" * 400]
+
+
+def damaged(seed):
+    """Read and write a program that was damaged: it is refused with a message, or read; never another exception."""
+    rng = np.random.default_rng(seed)
+    files = Generator(rng).programs()
+    for name in ("part.src", "part.dat"):
+        text = files[name]
+        for _ in range(int(rng.integers(0, 5))):
+            at, way = int(rng.integers(len(text) + 1)), int(rng.integers(4))
+            other = int(rng.integers(len(text) + 1))
+            piece = [PIECES[int(rng.integers(len(PIECES)))], "", text[other : other + 40], ""][way]
+            text = text[:at] + piece + (text[at + [0, 5, 0, len(text)][way] :])
+        files[name] = text or " "
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        try:
+            documents = [replaced(decode(n, files[n].encode()), folder=name) for n in ("part.src", "part.dat")]
+            program = krl.read(documents, cell(folder), forward, "part")
+            krl.rewrite(program, moved(program, rng))
+        except PostprocError as error:
+            return f"refused: {len(str(error)) < 10_000}"
+    return "read"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=1.0)

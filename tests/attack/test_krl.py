@@ -8,12 +8,19 @@ from postproc.dialects.krl.execution import Execution
 from postproc.dialects.krl.points import Points
 from postproc.dialects.krl.settings import Settings
 from postproc.dialects.krl.variables import NOTHING, Variables
-from tests.attack.krl import Wrong, attack
+from tests.attack.krl import Wrong, attack, damaged
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
     outcomes = Counter(attack(seed) for seed in range(400))
     assert outcomes["accepted"] > 100
+
+
+def test_damaged_programs_are_refused_with_a_message_or_read():
+    outcomes = Counter(damaged(seed) for seed in range(500))
+    assert outcomes["read"] > 20
+    assert outcomes["refused: True"] > 200
+    assert outcomes["refused: False"] == 0
 
 
 FAULTS = {

@@ -261,7 +261,15 @@ def test_each_program_that_is_nowhere_is_named_with_its_first_line():
         "MSG()", "MoveSettings()", "RET=RSI_ON()", "IF CHECK(1) THEN", "ENDIF", "MSG()", "X=SIN(3)", "LIN XG"
     )
     assert about(found, "external-call") == [("MSG", 4), ("MOVESETTINGS", 5), ("RSI_ON", 6), ("CHECK", 7), ("MSG", 9)]
+    assert any(issue.message.startswith("MoveSettings() is in no file") for issue in found.issues)
     assert all("GLOBAL XG" in issue.message for issue in found.issues if issue.kind == "external-call")
+
+
+def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_change_them():
+    data = DATA.replace("DECL INT I", "DECL GLOBAL INT I").replace("DECL REAL SPD", "DECL GLOBAL REAL SPD")
+    found = program("MSG()", "$VEL.CP=SPD", "LIN P[I]", data=data)
+    (issue,) = (issue for issue in found.issues if issue.kind == "external-call")
+    assert "GLOBAL I, SPD" in issue.message
 
 
 def test_values_of_the_data_file_that_the_program_changes_are_told():

@@ -47,7 +47,7 @@ class Effects:
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
-    :ivar absent: called programs that are in no file, and where.
+    :ivar absent: called programs that are in no file, by name: as they are spelled.
     :ivar jumps: True where it may not run from its first to its last line: RETURN in a branch, GOTO, RESUME.
     :ivar resumes: True where RESUME may break off what is running.
     """
@@ -55,7 +55,7 @@ class Effects:
     writes: dict[str, Place] = field(default_factory=dict)
     anytime: dict[str, Place] = field(default_factory=dict)
     motion: Place | None = None
-    absent: dict[str, Place] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
     jumps: bool = False
     resumes: bool = False
 
@@ -74,8 +74,7 @@ class Effects:
         self._add_rest(other)
 
     def _add_rest(self, other: Effects) -> None:
-        for name, place in other.absent.items():
-            self.absent.setdefault(name, place)
+        self.absent = other.absent | self.absent
         self.motion = self.motion or other.motion
         self.resumes = self.resumes or other.resumes
 
@@ -238,4 +237,4 @@ class _Statement:
         if found is not None:
             self.called.append(found)
         elif call.name not in STANDARD:
-            self.effects.absent.setdefault(call.name, self.place)
+            self.effects.absent.setdefault(call.name, call.spelt(self.place.source))

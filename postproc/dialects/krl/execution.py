@@ -70,7 +70,7 @@ class Execution:
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: (line, reason): behind such a line it is not known where the robot stands.
     :ivar understood: offsets of names in the main routine whose use is followed.
-    :ivar absent: called programs that are in no file: name and line of each call.
+    :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
     :ivar issues: what the user should know.
     """
@@ -228,11 +228,11 @@ class Execution:
     def _assign(self, at: Place, target: Reference, start: int, stop: int) -> None:
         for call in calls(at.source, target.start, target.stop):
             self.call(at, call, certain=False)
-        value = self._value(at, start, stop)
         name = target.name
         if name in RELEVANT:
-            self._set(at, self.settings.assigned(self.settings.state, at, target, self._given(at, start, stop, value)))
+            self._set_to(at, target, start, stop)
             return
+        value = self._value(at, start, stop)
         if name.startswith("$") and name != "$H_POS":
             return
         if target.field is None and self._in_main:
@@ -245,19 +245,26 @@ class Execution:
         elif value != NOTHING or name != "$H_POS":
             self.variables.set(key, value, str(at))
 
-    def _given(self, at: Place, start: int, stop: int, value: Known) -> Value | Known:
-        """Return a value for what it is assigned to: as it stands in the text where that says more."""
-        if sole_call(at.source, start, stop) and value != NOTHING:
-            return value
-        return parse(at.source, start, stop)[0]
+    def _set_to(self, at: Place, target: Reference, start: int, stop: int) -> None:
+        """Follow an assignment to a variable of the controller that motions depend on."""
+        value: Value | Known
+        value, end = parse(at.source, start, stop)
+        if at.source.text[end:stop].strip():
+            raise at.error(f"{at.source.text[end:stop].strip()!r} is not understood")
+        if "(" in at.source.text[start:stop]:
+            known = self._value(at, start, stop)
+            if isinstance(value, Call) and known != NOTHING:
+                value = known
+        self._set(at, self.settings.assigned(self.settings.state, at, target, value))
 
     def _value(self, at: Place, start: int, stop: int) -> Known:
         """Return what an expression is now; run the functions in it."""
-        call = sole_call(at.source, start, stop)
-        for inner in calls(at.source, (call.start + len(call.name)) if call else start, stop):
-            self.call(at, inner, certain=False)
-        if call is not None:
-            return self.call(at, call, certain=self._certain)
+        if "(" in at.source.text[start:stop]:
+            call = sole_call(at.source, start, stop)
+            for inner in calls(at.source, (call.start + len(call.name)) if call else start, stop):
+                self.call(at, inner, certain=False)
+            if call is not None:
+                return self.call(at, call, certain=self._certain)
         value, end = parse(at.source, start, stop)
         if at.source.text[end:stop].strip():
             return Unknown(str(at))
@@ -294,7 +301,7 @@ class Execution:
         if call.name in PURE:
             return
         if call.name not in STANDARD:
-            self.absent.append((call.name, self.line))
+            self.absent.append((call.spelt(at.source), self.line))
         self._forget_arguments(at, call, None)
 
     def _notice(self, at: Place, what: str, effects: Effects) -> None:
@@ -302,7 +309,7 @@ class Execution:
 
         :raises ProgramError: that are frames or speeds.
         """
-        self.absent += [(name, self.line) for name in effects.absent]
+        self.absent += [(name, self.line) for name in effects.absent.values()]
         self._resumable |= effects.resumes
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:

@@ -27,6 +27,7 @@ _ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
 _LONGEST = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
+_ENDS = ",)]}cC"
 _LOGIC = re.compile(r"[<>=&|]|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 
 
@@ -72,6 +73,10 @@ class Call(NamedTuple):
     arguments: tuple[tuple[int, int], ...]
     start: int
     stop: int
+
+    def spelt(self, source: Source) -> str:
+        """Return the name as the text has it."""
+        return source.text[self.start : self.start + len(self.name)]
 
 
 class Chain(NamedTuple):
@@ -129,6 +134,12 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
 
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
+    begin = _skip(source.text, start, stop)
+    if begin < stop and source.text[begin] not in "+-":
+        value, end = operand(source, begin, stop)
+        after = _skip(source.text, end, stop)
+        if after == stop or source.text[after] in _ENDS:
+            return value, end  # nothing is joined to it: so common that looking first is faster
     value, end = _sum(source, start, stop)
     after = _skip(source.text, end, stop)
     if after < stop and _LOGIC.match(source.text, after, stop):

@@ -22,34 +22,35 @@ def told(walker: Walker, states: Sequence[State], state: Ints, rows: Rows, layou
 
     :param states: all that is in force anywhere; `state` (M,) which of them at each motion.
     """
-    yield from _absent(walker, layout)
+    yield from _absent(walker)
     yield from _uncalled(walker)
     yield from _changed(walker)
     yield from _initial_frames(walker, states, state, rows, layout)
 
 
-def _absent(walker: Walker, layout: Layout) -> Iterator[Issue]:
+def _absent(walker: Walker) -> Iterator[Issue]:
     """Each called program that is in no file, and what it is trusted not to do."""
-    used = {point.name for move in layout.moves.values() for point in (move.end, move.via) if point is not None}
-    shared = sorted(name for name in used & walker.variables.public if name)
+    shared = sorted(walker.variables.used & walker.variables.public)
     more = "" if len(shared) <= _MOST_NAMES else f" and {len(shared) - _MOST_NAMES} more"
     points = f", nor the GLOBAL {', '.join(shared[:_MOST_NAMES])}{more}" if shared else ""
     for name, line in walker.absent:
-        fault = walker.library.faults.get(name)
+        fault = walker.library.faults.get(name.upper())
         where = f"stands in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
         message = (
             f"{name}() {where}: it is assumed not to move the robot nor to change $BASE, $TOOL, speeds{points}. "
             "Put its .src beside the program, or name its folder in the cell: [krl] search."
         )
-        yield Issue("warning", "external-call", message, line, subject=name)
+        yield Issue("warning", "external-call", message, line, subject=name.upper())
 
 
 def _uncalled(walker: Walker) -> Iterator[Issue]:
     """Routines of the program with motions that it does not call."""
     program = walker.library.program
     for routine in program.routines.values():
+        if routine is walker.main or routine in walker.reached:
+            continue
         motion = walker.analysis.of(program, routine).motion
-        if motion is None or routine is walker.main or routine in walker.reached or motion.source is not walker.source:
+        if motion is None or motion.source is not walker.source:
             continue
         if not routine.first < motion.line < routine.last:
             continue  # told for the routine in which it stands

@@ -87,6 +87,7 @@ class Variables:
     :ivar public: names declared GLOBAL.
     :ivar scope: which variables the names of the present routine mean.
     :ivar changing: names that may change at any time, and what changes them.
+    :ivar used: names that a motion, a frame or a speed depends on.
     :ivar relied: names of the `.dat` whose initial value a motion, a frame or a speed uses.
     :ivar changed: names that the program gives another value, and where first.
     """
@@ -98,6 +99,7 @@ class Variables:
         self.public: set[str] = set()
         self.scope = Scope()
         self.changing: dict[str, Unknown] = {}
+        self.used: set[str] = set()
         self.relied: set[str] = set()
         self.changed: dict[str, str] = {}
         self._initial: set[str] = set()
@@ -348,6 +350,7 @@ class Variables:
         if isinstance(value, Reference):
             key = self.key_of(source, value)
             name = self.scope.stored(value.name)
+            self.used.add(name)
             if key is not None and name in self._initial and name not in self.changed:
                 self.relied.add(name)
             if value.element is not None and value.inside[0] < value.inside[1]:
