@@ -80,6 +80,13 @@ def _fours(out: Bytes, end: int) -> NDArray[np.uint32]:
     return np.ndarray(len(out), np.uint32, out, end - 4, out.shape[1:])
 
 
+def numbers_in(text: Bytes) -> tuple[Ints, Ints]:
+    """Return where the words of a text of words and blanks begin, (n,), and stop, (n,)."""
+    word = np.concatenate([[False], text != ord(" "), [False]])
+    borders = np.flatnonzero(word[1:] != word[:-1])
+    return borders[0::2], borders[1::2]
+
+
 def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     """Return the numbers (n,) that stand in a text, as `float` reads them; None if one of them is not plain.
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from postproc.decimals import numbers_in, parsed
 from postproc.frames import Array
 from postproc.program import Document, Ints
 
@@ -118,7 +119,10 @@ def read_plain(source: Source) -> tuple[dict[str, Array], Ints]:
         code = chars.tobytes()
         letters = letters - 1
     letter = np.frombuffer(code, dtype=np.uint8)[letters]
-    value = np.fromstring(code.translate(_TO_NUMBERS), sep=" ") if len(letters) else np.empty(0)
+    digits = code.translate(_TO_NUMBERS)
+    value = parsed(np.frombuffer(digits, dtype=np.uint8), *numbers_in(np.frombuffer(digits, dtype=np.uint8)))
+    if value is None:
+        value = np.fromstring(digits, sep=" ")
 
     by_letter = {name: np.flatnonzero(letter == ord(name)) for name in "GXYZIJKRF"}
     refused = [row[np.abs(value) >= LIMIT], row[by_letter["F"]][value[by_letter["F"]] < 0.0]]

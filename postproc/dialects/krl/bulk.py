@@ -12,7 +12,7 @@ import warnings
 
 import numpy as np
 
-from postproc.decimals import Bytes, parsed
+from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.rows import COLUMNS, NUMBERS, Rows, no_circles, none
 from postproc.dialects.krl.source import Source
 from postproc.dialects.text import line_spans
@@ -120,9 +120,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints) -> Rows | None:
     raw = np.frombuffer(body, dtype=np.uint8)
 
     digits = _digits(body)
-    number = digits != ord(" ")
-    borders = np.flatnonzero(number[1:] != number[:-1]) + 1
-    starts, stops = borders[0::2], borders[1::2]
+    starts, stops = numbers_in(digits)
     values = parsed(digits, starts, stops)
     if values is None:
         values = _values(digits)
