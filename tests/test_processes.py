@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.plan import setting
-from tests.processes import CELL_16, COMMAND, LONG, SAMPLES, Held, programs, written
+from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, SAMPLES, Held, programs, written
 
 resource = pytest.importorskip("resource", reason="POSIX")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices")
@@ -233,6 +233,22 @@ def test_a_full_disk_leaves_what_was_there_names_the_file_and_says_what_is_of_an
     assert re.fullmatch(rf"Error: out(/p00\.[a-z.]+)?: cannot be written {why}\. Nothing was written, .*", first)
     assert rest == (["Of an earlier run, not of this one: out/p00.src."] if earlier else [])
     assert written("after") == ({"p00"} if earlier else set())
+
+
+@pytest.mark.skipif(not MOUNTING, reason="mounting is not permitted; tests/test_writing.py has the same with a patch")
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_file_that_cannot_be_replaced_keeps_all_of_the_earlier_run(ending):
+    programs(1)
+    assert run(*CONVERT).returncode == 0
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    source = Path("p00.src")
+    source.write_text(source.read_text().replace("FX=80", "FX=160"))
+    done = _mounted(f"mount --bind out/p00{ending} out/p00{ending}", *CONVERT)
+    assert done.returncode == 1
+    first, second = done.stderr.splitlines()
+    assert first.startswith(f"Error: out/p00{ending}: cannot be written (Device or resource busy). Nothing was written")
+    assert second == "Of an earlier run, not of this one: out/p00.src."
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
 
 
 def _mounted(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -157,5 +157,7 @@ def failure(job: Job, cause: Exception) -> Outcome:
         return Outcome(
             program, FAILED, message=f"{program}: not enough memory. Use fewer --jobs, or split the program."
         )
+    if isinstance(cause, OSError):  # of the machine, not of postproc
+        return Outcome(program, FAILED, message=f"{program}: {cause}")
     told = "".join(traceback.format_exception(cause))
     return Outcome(program, FAILED, message=f"{program}: unexpected {type(cause).__name__}: {cause}", traceback=told)

@@ -44,6 +44,8 @@ def find_jobs(
         raise InputError(f"one name for {len(programs)} programs", advice="Give --name with one program.")
     jobs = []
     for path in programs:
+        if any("\ud800" <= letter <= "\udfff" for letter in path.name):  # what Python makes of bytes that are no text
+            raise InputError("its name is not UTF-8", file=str(path), advice="Rename the file.")
         folder = path.parent / "corrected" if output is None else output
         how = dialect or dialect_of(path)
         written = valid(path.stem) if name is None and how == "gcode" else name

@@ -78,6 +78,8 @@ class LazyGroup(click.Group):
             raise
         except MemoryError as cause:
             raise click.ClickException("not enough memory") from cause
+        except OSError as cause:  # of the machine, not of postproc
+            raise click.ClickException(str(cause)) from cause
         except Exception as cause:
             from postproc.cli.faults import told
 

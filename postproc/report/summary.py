@@ -191,7 +191,7 @@ def to_json(content: object) -> bytes:
 
     :raises ValueError: a number is NaN or infinite.
     """
-    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
 
 
 def _distances(values: Statistics) -> Distances:

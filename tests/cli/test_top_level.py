@@ -91,6 +91,24 @@ def test_what_is_no_fault_is_told_as_it_is(monkeypatch, cause, message):
     assert (done.exit_code, done.stderr) == (1, f"Error: {message}\n")
 
 
+def test_what_the_machine_refuses_is_no_fault_of_postproc():
+    long = "a" * 300
+    for arguments in (["x.nc", "-o", long], [f"{long}.nc"]):
+        Path("x.nc").write_text("G0 X0\n")
+        done = CliRunner().invoke(main, ["convert", *arguments, "--cell", CELL_16])
+        assert done.exit_code == 1
+        assert re.fullmatch(r"Error: .*File name too long.*\n", done.stderr)
+        assert "fault" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names that are no text")
+def test_a_program_whose_name_is_no_text_is_told():
+    Path(os.fsdecode(b"bad\xff.nc")).write_text("G0 X0\n")
+    done = CliRunner().invoke(main, ["convert", ".", "--cell", CELL_16])
+    assert done.exit_code == 1
+    assert done.stderr == "Error: bad?.nc: its name is not UTF-8. Rename the file.\n"
+
+
 def test_an_interrupt_has_an_exit_code_of_its_own(monkeypatch):
     def stop():
         raise KeyboardInterrupt
