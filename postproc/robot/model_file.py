@@ -19,6 +19,8 @@ FLANGE = "flange"
 Positive = Annotated[float, msgspec.Meta(ge=1e-12, le=1e12)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Finite = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Covariant = Annotated[float, msgspec.Meta(ge=-1e24, le=1e24)]
+"""A product of two values of the file: that of K_c [N/m] by itself is some 1e10."""
 """Values beyond these are mistakes, whatever the unit."""
 
 
@@ -123,7 +125,7 @@ class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m))."""
 
     parameters: list[str]
-    matrix: list[list[Finite]]
+    matrix: list[list[Covariant]]
 
 
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -113,7 +113,7 @@ def test_intervals_of_the_geometry_cover_the_truth(tmp_path):
         from postproc.identification.model_folder import read_prior
 
         found = calibration.identify_geometry(
-            read_prior(robot.find("kuka_kr270")), harness.PRIOR.nominal, "x", harness.load(tmp_path)
+            read_prior(robot.find("kuka_kr270"), None, ""), harness.PRIOR.nominal, "x", harness.load(tmp_path)
         )
         assert not found.sag
         names = [parameter.name for parameter in found.parameters]
