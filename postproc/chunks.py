@@ -27,10 +27,13 @@ def in_chunks(
     :param function: takes arrays of n rows and returns arrays of n rows, each row made from the same row only.
     :raises NotConvergedError: of the function; `rows` are then those of the whole.
     """
-    parts = []
+    whole: tuple[NDArray[Any], ...] = ()
     for part in chunks(len(first)):
         try:
-            parts.append(function(first[part], *(array[part] for array in others)))
+            pieces = function(first[part], *(array[part] for array in others))
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [part.start + row for row in cause.rows]) from None
-    return parts[0] if len(parts) == 1 else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+        whole = whole or tuple(np.empty((len(first), *piece.shape[1:]), piece.dtype) for piece in pieces)
+        for array, piece in zip(whole, pieces, strict=True):
+            array[part] = piece
+    return whole
