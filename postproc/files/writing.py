@@ -10,7 +10,10 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import msgspec
+import tomli_w
 
 from postproc import interrupts
 from postproc.errors import InputError
@@ -127,3 +130,26 @@ def _replace(stage: Path, folder: Path, names: Sequence[str]) -> None:
             raise InputError(problem, file=str(stage / "old"), advice=f"Move them to {folder} by hand.") from cause
         raise
     shutil.rmtree(stage / "old", ignore_errors=True)
+
+
+def toml(content: object, comment: str) -> bytes:
+    """Return a msgspec structure, or plain data, as TOML in UTF-8 below a line of comment.
+
+    Numbers have ten digits; what has its default is left out.
+    """
+    return f"# {comment}\n{tomli_w.dumps(_plain(content))}".encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, msgspec.Struct):
+        fields = ((field, getattr(value, field.name)) for field in msgspec.structs.fields(value))
+        return {field.encode_name: _plain(own) for field, own in fields if field.required or own != _default(field)}
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return float(f"{value:.10g}") if isinstance(value, float) else value
+
+
+def _default(field: msgspec.structs.FieldInfo) -> object:
+    return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()

@@ -337,18 +337,17 @@ def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_
     return kept, tuple(warnings)
 
 
-def to_toml(result: CompensatorGeometry, source: str) -> str:
-    """Return the result as TOML text: `[L_mm]`, `[a_x_mm]`, `[a_y_mm]`, each with `value` and `ci95` [mm]."""
-    parts = ["# Gravity compensator, identified by `postproc identify compensator` (paper, Eq. (6), (7)).\n"]
-    parts.append(f"source = {_quoted(source)}\n")
-    parts.append(f"sigma_mm = {result.sigma * MM_PER_M:.5f}   # one coordinate, one reading, from the residuals\n")
-    parts.append(f"turn_deg = {result.turn * DEG_PER_RAD:.3f}   # angle by which the compensator turned\n")
-    rows = ", ".join("[" + ", ".join(f"{v * MM_PER_M**2:.8g}" for v in row) + "]" for row in result.covariance)
-    parts.append(f"covariance_mm2 = [{rows}]   # of L, a_x, a_y\n")
-    parts.append("warnings = [" + ", ".join(_quoted(w) for w in result.warnings) + "]\n")
-    for name, value, ci in zip(("L_mm", "a_x_mm", "a_y_mm"), result.value, result.ci95, strict=True):
-        parts.append(f"\n[{name}]\nvalue = {value * MM_PER_M:.5f}\nci95 = {ci * MM_PER_M:.5f}\n")
-    return "".join(parts)
+def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
+    """Return the result as it stands in its file [mm, deg]; `source`: where the readings came from."""
+    values = zip(("L_mm", "a_x_mm", "a_y_mm"), result.value * MM_PER_M, result.ci95 * MM_PER_M, strict=True)
+    return {
+        "source": source,
+        "sigma_mm": result.sigma * MM_PER_M,
+        "turn_deg": result.turn * DEG_PER_RAD,
+        "covariance_mm2": (result.covariance * MM_PER_M**2).tolist(),
+        "warnings": list(result.warnings),
+        **{name: {"value": float(value), "ci95": float(half)} for name, value, half in values},
+    }
 
 
 class _Value(msgspec.Struct, frozen=True):
@@ -371,12 +370,6 @@ def load(path: Path) -> Array:
     return np.array([content.L_mm.value, content.a_x_mm.value, content.a_y_mm.value]) * M_PER_MM
 
 
-def _quoted(text: str) -> str:
-    import json
-
-    return json.dumps(text, ensure_ascii=False)
-
-
 def save(path: Path, result: CompensatorGeometry, source: str) -> None:
     """Write the result as TOML, whole or not at all.
 
@@ -384,4 +377,5 @@ def save(path: Path, result: CompensatorGeometry, source: str) -> None:
     """
     if path.is_dir():
         raise InputError("is a folder", file=str(path), advice="Give the name of the file to write.")
-    files.write_whole(path.parent, {path.name: to_toml(result, source).encode()})
+    comment = "Gravity compensator, identified by `postproc identify compensator` (paper, Eq. (6), (7))."
+    files.write_whole(path.parent, {path.name: files.toml(as_data(result, source), comment)})

@@ -27,6 +27,8 @@ from postproc.robot.model_file import (
     PayloadEntry,
 )
 
+_COMMENT = "Written by `postproc identify`. Units stand in the names; every entry names its source."
+
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
     """Return the content of `model.toml`: identified values with intervals, the prior's where none was identified."""
@@ -105,7 +107,7 @@ def write(
         raise InputError("would overwrite the prior model", file=str(folder), advice="Give another folder with -o.")
     files_of = {
         "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
-        "model.toml": to_toml(content).encode(),
+        "model.toml": files.toml(content, _COMMENT),
         "identification.json": json.dumps(data, indent=2, ensure_ascii=False).encode(),
     }
     if render is not None:
@@ -131,45 +133,3 @@ def without_found_springs(content: ModelFile) -> ModelFile:
     """Return a model with joint springs alone: those of links, and what fades of the gears, are looked for anew."""
     joints = {name: msgspec.structs.replace(spring, stiffening=[]) for name, spring in content.joints.items()}
     return msgspec.structs.replace(content, joints=joints, links={}, covariance=None)
-
-
-def to_toml(content: ModelFile) -> str:
-    """Return `model.toml` as text; values that are defaults are left out."""
-    plain: dict[str, Any] = msgspec.to_builtins(content)
-    default: dict[str, Any] = msgspec.to_builtins(ModelFile(name="", joints={}))
-    head = [f"{key} = {_value(plain[key])}" for key in ("name", "date") if plain[key]]
-    lines = ["# Written by `postproc identify`. Units stand in the names; every entry names its source.", *head]
-    for key, value in plain.items():
-        if not isinstance(value, dict) or value == default.get(key):
-            continue
-        if key in ("joints", "links", "geometry"):
-            for name, entry in value.items():
-                lines += ["", f"[{key}.{name}]", *_entries(entry)]
-        else:
-            lines += ["", f"[{key}]", *_entries(value)]
-    return "\n".join(lines) + "\n"
-
-
-def _entries(table: dict[str, Any]) -> list[str]:
-    zero = {0.0, None, ""}
-    return [
-        f"{name} = {_value(value)}"
-        for name, value in table.items()
-        if not (isinstance(value, (float, bool, str, type(None))) and value in zero and name != "stiffness_N_per_m"
-                and name != "free_length_mm" and name != "a_y_mm" and name != "a_x_mm")
-        and value != []
-    ]  # fmt: skip
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, float):
-        return repr(float(f"{value:.10g}"))
-    if isinstance(value, list):
-        return "[" + ", ".join(_value(entry) for entry in value) + "]"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{name} = {_value(entry)}" for name, entry in value.items()) + " }"
-    return str(value)

@@ -139,6 +139,6 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     payload: PayloadEntry | None = None
     geometry: dict[str, Displacement] = {}
     links: dict[str, LinkSprings] = {}
-    covariance: CovarianceTable | None = None
     masses: Sourced | None = None
     geometry_nominal: Sourced | None = None
+    covariance: CovarianceTable | None = None
