@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import pytest
 
 from postproc.batch import Cluster, Settings, convert_all, find_jobs
 from postproc.errors import PostprocError
-from tests.processes import CELL_16, LONG, Held, programs, written
+from tests.processes import CELL_16, Held, programs, written
 
 distributed = pytest.importorskip("distributed", reason="an extra: pip install 'postproc[dask]'")
 pytestmark = pytest.mark.filterwarnings("default")  # what Dask leaves open when it is shut down is not ours
@@ -137,21 +136,18 @@ def test_a_lost_peer_is_told_and_leaves_nothing_half_written(lost):
     with ExitStack() as processes:
 
         def started(*arguments: str, **options) -> subprocess.Popen[str]:
-            log = processes.enter_context(Path(f"{arguments[0]}.log").open("w"))
             command = [sys.executable, "-m", f"distributed.cli.{arguments[0]}", *arguments[1:], "--no-dashboard"]
-            process = processes.enter_context(subprocess.Popen(command, stdout=log, stderr=log, **options))
+            pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+            process = processes.enter_context(subprocess.Popen(command, **pipe, **options))
             processes.callback(process.kill)
             return process
 
         scheduler = started("dask_scheduler", "--host", "127.0.0.1", "--port", "0")
-        while (match := BOUND.search(Path("dask_scheduler.log").read_text())) is None:
-            assert scheduler.poll() is None
-            time.sleep(0.05)
+        (address,) = next(filter(None, map(BOUND.findall, scheduler.stdout)))
         held = Held("postproc.files.writing:_write:2", "convert", ".", "--cell", CELL_16, "-o", "out", "--scheduler",
-                    match[1])  # fmt: skip
-        worker = started(
-            "dask_worker", match[1], "--nworkers", "1", "--nthreads", "2", "--no-nanny", env=held.environment
-        )
+                    address)  # fmt: skip
+        options = ("--nworkers", "1", "--nthreads", "2", "--no-nanny")
+        worker = started("dask_worker", address, *options, env=held.environment)
         held.waiting(2)
         {"scheduler": scheduler, "worker": worker}[lost].send_signal(signal.SIGKILL)
         if lost == "scheduler":
@@ -159,8 +155,6 @@ def test_a_lost_peer_is_told_and_leaves_nothing_half_written(lost):
         code, _, stderr = held.end()
         assert code == 1
         assert stderr.count("the Dask scheduler at") == stderr.count("Error:") == 4, stderr
-        end = time.monotonic() + LONG
-        while any(path.suffix == ".tmp" for path in Path("out").iterdir()):
-            assert time.monotonic() < end
-            time.sleep(0.05)
-    assert written() <= {"p00", "p01", "p02", "p03"}
+        worker.kill()
+        worker.stdout.read()  # the pipe is closed when the last process that the worker has started is gone
+        assert written() <= {"p00", "p01", "p02", "p03"}
