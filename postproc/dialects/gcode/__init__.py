@@ -14,11 +14,11 @@ motion to X20 Y20 Z5, on the line of the second.
 
 Where this reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening
 one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number,
-more than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, and G15, G50.1, G69.
-Where it accepts less: a cutting or relative move or a change of the work offset before X, Y and Z have been programmed
-(rs274 begins at zero; a robot stands anywhere; only a G1 with all three may come first), parameters and expressions,
-signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that moves nothing,
-and every code that `codes` refuses. Each of these is a test.
+more than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W)
+where it does nothing, and G15, G50.1, G69. Where it accepts less: a cutting or relative move or a change of the work
+offset before X, Y and Z have been programmed (rs274 begins at zero; a robot stands anywhere; only a G1 with all three
+may come first), parameters and expressions, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of
+10⁷ and more, a program that moves nothing, and every code that `codes` refuses. Each of these is a test.
 """
 
 from __future__ import annotations
