@@ -157,7 +157,8 @@ def tables_2_and_3(label: str, true: simulator.TrueRobot) -> None:
     print(f"{'':34}" + "".join(f"{n:>9}" for n in NAMES) + "   K_c [N/m]")
     print(f"{'truth':34}" + "".join(f"{v * 1e6:9.3f}" for v in 1 / true.gear.k) + f"   {true.comp[0]:.3g}")
     for method, row in (("enhanced", "identified, enhanced"), ("serial", "identified, serial (Dumas 2011)")):
-        names, values, covariance = to_file_units(found[method].fit)
+        parameters, values, covariance = to_file_units(found[method].fit)
+        names = [parameter.name for parameter in parameters]
         half = 1.96 * np.sqrt(np.diag(covariance))
         given = dict(zip(names, values, strict=True))
         extra = f"   {given['K_c']:.3g} ± {half[names.index('K_c')]:.2g}" if "K_c" in given else "   none"

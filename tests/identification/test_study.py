@@ -26,5 +26,8 @@ def test_study_prints_the_tables_of_its_page(tmp_path):
     for (serial, enhanced), (serial_page, enhanced_page) in zip(printed, factors(page), strict=True):
         assert abs(serial / serial_page - 1) < 0.05  # another BLAS may choose another plan
         assert abs(enhanced / enhanced_page - 1) < 0.1
+    for method in ("enhanced", r"serial \(Dumas 2011\)"):
+        rows = re.findall(rf"^identified, {method} +(?:\d\.\d+ +){{5}}", run.stdout, re.M)
+        assert len(rows) == 2  # both robots, with values for k1 … k5
     assert "Table 1" in run.stdout
     assert "Table 2" in run.stdout
