@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,8 +57,9 @@ class Job:
 def data_beside(path: Path) -> list[Path]:
     """Return the `.dat` files beside a KRL program, letters of any case; the one that belongs to it first."""
     try:
-        found = [other for other in path.parent.iterdir() if other.stem.lower() == path.stem.lower()]
+        names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
     except OSError:
         return []
-    data = [other for other in found if other.suffix.lower() == ".dat"]
-    return sorted(data, key=lambda other: (other.stem != path.stem, other.name))
+    wanted = f"{path.stem}.dat".lower()
+    found = [path.with_name(name) for name in names if name.lower() == wanted]
+    return sorted(found, key=lambda other: (other.stem != path.stem, other.name))
