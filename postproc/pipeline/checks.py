@@ -18,7 +18,7 @@ _WRIST = 0.2 * RAD_PER_DEG
 """|A5| below this is in the wrist singularity."""
 _ELBOW = 0.2 * RAD_PER_DEG
 """A3 nearer than this to the stretched arm is in the elbow singularity."""
-_SHOULDER = 0.005
+SHOULDER = 0.005
 """A wrist centre nearer than this to the A1 axis [m] is in the shoulder singularity."""
 _TURNS = 1e-9
 """A motion that turns the tool by less than this [rad] does not turn it."""
@@ -42,6 +42,12 @@ def _first(
         yield Issue(level, kind, message, source_line=line, count=len(np.unique(motion[rows])))
 
 
+def unreachable(program: Program, motion: Ints, bad: Bools) -> Iterator[Issue]:
+    """Every place (N,) must be reached."""
+    message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
+    yield from _first(program, motion, bad, "unreachable", message)
+
+
 def _turn_the_tool(program: Program) -> str:
     return "turn the tool about its axis" + (" ([gcode] redundancy_deg)" if program.dialect == "gcode" else "")
 
@@ -63,11 +69,11 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
         )
 
 
-def singularities(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, q: Array) -> Iterator[Issue]:
+def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Array, apart: Ints) -> Iterator[Issue]:
     """The path must stay clear of wrist, elbow and shoulder singularities, and no joint may jump.
 
-    :param path: of the nominal targets.
     :param q: (N, 6) commanded [rad].
+    :param apart: motions whose samples are so far apart that a large turn between them is no jump.
     """
     form = kinematics.closed_form(robot)
     advice = f"Move the part or {_turn_the_tool(program)}."
@@ -80,7 +86,7 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, path: J
     yield from _first(
         program, sample.motion, elbow, "elbow-singularity", f"elbow singularity: the arm is stretched out. {advice}"
     )
-    shoulder = linear & (np.abs(form.reach(q)) < _SHOULDER)
+    shoulder = linear & (np.abs(form.reach(q)) < SHOULDER)
     yield from _first(
         program,
         sample.motion,
@@ -89,8 +95,10 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, path: J
         f"shoulder singularity: the wrist stands above the A1 axis. {advice}",
     )
     turned = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-    same_branch = np.diff(path.branch, prepend=path.branch[:1]) == 0
-    jump = linear & same_branch & (largest(turned) > _JUMP) & ~(wrist | elbow | shoulder)
+    following = linear & (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1)
+    jump = following & (largest(turned) > _JUMP) & ~(wrist | elbow | shoulder)
+    if len(apart):
+        jump &= ~np.isin(sample.motion, apart)
     flip = np.isin(np.argmax(turned, axis=1), (3, 5))
     yield from _first(
         program,
@@ -170,25 +178,19 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
         yield Issue("info", "posture", message, source_line=line, count=len(changes))
 
 
-def joint_speeds(
-    program: Program, robot: RobotModel, sample: Toolpath, turn: Array, q: Array, position: Array
-) -> Iterator[Issue]:
-    """Joint speeds at the programmed feed must stay within the robot's limits.
-
-    Where a program relies on the controller's default speed, which the controller may have been told otherwise, it is
-    but a warning.
+def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, position: Array) -> Array:
+    """Return how fast the joints turn at the programmed feed on the way to each sample (N, 6) [rad/s]; 0 if unknown.
 
     :param turn: (M,) how far each motion turns the tool [rad].
+    :param q: (N, 6) commanded [rad].
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
     m = program.motions
     feed = m.feed[sample.motion[1:]]
-    here = np.diff(sample.motion) == 0
-    same = here | (m.base[sample.motion[1:]] == m.base[sample.motion[:-1]])
-    step = np.diff(sample.pose[:, :3, 3], axis=0)
-    nominal = norm(step)
+    following = np.diff(sample.motion)
+    same = (m.base[sample.motion[1:]] == m.base[sample.motion[:-1]]) & (following <= 1) | (following == 0)
+    nominal = norm(np.diff(sample.pose[:, :3, 3], axis=0))
     travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
-    turned = np.abs(np.diff(q, axis=0))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
     turns = np.flatnonzero(turn[sample.motion[1:]] > _TURNS)
     relative = sample.pose[turns + 1, :3, :3] @ np.swapaxes(sample.pose[turns, :3, :3], 1, 2)
@@ -196,15 +198,26 @@ def joint_speeds(
     by_feed = norm(rotation_vector(relative)) * np.nan_to_num(feed[turns])
     by_turning[turns] = by_feed > _ORIENTATION_SPEED * nominal[turns]
     usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
+    speed = np.zeros_like(q)
+    turned = np.abs(np.diff(q, axis=0))
+    speed[1:] = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
+    return speed
+
+
+def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
+    """Joint speeds (N, 6) at the programmed feed must stay within the robot's limits.
+
+    Where a program relies on the controller's default speed, which the controller may have been told otherwise, it is
+    but a warning.
+    """
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
-    speed = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
     for axis, name in enumerate(JOINTS):
         fast = speed[:, axis] > robot.speed[axis]
         if fast.any():
             first = int(np.argmax(speed[:, axis]))
             yield from _first(
                 program,
-                sample.motion[1:],
+                sample.motion,
                 fast,
                 f"joint-speed-{name}",
                 f"{name} would turn at {speed[first, axis] * DEG_PER_RAD:.0f}°/s at the programmed feed "

@@ -16,7 +16,7 @@ from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramErro
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.pipeline import blending, bounds, checks, select, verify
+from postproc.pipeline import blending, bounds, checks, closely, select, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
@@ -257,8 +257,9 @@ def _sample(
             place.robot, flange, place.cell.start_joints, free, m.joints[ptp], m.status[ptp], m.turn[ptp]
         )
     except UnreachableError as cause:
-        message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
-        raise _BlockedError(_at_rows("unreachable", message, program, motion[list(cause.rows)])) from None
+        bad = np.zeros(len(motion), dtype=bool)
+        bad[list(cause.rows)] = True
+        raise _BlockedError(next(checks.unreachable(program, motion, bad))) from None
     if mode == "nominal":
         return _Sampled(path, load, arcs, sample, wrench, joints, _as_it_stands(place, sample, joints))
     movable = np.isnan(m.joints[motion, 0])
@@ -307,16 +308,21 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
     robot, sample, q = place.robot, sampled.sample, sampled.command.q
     position = sampled.command.pose[:, :3, 3]
     correction = norm(position - sample.pose[:, :3, 3])
-    return [
+    speed = checks.joint_speed(program, sample, sampled.path.turn, q, position)
+    arcs = closely.needed(program, place, sample, q, speed)
+    found = [
         *checks.start_joints(program, robot, place.cell.start_joints),
         *checks.first_move(program, sampled.joints, place.cell.start_joints),
         *checks.posture(program, robot, sample, sampled.joints, place.cell.start_joints),
         *checks.status_and_turn(program, robot, sample, sampled.joints.q),
         *checks.joint_limits(program, robot, sample, q),
-        *checks.singularities(program, robot, sample, sampled.joints, q),
-        *checks.joint_speeds(program, robot, sample, sampled.path.turn, q, position),
+        *checks.singularities(program, robot, sample, q, arcs),
+        *checks.joint_speeds(program, robot, sample, speed),
         *checks.correction_size(program, sample.motion, correction, place.cell.output.max_correction_mm * M_PER_MM),
     ]
+    told = {issue.kind for issue in found}
+    more = closely.look(program, place, sampled.path, sample, q, position, sampled.joints, arcs)
+    return [*found, *(issue for issue in more if issue.kind not in told)]
 
 
 def _unchanged(program: Program, sampled: _Sampled) -> tuple[Bools, Bools]:
