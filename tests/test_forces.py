@@ -111,8 +111,17 @@ def test_an_arc_that_runs_along_the_spindle_at_one_place_keeps_its_direction_the
         np.testing.assert_allclose(along(made, 1, share * np.pi * 50)[0], -10 if share > 1e-6 else 0, atol=1e-5)
 
 
-def test_a_feed_force_on_a_plunge_before_any_travel_names_the_lines():
-    moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0), ("LIN", 10, 0, 0)]
+def test_a_plunge_before_any_travel_takes_the_direction_of_the_first():
+    moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0), ("LIN", 0, 10, 0), ("LIN", 10, 10, 0)]
+    made = program(moves, notes=[(2, (10.0, 5.0, 30.0, 0, 0, 0), "FEED")])
+    for motion in (1, 2, 3):
+        np.testing.assert_allclose(along(made, motion, 4), [-5, 10, 30, 0, 0, 0], atol=1e-12)
+    (issue,) = per_motion(made, None).issues
+    assert (issue.kind, issue.source_line, issue.count) == ("feed-direction", 2, 2)
+
+
+def test_feed_forces_where_no_move_has_a_direction_name_the_lines():
+    moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0)]
     with pytest.raises(ForceError, match=r"part\.nc:2: .*along the spindle") as caught:
         along(program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")]), 1, 5)
     assert [error.line for error in caught.value.others] == [3]

@@ -52,6 +52,8 @@ def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
 def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Bools]:
     """Return the travel direction of the last motion before each that had one across the spindle.
 
+    Programs often begin with a plunge: before any such motion it is that of the first one that has a direction.
+
     :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN where there is none; and (M,) True for motions that
         need it: straight ones along the spindle, and those that travel nowhere.
     """
@@ -63,6 +65,7 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _BESIDE))
     needs = sine < _PARALLEL
     before = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, every))[:-1]])
+    before[before < 0] = -1 if needs.all() else int(np.argmin(needs))
     rotation = program.bases[:, :3, :3]
     in_root = np.einsum("nij,nj->ni", rotation[m.base[before]], x[before])
     last = np.einsum("nji,nj->ni", rotation[m.base], in_root)

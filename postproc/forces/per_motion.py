@@ -144,8 +144,8 @@ def _travel(program: Program, path: Segments, wrench: Array, frame: Ints, axis: 
     unknown = needs & np.isnan(travel[:, 0])
     if unknown.any():
         advice = (
-            "Such a move has no feed direction across the spindle, and none of those before it had one: give its force "
-            "in BASE or TOOL axes, or begin the FEED force after it."
+            "Such a move has no feed direction across the spindle, and no move from which it could be taken has one: "
+            "give its force in BASE or TOOL axes."
         )
         name, problem = program.documents[0].name, "a FEED force on a move along the spindle"
         lines = np.unique(m.line[unknown])[: MOST + 1].tolist()
@@ -154,7 +154,7 @@ def _travel(program: Program, path: Segments, wrench: Array, frame: Ints, axis: 
     if needs.any():
         message = (
             "a FEED force on a move along the spindle, which has no feed direction: x is the travel direction of the "
-            "last move that had one"
+            "last move that had one, before any such move that of the first"
         )
         line = int(m.line[int(np.argmax(needs))])
         issues.append(Issue("info", "feed-direction", message, source_line=line, count=int(needs.sum())))
