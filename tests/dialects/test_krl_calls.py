@@ -272,10 +272,65 @@ def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_c
     assert "GLOBAL I, SPD" in issue.message
 
 
-def test_values_of_the_data_file_that_the_program_changes_are_told():
-    assert about(program("LIN XP1", "SHIFT()", subs=SHIFT), "changed-data") == [("XP1", None)]
-    assert about(program("LIN P[I]", "I=I+1"), "changed-data") == [("I", None)]
-    assert about(program("I=1", "LIN P[I]", "I=2", "LIN P[I]"), "changed-data") == []
+@pytest.mark.parametrize(
+    ("lines", "names", "line"),
+    [
+        (["LIN XP1", "SHIFT()"], "XP1", 4),
+        (["LIN P[I]", "I=I+1"], "I", 4),
+        (["I=I+1", "LIN P[I]"], "I", 5),
+        (["Q=XP1", "LIN Q", "XP1.Z=XP1.Z+5"], "XP1", 5),
+        (["P[1]=XP1", "LIN P[1]", "LIN P[2]", "P[2].Z=50"], "P", 6),
+        (["XP1.Z=5", "LIN XP1", "XP1.X=7"], "XP1", 5),
+        (["XP1.Z=XP1.Z+5", "LIN XP1"], "XP1", 5),
+        (["LIN XP1", "IF $IN[1] THEN", "XP1.Z=5", "ENDIF"], "XP1", 4),
+        (["LIN XP1", "XP1=$POS_ACT"], "XP1", 4),
+        (["$VEL.CP=SPD", "LIN XP1", "SPD=0.25"], "SPD", 5),
+        (["$BASE=BASE_DATA[3]", "LIN XP1", "BASE_DATA[3].Z=BASE_DATA[3].Z+5"], "BASE_DATA", 5),
+        (["$TOOL=TOOL_DATA[2]", "LIN XP1", "TOOL_DATA[2].Z=1"], "TOOL_DATA", 5),
+    ],
+)
+def test_a_program_whose_next_run_begins_with_other_values_is_told(lines, names, line):
+    assert about(program(*lines, subs=SHIFT), "changed-data") == [(names, line)]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["I=1", "LIN P[I]", "I=2", "LIN P[I]"],
+        ["XP1.Z=5", "LIN XP1"],
+        ["LIN XP1", "I=I+1"],
+        ["$BASE=BASE_DATA[3]", "LIN XP1", "BASE_DATA[4]=BASE_DATA[3]"],
+        ["PTP {A1 0,A2 -90,A3 90,A4 0,A5 90,A6 0}", "LIN XP1", "SPD=0.25"],
+    ],
+)
+def test_changed_values_that_do_not_change_the_next_run_are_not_told(lines):
+    assert about(program(*lines), "changed-data") == []
+
+
+def test_functions_in_the_conditions_of_events_count_as_called():
+    for event in (
+        "TRIGGER WHEN PATH=FN(XP1) DELAY=0 DO $OUT[1]=TRUE",
+        "TRIGGER WHEN DISTANCE=0 DELAY=FN(XP1) DO $OUT[1]=TRUE",
+        "INTERRUPT DECL 3 WHEN FN(XP1)==1 DO NOTHING()",
+    ):
+        with pytest.raises(ProgramError, match="XP1 is changed while the program runs"):
+            program(
+                event, "LIN XP1", subs="DEFFCT INT FN(Q:OUT)\nE6POS Q\nQ.Z=5\nRETURN 1\nENDFCT\nDEF NOTHING()\nEND\n"
+            )
+
+
+def test_an_imported_variable_is_the_same_one_under_another_name():
+    with pytest.raises(ProgramError, match="XP1 is changed while the program runs"):
+        program("IMPORT E6POS YY IS /R1/PART..XP1", "YY.Z=77", "LIN XP1")
+    with pytest.raises(ProgramError, match="XP1 is changed while the program runs"):
+        program("RAISE()", "LIN XP1", subs="DEF RAISE()\nIMPORT E6POS YY IS /R1/PART..XP1\nYY.Z=77\nEND\n")
+
+
+def test_components_of_frames_of_the_cell_can_be_computed_with():
+    plain = program("LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
+    moved = program("BASE_DATA[3].Z=BASE_DATA[3].Z+5", "LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
+    assert x_y_z(plain) == [1, 2, CELL.base_data["3"].Z]
+    assert x_y_z(moved) == [1, 2, CELL.base_data["3"].Z + 5]
 
 
 # --- BAS(#INITMOV,0) -----------------------------------------------------------------------------------------------

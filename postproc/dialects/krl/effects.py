@@ -34,6 +34,10 @@ ACTION = re.compile(r"\bDO\b[ \t]*", re.I)
 """Behind it stands what an INTERRUPT or a TRIGGER does."""
 CYCLIC = re.compile(r"(?:(?:ANIN|DIGIN)[ \t]+ON|SIGNAL)[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 """The name that is written again and again, or that stands for an input."""
+IMPORTED = re.compile(
+    r"IMPORT[ \t]+\w+[ \t]+([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*IS\b.*\.\.[ \t]*([A-Za-z_$][\w$]*)", re.I | re.A
+)
+"""A variable of a `.dat` under another name: both are written where one of them is."""
 _FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 _COMMAND = re.compile(r"BAS[ \t]*\([ \t]*(#\w+)", re.I | re.A)
 _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
@@ -115,10 +119,10 @@ class Analysis:
         return self._all[routine]
 
     def of_action(self, module: Module, routine: Routine, line: int, start: int, stop: int) -> Effects:
-        """Return what the action of an interrupt or a trigger may do, which stands in a routine."""
+        """Return what an interrupt or a trigger that stands in a routine may do."""
         direct, total = _Direct(), Effects()
         place = Place(routine.source, line)
-        _Statement(self, module, routine, place, direct.later, direct.called_later).read(start, stop)
+        _Statement(self, module, routine, place, direct.later, direct.called_later).read_event(start, stop)
         self._add_later(total, direct)
         return total
 
@@ -164,10 +168,12 @@ class Analysis:
         start, stop = place.source.code_span(place.line)
         later = _Statement(self, *where, place, direct.later, direct.called_later)
         if word in ("INTERRUPT", "TRIGGER", "GLOBAL"):
-            if action := ACTION.search(text, start, stop):
-                later.read(action.end(), stop)
+            later.read_event(start, stop)
         elif match := CYCLIC.match(text, start, stop):
             later.writes(match[1])
+        elif match := IMPORTED.match(text, start, stop):
+            later.writes(match[1])
+            direct.later.writes.setdefault(match[2].upper(), place)
         else:
             _Statement(self, *where, place, direct.now, direct.called).read(start, stop)
 
@@ -187,10 +193,16 @@ class _Statement:
     effects: Effects
     called: list[Called]
 
+    def read_event(self, start: int, stop: int) -> None:
+        """Note what an INTERRUPT or a TRIGGER may do: its action, and functions in condition, PATH and DELAY."""
+        action = ACTION.search(self.place.source.text, start, stop)
+        self._calls(start, action.start() if action else stop)
+        if action:
+            self.read(action.end(), stop)
+
     def read(self, start: int, stop: int) -> None:
         """Note what the statement at a span may do; what cannot be read does nothing that could be noted."""
-        source = self.place.source
-        text = source.text
+        text = self.place.source.text
         word = word_at(text, start, stop)
         if word in MOTION_WORDS or word in SPLINES:
             self.effects.motion = self.effects.motion or self.place
@@ -205,7 +217,13 @@ class _Statement:
             self.writes(match[1])
         try:
             self._assigned(start, stop, word)
-            for call in calls(source, start, stop):
+        except ProgramError:
+            return
+        self._calls(start, stop)
+
+    def _calls(self, start: int, stop: int) -> None:
+        try:
+            for call in calls(self.place.source, start, stop):
                 self._called(call)
         except ProgramError:
             return

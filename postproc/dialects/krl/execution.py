@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from postproc.dialects.krl.effects import ACTION, CYCLIC, Analysis, Effects
+from postproc.dialects.krl.effects import CYCLIC, IMPORTED, Analysis, Effects
 from postproc.dialects.krl.library import Library
 from postproc.dialects.krl.names import DECLARING, OPENING, PURE, STANDARD, TYPES, WITHOUT_MOTION
 from postproc.dialects.krl.routines import (
@@ -174,10 +174,12 @@ class Execution:
         elif word in ("INTERRUPT", "TRIGGER"):
             if word == "TRIGGER" and self._in_main:
                 self.triggers.append(at.line)
-            if action := ACTION.search(text, start, stop):
-                self._action(at, word, action.end(), stop)
+            self._event(at, word, start, stop)
         elif match := CYCLIC.match(text, start, stop):
-            self._cyclic(at, match[1])
+            self._cyclic(at, self._stored(match[1]))
+        elif match := IMPORTED.match(text, start, stop):
+            self._cyclic(at, self._stored(match[1]))
+            self._cyclic(at, match[2].upper())
         elif word in DECLARING:
             return
         elif word == "DECL" or word in TYPES:
@@ -413,7 +415,7 @@ class Execution:
     def _stored(self, name: str) -> str:
         return self.variables.scope.stored(name.upper())
 
-    def _action(self, at: Place, word: str, start: int, stop: int) -> None:
+    def _event(self, at: Place, word: str, start: int, stop: int) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on."""
         effects = self.analysis.of_action(self.level.module, self.level.routine, at.line, start, stop)
         if effects.motion is not None:
@@ -426,4 +428,4 @@ class Execution:
             self.variables.changing.setdefault(name, Unknown(f"by {what}, {place}"))
 
     def _cyclic(self, at: Place, name: str) -> None:
-        self.variables.changing.setdefault(self._stored(name), Unknown(str(at)))
+        self.variables.changing.setdefault(name, Unknown(str(at)))

@@ -15,6 +15,7 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.dialects.krl import bulk
+from postproc.dialects.krl.again import told_of_next_run
 from postproc.dialects.krl.assembly import InOrder, assemble, in_order
 from postproc.dialects.krl.library import Library
 from postproc.dialects.krl.moves import MoveReader
@@ -64,7 +65,8 @@ def read(
     lines = np.concatenate([rows.line for rows in plain])
     module, main, faults = _main(source, lines, name)
     settings = Settings(variables, cell)
-    moves = MoveReader(settings, tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD))
+    start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
+    moves = MoveReader(settings, start)
     walker = Walker(Library(module, _folders(documents[0], cell)), main, settings, moves)
     try:
         walker.walk(faults)
@@ -76,11 +78,17 @@ def read(
     if not executed.any() and not len(walker.moves):
         raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
     ordered = in_order(walker, plain)
+    changed = list(told_of_next_run(walker, ordered, plain, start))
     del plain  # what follows needs the memory
     _check_size(source, ordered.rows)
     _check_starts(walker, ordered)
     motions, layout, assumptions = assemble(source, walker, ordered, cell.start_joints, forward)
-    issues = [*walker.issues, *assumptions, *told(walker, ordered.states, ordered.state, ordered.rows, layout)]
+    issues = [
+        *walker.issues,
+        *assumptions,
+        *changed,
+        *told(walker, ordered.states, ordered.state, ordered.rows, layout),
+    ]
     if moves.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
         issues.append(Issue("info", "home-from-cell", message, moves.home_used))

@@ -24,7 +24,6 @@ def told(walker: Walker, states: Sequence[State], state: Ints, rows: Rows, layou
     """
     yield from _absent(walker)
     yield from _uncalled(walker)
-    yield from _changed(walker)
     yield from _initial_frames(walker, states, state, rows, layout)
 
 
@@ -56,17 +55,6 @@ def _uncalled(walker: Walker) -> Iterator[Issue]:
             continue  # told for the routine in which it stands
         message = f"DEF {routine.name} has motions but {walker.main.name} does not call it; they are left as they are."
         yield Issue("warning", "uncalled-motions", message, motion.line, subject=routine.name)
-
-
-def _changed(walker: Walker) -> Iterator[Issue]:
-    """Values of the `.dat` that motions use and the program changes afterwards: the next run begins with others."""
-    variables = walker.variables
-    for name in sorted(variables.relied & variables.changed.keys()):
-        message = (
-            f"{name} of the .dat is used and then changed by the program ({variables.changed[name]}): what is written "
-            "holds for a run that begins with the value in the file, not for one that begins with the changed value."
-        )
-        yield Issue("warning", "changed-data", message, None, subject=name)
 
 
 def _initial_frames(

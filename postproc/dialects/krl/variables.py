@@ -6,6 +6,7 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -88,7 +89,6 @@ class Variables:
     :ivar scope: which variables the names of the present routine mean.
     :ivar changing: names that may change at any time, and what changes them.
     :ivar used: names that a motion, a frame or a speed depends on.
-    :ivar relied: names of the `.dat` whose initial value a motion, a frame or a speed uses.
     :ivar changed: names that the program gives another value, and where first.
     """
 
@@ -100,9 +100,8 @@ class Variables:
         self.scope = Scope()
         self.changing: dict[str, Unknown] = {}
         self.used: set[str] = set()
-        self.relied: set[str] = set()
         self.changed: dict[str, str] = {}
-        self._initial: set[str] = set()
+        self._initial = {"BASE_DATA", "TOOL_DATA"}
         for number, base in cell.base_data.items():
             self.put(f"BASE_DATA[{int(number)}]", from_pose(base.pose()))
         for number, tool in cell.tool_data.items():
@@ -241,6 +240,25 @@ class Variables:
         for key in (name, *self._elements.get(name, ())):
             self._values[key] = Unknown(where)
 
+    def kept(self) -> dict[str, str]:
+        """Return the names that keep their values from run to run and that the program changes, and where it does."""
+        changed = self.changed | {name: value.where for name, value in self.changing.items()}
+        return {name: changed[name] for name in sorted(self._initial & changed.keys())}
+
+    def next_run(self) -> Variables:
+        """Return what the next run of the program begins with: data as this run leaves them, nothing else."""
+        later = copy(self)
+        later._values = {key: value for key, value in self._values.items() if self._persists(key)}
+        later._elements = self._elements.copy()
+        later.scope, later.changing, later.used, later.changed = Scope(), {}, set(), {}
+        for name in self._initial & self.changing.keys():
+            later.forget(name, self.changing[name].where)
+        later.changed = {}
+        return later
+
+    def _persists(self, key: str) -> bool:
+        return key[0] == "$" or key.partition("[")[0] in self._initial
+
     def value(self, key: str) -> Known | None:
         """Return the value of a variable or an element, None where it has none."""
         if self.changing and (name := key.partition("[")[0]) in self.changing:
@@ -323,6 +341,8 @@ class Variables:
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.element is not None:
             value = self.value(self.scope.stored(reference.name))  # the whole array was changed
+        if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:
+            return Number(value.values[CARTESIAN.index(reference.field)], reference.start, reference.stop, False)
         if reference.field is not None and not isinstance(value, Unknown):
             item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
             value = self.evaluate(source, item) if item is not None else None
@@ -346,13 +366,9 @@ class Variables:
         return known.value if isinstance(known, Number) else None
 
     def rely(self, source: Source, value: Value | Known) -> None:
-        """Note that what a motion does depends on a value, as far as that is the initial one of a `.dat`."""
+        """Note which names a motion, a frame or a speed depends on."""
         if isinstance(value, Reference):
-            key = self.key_of(source, value)
-            name = self.scope.stored(value.name)
-            self.used.add(name)
-            if key is not None and name in self._initial and name not in self.changed:
-                self.relied.add(name)
+            self.used.add(self.scope.stored(value.name))
             if value.element is not None and value.inside[0] < value.inside[1]:
                 self.rely(source, parse(source, *value.inside)[0])
         elif isinstance(value, Chain):

@@ -1,0 +1,98 @@
+"""The next run of a program: whether it does the same as the first.
+
+Values of a `.dat`, BASE_DATA and TOOL_DATA stay as a run leaves them. Where a program changes some of them, it is
+followed once more from there. If it then goes elsewhere, what is written holds only for runs that begin with the files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from postproc.dialects.krl.assembly import InOrder, in_order
+from postproc.dialects.krl.moves import MoveReader
+from postproc.dialects.krl.positions import Position
+from postproc.dialects.krl.rows import Rows
+from postproc.dialects.krl.settings import Settings
+from postproc.dialects.krl.walker import Walker
+from postproc.errors import Issue, ProgramError
+from postproc.frames import Array
+
+_MOST_NAMES = 10
+"""So many names are told in one message."""
+
+
+def told_of_next_run(
+    walker: Walker, first: InOrder, plain: list[Rows], start_joints: tuple[float, ...]
+) -> Iterator[Issue]:
+    """Yield a warning if the next run, with the values that this one leaves, goes elsewhere or cannot be known.
+
+    :param walker: has followed the program.
+    :param first: its motions.
+    :param plain: those of the bulk path.
+    :param start_joints: where the robot stands first [deg].
+    """
+    kept = walker.settings.variables.kept()
+    if not kept:
+        return
+    settings = Settings(walker.settings.variables.next_run(), walker.settings.cell)
+    again = Walker(walker.library, walker.main, settings, MoveReader(settings, start_joints))
+    try:
+        again.walk([])
+        second = in_order(again, plain)
+        line = _first_difference(walker.settings, first, settings, second)
+    except ProgramError as cause:
+        line = cause.line or walker.main.first
+    if line is None:
+        return
+    names = [f"{name} ({place})" for name, place in list(kept.items())[:_MOST_NAMES]]
+    more = "" if len(kept) <= _MOST_NAMES else f" and {len(kept) - _MOST_NAMES} more"
+    message = (
+        f"The program changes data that stay changed: {', '.join(names)}{more}. The next run begins with the changed "
+        "values and moves otherwise from this line on: what is written holds for a run that begins with the values in "
+        "the files. Set them at the beginning of the program."
+    )
+    yield Issue("warning", "changed-data", message, line, subject=", ".join(list(kept)[:_MOST_NAMES]))
+
+
+def _first_difference(one: Settings, first: InOrder, other: Settings, second: InOrder) -> int | None:
+    """Return the first line whose motion is not the same in both runs."""
+    if len(first.rows) != len(second.rows):
+        return int(first.rows.line[0])
+    same = np.ones(len(first.rows), dtype=np.bool_)
+    for a, b in (
+        (first.rows.numbers, second.rows.numbers),
+        (first.rows.via, second.rows.via),
+        (_in_force(one, first)[first.state], _in_force(other, second)[second.state]),
+    ):
+        same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
+    for row, move in first.moves.items():
+        same[row] &= row in second.moves and _same(move.end.position, second.moves[row].end.position)
+    found = np.flatnonzero(~same)
+    return int(first.rows.line[found[0]]) if len(found) else None
+
+
+def _same(one: Position, other: Position) -> bool:
+    a, b = (np.array([*p.values, p.axis, p.status, p.turn, *p.external], dtype=np.float64) for p in (one, other))
+    return np.array_equal(a, b, equal_nan=True)
+
+
+def _in_force(settings: Settings, ordered: InOrder) -> Array:
+    """Return (S, 36) what motions depend on in each state; NaN for what is not known."""
+    return np.array(
+        [
+            np.concatenate(
+                [
+                    _frame(settings.bases, state.base),
+                    _frame(settings.tools, state.tool),
+                    [state.speed, state.cdis, hash(state.orientation), hash(state.circle)],
+                ]
+            )
+            for state in ordered.states
+        ]
+    )
+
+
+def _frame(frames: list[Array], row: int) -> Array:
+    return frames[row].ravel() if row >= 0 else np.full(16, np.nan)
