@@ -49,5 +49,6 @@ color:var(--soft);font-variant-numeric:tabular-nums}
 .legend i{display:inline-block;width:18px;height:10px;border-radius:2px;margin-right:6px}
 footer{margin-top:20px;color:var(--soft);font-size:13px}
 @media(max-width:760px){.columns{grid-template-columns:1fr}}
+@media screen and (max-width:760px){section{overflow-x:auto}section>svg{min-width:680px}}
 @media print{body{background:#fff}section,.tiles>div{break-inside:avoid}}
 """

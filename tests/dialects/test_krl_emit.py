@@ -189,6 +189,8 @@ def test_events_without_lines_in_the_cell_are_warned_about_and_written_as_commen
     text, _, written = emitted(milling(MOVES, events), changed(MILLING, gcode=GCode()))
     kinds = {(issue.level, issue.kind, issue.source_line) for issue in written.issues}
     assert kinds == {("warning", f"no-{what}-lines", 5) for what in ("spindle", "coolant", "tool-change")}
+    told = " ".join(issue.message for issue in written.issues)
+    assert all(f"no {event.kind} lines" in told for event in events)
     assert "; tool_change 7: no lines for it in the cell\r\n" in text
     assert "WAIT" not in text
 

@@ -179,7 +179,7 @@ class _Emitter:
         if not own:
             kind = _NO_LINES[event.kind.partition("_")[0]]
             message = f"The cell has no {event.kind} lines in [gcode]: the program does nothing there."
-            self.issues.append(Issue("warning", kind, message, event.line))
+            self.issues.append(Issue("warning", kind, message, event.line, subject=event.kind))
         return [
             _printable(line.replace("{S}", _number(event.value)).replace("{T}", _number(event.value))) for line in own
         ]
