@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.errors import Issue, ProgramError
+from postproc.files import foreign_single, sealed, write_whole
 from postproc.program import Document
 from tests import fabricated
 
@@ -224,3 +225,34 @@ def test_two_programs_that_would_get_one_name_are_an_error_before_anything_is_wr
         Path(name).write_text("G0 X0\n")
     assert "would both be written as" in convert(*pair, code=1).stderr
     assert not Path("out").exists()
+
+
+def test_a_single_file_carries_its_own_sum(tmp_path):
+    path = tmp_path / "compensator.toml"
+    assert foreign_single(path) == []
+    write_whole(tmp_path, {path.name: sealed(b"# made by us.\nL_mm = 5.0\n")})
+    assert foreign_single(path) == []
+    assert path.read_text().splitlines()[1] == "L_mm = 5.0"
+    for text in (path.read_text().replace("5.0", "6.0"), "L_mm = 5.0\n", ""):
+        path.write_text(text)
+        assert foreign_single(path) == [path]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (("identify", "compensator", "x.csv", "-o", "out"), ""),
+        (("identify", "elastostatics", "x.csv", "--experiment", "x.toml", "-o", "out"), "model.toml"),
+        (("identify", "elastostatics", "x.csv", "--experiment", "x.toml", "-o", "out"), "robot.urdf"),
+        (("identify", "geometry", "x.csv", "--experiment", "x.toml", "-o", "out"), "identification.json"),
+    ],
+)
+def test_identify_replaces_nothing_that_is_not_its_own(arguments, name):
+    place = Path("out", name)
+    place.parent.mkdir(parents=True, exist_ok=True) if name else None
+    place.write_text("mine")
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 1
+    assert f"not written by postproc, or changed since: {place}." in done.stderr
+    assert place.read_text() == "mine"
+    assert "changed since" not in CliRunner().invoke(main, [*arguments, "--overwrite"]).stderr

@@ -145,7 +145,12 @@ def _contents(
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     contents[f"{stem}report.html"] = report.page(result, tolerance)
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)
-    return content, outputs.recorded(contents, name, content)
+
+    def rendered(entries: list[files.FileEntry]) -> bytes:
+        content["files"] = entries
+        return report.to_json(content)
+
+    return content, files.with_record(contents, name, rendered)
 
 
 def failure(job: Job, cause: Exception) -> Outcome:

@@ -1,25 +1,16 @@
-"""What stands in an output folder: whose files are there, and which are of an earlier run.
-
-`report.json` names the files that were written with it and the SHA-256 of each. A file that is not named there, or was
-changed since, is not ours to replace; nor is one without such a report, but for a program that says the same itself.
-"""
+"""What stands in an output folder: whose files are there (`files.records`), and which are of an earlier run."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from postproc import provenance, report
+from postproc import provenance
 from postproc.batch.inputs import read_documents
 from postproc.batch.job import Job
 from postproc.errors import InputError, ProgramError
+from postproc.files import foreign, listed, refuse
 from postproc.pipeline import Mode
-from postproc.report import FileEntry, Summary
-
-_SHOWN = 5
-"""Of many files, so many are named."""
 
 
 def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> None:
@@ -42,7 +33,7 @@ def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> No
     for job in jobs:
         _protect(inputs, job, job.writes(mode))
     if not overwrite:
-        _refuse([job.output / name for job in jobs for name in _strange(job, job.writes(mode), mode)])
+        refuse([path for job in jobs for path in _foreign(job, job.writes(mode), mode)])
 
 
 def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -> None:
@@ -50,8 +41,7 @@ def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -
     _protect({_key(path) for path in job.reads()}, job, names)
     if not overwrite:
         foreseen = job.writes(mode)
-        more = [name for name in names if name not in foreseen]
-        _refuse([job.output / name for name in _strange(job, more, mode)])
+        refuse(_foreign(job, [name for name in names if name not in foreseen], mode))
 
 
 def _protect(inputs: set[str], job: Job, names: Iterable[str]) -> None:
@@ -61,40 +51,6 @@ def _protect(inputs: set[str], job: Job, names: Iterable[str]) -> None:
             raise InputError("this input would be overwritten", file=str(path), advice=advice)
 
 
-def _refuse(strange: Sequence[Path]) -> None:
-    if strange:
-        raise InputError(
-            f"not written by postproc, or changed since: {_listed(strange)}",
-            advice="Nothing was written. Choose another folder with -o, or replace what is there with --overwrite.",
-        )
-
-
-def recorded(
-    contents: Mapping[str, bytes | Iterable[bytes]], name: str, content: Summary
-) -> dict[str, bytes | Iterable[bytes]]:
-    """Return contents for `files.write_whole`, and behind them the report, which names them.
-
-    :param contents: file name → content.
-    :param name: of the report.
-    :param content: of the report; its ``files`` are filled in while the others are written.
-    """
-    written: list[FileEntry] = []
-    content["files"] = written
-
-    def digested(name: str, pieces: Iterable[bytes]) -> Iterator[bytes]:
-        digest = hashlib.sha256()
-        for piece in pieces:
-            digest.update(piece)
-            yield piece
-        written.append({"name": name, "sha256": digest.hexdigest()})
-
-    def last() -> Iterator[bytes]:
-        yield report.to_json(content)
-
-    made = {n: digested(n, [c] if isinstance(c, bytes) else c) for n, c in contents.items()}
-    return {**made, name: last()}
-
-
 def set_aside(job: Job, mode: Mode) -> str:
     """Rename what an earlier run wrote for a program that failed now, so that nobody takes it for this one's.
 
@@ -102,7 +58,7 @@ def set_aside(job: Job, mode: Mode) -> str:
     """
     there = _there(job, job.writes(mode))
     inputs = {_key(path) for path in job.reads()}
-    if not there or _strange(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
+    if not there or _foreign(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
         return left([job], mode)
     try:
         for path in (job.output / name for name in there):
@@ -116,20 +72,17 @@ def set_aside(job: Job, mode: Mode) -> str:
 def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs that stand in the output folders and are not of this run; empty if none do."""
     there = [job.output / name for job in jobs for name in _there(job, job.writes(mode)[:1])]
-    return f"Of an earlier run, not of this one: {_listed(there)}." if there else ""
+    return f"Of an earlier run, not of this one: {listed(there)}." if there else ""
 
 
 def _there(job: Job, names: Iterable[str]) -> list[str]:
     return [name for name in names if (job.output / name).exists()]
 
 
-def _strange(job: Job, names: Iterable[str], mode: Mode) -> list[str]:
+def _foreign(job: Job, names: Iterable[str], mode: Mode) -> list[Path]:
     """Return which of the files that are there are not as postproc wrote them."""
-    report = job.report(mode)
-    record = _record(job.output / report)
-    if record is None:
-        return [name for name in _there(job, names) if name not in _marked(job, mode)]
-    return [name for name in _there(job, names) if name != report and record.get(name) != _digest(job.output / name)]
+    found = foreign(job.output, names, job.report(mode))
+    return [path for path in found if path.name not in _marked(job, mode)] if found else []
 
 
 def _marked(job: Job, mode: Mode) -> list[str]:
@@ -144,23 +97,6 @@ def _marked(job: Job, mode: Mode) -> list[str]:
     return [document.name for document in documents] if provenance.of(documents).state == "intact" else []
 
 
-def _record(path: Path) -> dict[str, str] | None:
-    """Return what a report says was written with it; None if it is none of ours."""
-    try:
-        return {entry["name"]: entry["sha256"] for entry in json.loads(path.read_bytes())["files"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def _digest(path: Path) -> str:
-    """Return the SHA-256 of a file; empty if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return ""
-
-
 def _unused(path: Path) -> Path:
     """Return a name for an old file: with ``.old`` behind it, or ``.old2`` …"""
     number = 2
@@ -169,11 +105,6 @@ def _unused(path: Path) -> Path:
         target = path.with_name(f"{path.name}.old{number}")
         number += 1
     return target
-
-
-def _listed(paths: Sequence[Path]) -> str:
-    more = f" and {len(paths) - _SHOWN} more" if len(paths) > _SHOWN else ""
-    return ", ".join(str(path) for path in paths[:_SHOWN]) + more
 
 
 def _key(path: Path) -> str:

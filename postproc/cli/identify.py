@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from postproc.identification.procedure import Depth, Method
 
 _FILE = click.Path(path_type=Path)
+_overwrite = click.option(
+    "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
+)
 
 
 @click.group()
@@ -29,7 +32,8 @@ def identify() -> None:
 @identify.command()
 @click.argument("markers", type=_FILE)
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write.")
-def compensator(markers: Path, output: Path) -> None:
+@_overwrite
+def compensator(markers: Path, output: Path, overwrite: bool) -> None:
     """Geometry of the gravity compensator: L, a_x, a_y with 95 % intervals.
 
     MARKERS is a CSV file with columns q2,marker,repeat,X,Y,Z: deg, mm, in any frame of the tracker. Marker P1 sits on
@@ -40,8 +44,11 @@ def compensator(markers: Path, output: Path) -> None:
     Example:
       postproc identify compensator markers.csv -o compensator.toml
     """  # noqa: D301 - click: keep these lines as they are
+    from postproc.files import foreign_single, refuse
     from postproc.identification import compensator_geometry
 
+    if not overwrite:
+        refuse(foreign_single(output))
     result = compensator_geometry.identify(compensator_geometry.read(markers))
     compensator_geometry.save(output, result, markers.name)
     for name, value, half in zip(("L", "a_x", "a_y"), result.value, result.ci95, strict=True):
@@ -71,6 +78,7 @@ def compensator(markers: Path, output: Path) -> None:
 )
 @click.option("--geometry", is_flag=True, help="Calibrate the geometry too, from the readings without load.")
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
+@_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def elastostatics(
     measurements: Path,
@@ -80,6 +88,7 @@ def elastostatics(
     structure: Depth,
     geometry: bool,
     output: Path,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Compliances of joints, compensator, links and gears, with 95 % intervals.
@@ -95,9 +104,11 @@ def elastostatics(
       postproc identify elastostatics measurements.csv --experiment experiment.toml \\
           --compensator compensator.toml -o my_robot
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.identification import identify_folder
+    from postproc.identification import identify_folder, model_folder
     from postproc.report.identification import page
 
+    if not overwrite:
+        model_folder.protect(output)
     done = identify_folder(
         measurements, experiment, output, compensator_file, method, structure, _say, page, geometry=geometry
     )
@@ -109,8 +120,11 @@ def elastostatics(
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
 @click.option("--model", type=_FILE, help="Model folder whose springs predict the sag; default: the robot shipped.")
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
+@_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
-def geometry(measurements: Path, experiment: Path, model: Path | None, output: Path, as_json: bool) -> None:
+def geometry(
+    measurements: Path, experiment: Path, model: Path | None, output: Path, overwrite: bool, as_json: bool
+) -> None:
     """Geometry from readings without load: offsets, lengths, tilts, with sag under own weight.
 
     MEASUREMENTS is the CSV file of `identify elastostatics`; loaded readings in it are not used. The model folder
@@ -121,9 +135,11 @@ def geometry(measurements: Path, experiment: Path, model: Path | None, output: P
     Example:
       postproc identify geometry measurements.csv --experiment experiment.toml --model my_robot -o my_calibrated_robot
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.identification import geometry_folder
+    from postproc.identification import geometry_folder, model_folder
     from postproc.report.identification import page
 
+    if not overwrite:
+        model_folder.protect(output)
     _show(geometry_folder(measurements, experiment, output, model, page), output, as_json)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import click
@@ -42,6 +42,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same plan.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json beside it.")
 def plan(
     experiment: Path,
@@ -59,6 +60,7 @@ def plan(
     margin: float,
     seed: int,
     as_json: bool,
+    overwrite: bool,
     output: Path,
 ) -> None:
     """Choose poses and loads whose measurement identifies the robot best for the work at hand.
@@ -83,7 +85,7 @@ def plan(
     from postproc import interrupts
     from postproc import robot as robots
     from postproc.dialects.krl.names import valid
-    from postproc.files import write_whole
+    from postproc.files import foreign, refuse, with_record, write_whole
     from postproc.frames import RAD_PER_DEG
     from postproc.identification.experiment import read_experiment
     from postproc.identification.readings import read
@@ -105,22 +107,28 @@ def plan(
     site = site_of(model, setup, experiment.parent, margin * RAD_PER_DEG)
     tests = _test_poses(programs, forces, poses, model, place)
     data = None if measured is None else read(measured, setup)
-    _protect(output, [experiment, cell, *filter(None, (forces, poses, measured)), *map(Path, programs)])
+    names = csv, src, html, record = (
+        output.name,
+        f"{valid(output.stem)}.src",
+        f"{output.stem}.html",
+        f"{output.stem}.json",
+    )
+    _protect(output.parent, names, [experiment, cell, *filter(None, (forces, poses, measured)), *map(Path, programs)])
+    if not overwrite:
+        refuse(foreign(output.parent, names, record))
     options = Options(configurations, q2_levels, seed, grouped, test_poses, repeats)
     with interrupts.ending_a_search(), _shown() as progress:
         result = plan_measurements(site, setup.sigma, tests, place, options, data, progress)
-    name = valid(output.stem)
-    contents = {
-        output.name: plan_csv(result),
-        f"{name}.src": krl_program(result, place, name).to_bytes(),
-        f"{output.stem}.html": plan_page(result, output.stem),
-        f"{output.stem}.json": plan_json(result),
+    contents: dict[str, bytes | Iterable[bytes]] = {
+        csv: plan_csv(result),
+        src: krl_program(result, place, PurePath(src).stem).to_bytes(),
+        html: plan_page(result, output.stem),
     }
-    written = write_whole(output.parent, contents)
+    written = write_whole(output.parent, with_record(contents, record, lambda files: plan_json(result, files)))
     for warning in result.warnings:
         click.echo(f"warning: {warning}", err=True)
     if as_json:
-        click.echo(contents[f"{output.stem}.json"].decode(), nl=False)
+        click.echo((output.parent / record).read_text(encoding="utf-8"), nl=False)
         return
     from postproc.report.plan_data import plan_lines
 
@@ -159,13 +167,13 @@ def _check_same_robot(measured: RobotModel, milling: RobotModel) -> None:
         )
 
 
-def _protect(output: Path, inputs: list[Path]) -> None:
+def _protect(folder: Path, names: Iterable[str], inputs: list[Path]) -> None:
     """No input may be overwritten."""
     from postproc.errors import InputError
 
     taken = {str(path.resolve()).lower() for path in inputs}
-    for suffix in (".csv", ".src", ".html", ".json"):
-        target = output.with_suffix(suffix)
+    for name in names:
+        target = folder / name
         if str(target.resolve()).lower() in taken:
             raise InputError("this input would be overwritten", file=str(target), advice="Choose another -o.")
 

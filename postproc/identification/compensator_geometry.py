@@ -378,4 +378,4 @@ def save(path: Path, result: CompensatorGeometry, source: str) -> None:
     if path.is_dir():
         raise InputError("is a folder", file=str(path), advice="Give the name of the file to write.")
     comment = "Gravity compensator, identified by `postproc identify compensator` (paper, Eq. (6), (7))."
-    files.write_whole(path.parent, {path.name: files.toml(as_data(result, source), comment)})
+    files.write_whole(path.parent, {path.name: files.sealed(files.toml(as_data(result, source), comment))})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from postproc.robot.model_file import (
 )
 
 _COMMENT = "Written by `postproc identify`. Units stand in the names; every entry names its source."
+_RECORD = "identification.json"
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
@@ -98,21 +99,33 @@ def write(
     """Write the model folder, whole or not at all.
 
     :param content: of `model.toml`.
-    :param data: of `identification.json`.
+    :param data: of `identification.json`; its ``files``, the files written with it, are added.
     :param prior_folder: where robot.urdf is.
     :param render: makes `report.html` from `data`.
     :raises InputError: the folder cannot be written, or is the prior's.
     """
     if folder.resolve() == prior_folder.resolve():
         raise InputError("would overwrite the prior model", file=str(folder), advice="Give another folder with -o.")
-    files_of = {
-        "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
+    contents: dict[str, bytes | Iterable[bytes]] = {
         "model.toml": files.toml(content, _COMMENT),
-        "identification.json": json.dumps(data, indent=2, ensure_ascii=False).encode(),
+        "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
     }
     if render is not None:
-        files_of["report.html"] = render(data)
-    return files.write_whole(folder, files_of)
+        contents["report.html"] = render(data)
+
+    def rendered(entries: list[files.FileEntry]) -> bytes:
+        data["files"] = entries
+        return json.dumps(data, indent=2, ensure_ascii=False).encode()
+
+    return files.write_whole(folder, files.with_record(contents, _RECORD, rendered))
+
+
+def protect(folder: Path) -> None:
+    """Refuse a folder that holds a model which was not identified, or was changed since.
+
+    :raises InputError: it does.
+    """
+    files.refuse(files.foreign(folder, ("model.toml", "robot.urdf", "report.html", _RECORD), _RECORD))
 
 
 def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:

@@ -3,14 +3,13 @@
 from postproc.report.forces import COLUMNS as FORCE_COLUMNS
 from postproc.report.forces import forces_csv
 from postproc.report.html import page
-from postproc.report.summary import FileEntry, Summary, issue_entry, summary, to_json
+from postproc.report.summary import Summary, issue_entry, summary, to_json
 from postproc.report.targets import COLUMNS, targets_csv
 from postproc.report.text import issue_line, of_many, of_one
 
 __all__ = [
     "COLUMNS",
     "FORCE_COLUMNS",
-    "FileEntry",
     "Summary",
     "forces_csv",
     "issue_entry",

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.plan import PlanResult
 
@@ -79,9 +81,13 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
     return out
 
 
-def plan_json(result: PlanResult) -> bytes:
-    """Return `plan_summary` as JSON."""
-    return (json.dumps(plan_summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
+    """Return `plan_summary` as JSON.
+
+    :param files: written with it.
+    """
+    content = {**plan_summary(result), "files": files}
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def plan_lines(result: PlanResult) -> list[str]:

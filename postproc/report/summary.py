@@ -10,6 +10,7 @@ import numpy as np
 
 from postproc import provenance
 from postproc.errors import Issue
+from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.pipeline import Mode, Result, Statistics, statistics
 from postproc.program import Bools
@@ -70,13 +71,6 @@ class IssueEntry(TypedDict):
     count: int
 
 
-class FileEntry(TypedDict):
-    """A file that was written with the report: what tells later whether it is still as it was."""
-
-    name: str
-    sha256: str
-
-
 class Summary(TypedDict):
     """Content of `report.json`. Numbers that are unknown are None; none is NaN or infinite."""
 
@@ -98,7 +92,7 @@ class Summary(TypedDict):
     max_force_N: float
     limits: Limits
     issues: list[IssueEntry]
-    files: NotRequired[list[FileEntry]]
+    files: NotRequired[list[FileEntry]]  # written with this report
 
 
 def summary(result: Result, tolerance: float | None = None) -> Summary:
