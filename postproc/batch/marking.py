@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 from postproc import provenance
@@ -12,6 +11,7 @@ from postproc.batch.job import Job
 from postproc.batch.outcome import Settings
 from postproc.cell import Cell
 from postproc.pipeline import Result
+from postproc.version import VERSION
 
 
 def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
@@ -21,7 +21,7 @@ def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
         return result
     folder = robots.find(cell.robot, Path(cell.folder))
     origin = provenance.Origin(
-        version=version("postproc"),
+        version=VERSION,
         mode="nominal" if settings.mode == "nominal" else "corrected",
         source=provenance.digest(source),
         cell=provenance.digest([settings.cell.read_bytes()]),
