@@ -144,10 +144,7 @@ def test_a_changed_earlier_program_is_not_touched_but_named():
     Path("out/part.src").write_text("touched up by hand")
     Path("part.nc").write_text("odd")
     before = content()
-    assert (
-        f"Of an earlier run, not of this one: {Path('out/part.src')}."
-        in convert("part.nc", "--overwrite", code=1).stderr
-    )
+    assert f"There before, not of this run: {Path('out/part.src')}." in convert("part.nc", "--overwrite", code=1).stderr
     assert content() == before
 
 
@@ -156,7 +153,7 @@ def test_an_unusable_cell_leaves_the_earlier_programs_and_names_them():
     before = content()
     done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "none.toml", "-o", "out"])
     assert done.exit_code == 1
-    assert done.stderr.splitlines()[0] == f"Of an earlier run, not of this one: {Path('out/part.src')}."
+    assert done.stderr.splitlines()[0] == f"There before, not of this run: {Path('out/part.src')}."
     assert "none.toml: no such file" in done.stderr
     assert content() == before
 

@@ -231,7 +231,7 @@ def test_a_full_disk_leaves_what_was_there_names_the_file_and_says_what_is_of_an
     first, *rest = done.stderr.splitlines()
     why = r"\((No space left on device|File too large)\)"
     assert re.fullmatch(rf"Error: out(/p00\.[a-z.]+)?: cannot be written {why}\. Nothing was written, .*", first)
-    assert rest == (["Of an earlier run, not of this one: out/p00.src."] if earlier else [])
+    assert rest == (["There before, not of this run: out/p00.src."] if earlier else [])
     assert written("after") == ({"p00"} if earlier else set())
 
 
@@ -247,7 +247,7 @@ def test_a_file_that_cannot_be_replaced_keeps_all_of_the_earlier_run(ending):
     assert done.returncode == 1
     first, second = done.stderr.splitlines()
     assert first.startswith(f"Error: out/p00{ending}: cannot be written (Device or resource busy). Nothing was written")
-    assert second == "Of an earlier run, not of this one: out/p00.src."
+    assert second == "There before, not of this run: out/p00.src."
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
 
 

@@ -72,7 +72,7 @@ def set_aside(job: Job, mode: Mode) -> str:
 def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs that stand in the output folders and are not of this run; empty if none do."""
     there = [job.output / name for job in jobs for name in _there(job, job.writes(mode)[:1])]
-    return f"Of an earlier run, not of this one: {listed(there)}." if there else ""
+    return f"There before, not of this run: {listed(there)}." if there else ""
 
 
 def _there(job: Job, names: Iterable[str]) -> list[str]:
