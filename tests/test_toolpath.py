@@ -36,7 +36,7 @@ def _still(made, **changes):
     ramp_end = changes.pop("ramp_end", np.ones(count))
     values = {name: np.full(count, changes.pop(name, 0.0)) for name in ("ramp", "turning", "size")}
     assert not changes
-    return toolpath.Swing(np.asarray(ramp_end), **values)
+    return toolpath.Swing(np.asarray(ramp_end), **values, round=np.zeros(count, dtype=bool))
 
 
 def _places(made, swing):
@@ -67,7 +67,10 @@ def test_an_arc_is_one_piece_of_two_samples_unless_it_is_large_or_the_displaceme
     np.testing.assert_array_equal(found.begin, [0.0, 0.25])
     motion, t = toolpath.places(made, path, 1e-5, kink, found.settled(np.array([3, 2])))
     np.testing.assert_allclose(t[motion == 1], [*(np.arange(1, 7) / 24), *(0.25 + 0.1875 * np.arange(1, 5))])
-    np.testing.assert_array_equal(found.finer(np.array([1, 1]), np.array([0.2, 0.25])).number, [3, 1])
+    np.testing.assert_array_equal(
+        found.settled(np.array([4, 1])).finer(np.array([1, 1]), np.array([0.1, 0.2]), np.array([2, 3])).number,
+        [1, 2, 1, 3, 1],
+    )
 
 
 def test_dense_programs_get_no_extra_samples():

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.frames import Array, norm
-from postproc.program import CIRC, Bools, Program
+from postproc.frames import RAD_PER_DEG, Array, norm
+from postproc.program import CIRC, Bools, Ints, Program
 from postproc.toolpath import Segments, Toolpath, at, tangent
 
 _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
 _PARALLEL = 1e-3
 """Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
+_ACROSS = 45.0 * RAD_PER_DEG
 _BESIDE = 0.01
 """Where an arc runs along the spindle at one place, its direction so far before that place is taken (share of it)."""
 
@@ -36,6 +37,22 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
         other[none] = _square_to(z[along[none]], before)[0]
         x[along] = other
     return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def runs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
+    """Return which arcs (n,), rows of `Motions`, nowhere come nearer than 45° to the direction of the spindle.
+
+    On these FEED axes turn about as fast as the arc. Near that direction they swing round by up to half a turn, the
+    faster the nearer, and at it they jump.
+    """
+    m = program.motions
+    z = _towards_spindle(at(program, path, arcs, np.ones(len(arcs))), axis)
+    column, sign = _SPINDLE[axis]
+    start = -sign * path.start.at(arcs)[:, :3, column]
+    square = [np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], one)), 1.0)) for one in (z, start)]
+    row = np.searchsorted(path.arcs.motion, arcs)
+    pitch = np.arctan2(norm(path.arcs.climb[row]), norm(path.arcs.radial[row]) * path.arcs.sweep[row])
+    return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _ACROSS)
 
 
 def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.forces.feed import feed_axes
+from postproc.forces.feed import feed_axes, runs_across
 from postproc.forces.per_motion import FEED, TOOL, MotionForces
 from postproc.frames import Array, largest, norm
 from postproc.program import CIRC, Ints, Program
@@ -48,7 +48,10 @@ def swing(
     def displacement(wrench: Array) -> Array:
         return np.asarray(softness[0] * norm(wrench[:, :3]) + softness[1] * norm(wrench[:, 3:]))
 
-    return Swing(end, displacement(change), displacement(across), displacement(forces.wrench))
+    swings = np.zeros(len(rows), dtype=bool)
+    found = np.flatnonzero(turning & across.any(axis=1))
+    swings[found] = ~runs_across(program, path, found, axis)
+    return Swing(end, displacement(change), displacement(across), displacement(forces.wrench), swings)
 
 
 def _at_start(program: Program, path: Segments, forces: MotionForces, motion: Ints, axis: str) -> Array:

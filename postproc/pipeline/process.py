@@ -16,7 +16,7 @@ from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramErro
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.pipeline import blending, bounds, checks, closely, select, verify
+from postproc.pipeline import blending, bounds, checks, closely, select, swings, verify
 from postproc.pipeline.result import Mode, Result
 from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
@@ -25,8 +25,10 @@ from postproc.toolpath import Pieces, Segments, Toolpath
 
 _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a KRL target is left to the byte."""
-_ROUNDS = 5
+_ROUNDS = 8
 """How often targets are inserted where the simulation of the written program leaves the tolerance."""
+_MOST_PARTS = 4
+"""Into so many parts at most a piece of an arc is divided at once there."""
 _NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
@@ -128,9 +130,10 @@ def process(
         if mode == "nominal" or simulated is None or len(simulated.missed[0]) == 0:
             break
         # between its targets the written path leaves the tolerance: look there too, and insert what is needed
-        motion, t = simulated.missed
+        motion, t, missed = simulated.missed
         on_arc = (program.motions.kind[motion] == CIRC) & (not linearize_arcs)
-        arcs = sampled.arcs.finer(motion[on_arc], t[on_arc])
+        parts = np.sqrt(missed[on_arc] / (_SHARE_OF_TOLERANCE * place.tolerance))
+        arcs = sampled.arcs.finer(motion[on_arc], t[on_arc], np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64))
         more = motion[~on_arc], t[~on_arc]
         also = more if also is None else _joined(also, more)
     everywhere = row
@@ -242,6 +245,9 @@ def _sample(
     swing = forces.swing(program, path, load, place.axis, place.ramp, softness)
     if arcs is None:
         arcs = toolpath.pieces(program, path, place.tolerance, swing, linearize_arcs=linearize_arcs)
+        if not linearize_arcs:
+            limit = _SHARE_OF_TOLERANCE * place.tolerance
+            arcs = swings.followed(program, path, load, arcs, place, swing, softness, limit)
     motion, t = toolpath.places(program, path, place.tolerance, swing, arcs, also)
     sample = toolpath.at(program, path, motion, t)
     wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)

@@ -37,6 +37,8 @@ _STEEP = 2e-4
 _UNEVEN = 0.2
 """Of the tolerance, by how much the written path may be displaced unevenly along a piece of an arc before it is looked
 at there as often as on such runs; else at its middle and end."""
+_AT_ONCE = 1e-6
+"""Length of a piece [m] on which a force that changes jumps: it is divided no more."""
 _ON_RAMPS = 4
 """Places looked at on such runs."""
 
@@ -49,7 +51,8 @@ class Simulated:
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param printed: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
     :param rounding: (K,) how far approximate positioning passes each target [m].
-    :param missed: motion (n,) and t (n,) of places where the path uses up too much of the tolerance.
+    :param missed: motion (n,), t (n,) and distance (n,) [m] of places where the path uses up too much of the
+        tolerance, and more targets may help.
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
@@ -57,7 +60,7 @@ class Simulated:
     between: float
     printed: Array
     rounding: Array
-    missed: tuple[Ints, Array]
+    missed: tuple[Ints, Array, Array]
     issues: tuple[Issue, ...]
 
 
@@ -146,20 +149,21 @@ def simulate(
     distance = norm(off)
     rounding = blending.of_motions(written, written_path, row).rounding(m.blend[row])
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
+    jump = (path.length[motion] * (targets.t - begin)[index] < _AT_ONCE) & (share < 1.0)
     issues: list[Issue] = []
     if corrected:
-        issues += _not_held(program, place, targets, after, motion, distance, settled)
+        issues += _not_held(program, place, targets, after, motion, distance, settled, jump)
         if program.dialect == "krl":
             more = rounding - blending.programmed(program, path, targets.motion)
             issues += checks.blending(program, targets.motion, more, place.tolerance)
-    bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance)
+    bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance) & ~jump
     between = float(distance[settled].max(initial=0.0))
-    return Simulated(after, between, printed, rounding, (motion[bad], t[bad]), tuple(issues))
+    return Simulated(after, between, printed, rounding, (motion[bad], t[bad], distance[bad]), tuple(issues))
 
 
 def _unusable(targets: Targets, issue: Issue) -> Simulated:
     count = len(targets)
-    nowhere = np.zeros(0, dtype=np.int64), np.zeros(0)
+    nowhere = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     unknown = np.full(count, np.nan)
     return Simulated(unknown, np.inf, np.full((count, 6), np.nan), unknown, nowhere, (issue,))
 
@@ -229,10 +233,23 @@ def _not_held(
     motion: Ints,
     distance: Array,
     settled: Bools,
+    jump: Bools,
 ) -> Iterator[Issue]:
+    between = settled & ~(distance <= place.tolerance)
+    if (between & jump).any():
+        yield Issue(
+            "error",
+            "force-jump",
+            "the force jumps within this move, as one in FEED axes does where the travel passes the direction of the "
+            f"spindle: it leaves {np.nanmax(distance[between & jump]) * MM_PER_M:.4f} mm (allowed "
+            f"{place.tolerance * MM_PER_M:g} mm), however close the targets. Divide the move there and give each part "
+            "its force, or give the force in BASE or TOOL axes.",
+            source_line=int(program.motions.line[motion[int(np.argmax(between & jump))]]),
+            count=len(np.unique(motion[between & jump])),
+        )
     for bad, limit, rows, what in (
         (~(after <= _HELD), _HELD, targets.motion, "at a target"),
-        (settled & ~(distance <= place.tolerance), place.tolerance, motion, "between targets"),
+        (between & ~jump, place.tolerance, motion, "between targets"),
     ):
         if bad.any():
             values = after if rows is targets.motion else distance

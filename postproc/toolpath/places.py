@@ -7,7 +7,7 @@ it takes depends on how the displacement by the force turns and grows along it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -41,20 +41,23 @@ class Swing:
     :param ramp: (M,) how much the displacement changes until there [m].
     :param turning: (M,) how large the displacement is that turns with the direction of travel [m].
     :param size: (M,) how large the displacement is [m].
+    :param round: (M,) True for arcs that come near the direction of the spindle, where a FEED force swings round.
     """
 
     ramp_end: Array
     ramp: Array
     turning: Array
     size: Array
+    round: Bools
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """Into how many equal pieces arcs are divided: S stretches of arcs, before and behind the end of a force ramp.
+    """Into how many equal pieces arcs are divided: S stretches of arcs, before and behind the end of a force ramp, and
+    wherever more of them are needed than elsewhere.
 
     :param motion: (S,) row of `Motions`, never decreasing.
-    :param begin: (S,) place t where the stretch begins.
+    :param begin: (S,) place t where the stretch begins, in order along a motion.
     :param end: (S,) place t where it ends.
     :param number: (S,) of pieces.
     :param least: (S,) the least number, whatever the force.
@@ -79,12 +82,42 @@ class Pieces:
         """Return the stretches with numbers (S,) that are known to be enough, as far as can be told."""
         return replace(self, number=np.maximum(number, self.least), uncertain=np.zeros(len(self.motion), dtype=bool))
 
-    def finer(self, motion: Ints, t: Array) -> Pieces:
-        """Return the stretches with half as many pieces more where the path was missed at places (motion, t)."""
-        stretch = np.unique(np.searchsorted(self.motion + self.begin, motion + t) - 1)
-        number = self.number.copy()
-        number[stretch] += -(-number[stretch] // 2)
-        return self.settled(number)
+    def take(self, rows: Ints | Bools) -> Pieces:
+        """Return some of the stretches."""
+        return Pieces(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def joined(self, *others: Pieces) -> Pieces:
+        """Return these stretches and others, in order along the path."""
+        every = (self, *others)
+        out = Pieces(*(np.concatenate([getattr(one, field.name) for one in every]) for field in fields(self)))
+        return out.take(np.lexsort((out.begin, out.motion)))
+
+    def cut(self, parts: Ints) -> Pieces:
+        """Return the stretches cut into equal parts (S,): by their number of pieces each piece is a stretch."""
+        out = self.take(np.repeat(np.arange(len(parts)), parts))
+        inside = np.arange(len(out.motion)) - np.repeat(np.cumsum(parts) - parts, parts)
+        parts = np.repeat(parts, parts)
+        begin = out.begin + (out.end - out.begin) * (inside / parts)
+        end = np.where(inside == parts - 1, out.end, np.append(begin[1:], 1.0))
+        number, least = -(-out.number // parts), -(-out.least // parts)
+        return Pieces(out.motion, begin, end, number, least, out.samples / parts, out.uncertain)
+
+    def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
+        """Return the stretches with the pieces divided on which the path was missed.
+
+        :param motion: (n,) and t (n,): where it was missed.
+        :param parts: (n,) into how many the piece there is to be divided.
+        """
+        hit = np.zeros(len(self.motion), dtype=bool)
+        hit[self._at(motion, t)] = True
+        out = self.cut(np.where(hit, self.number, 1))
+        number = out.number.copy()
+        np.maximum.at(number, out._at(motion, t), parts)
+        return out.settled(number)
+
+    def _at(self, motion: Ints, t: Array) -> Ints:
+        """Return the stretches (n,) on which places lie."""
+        return np.searchsorted(self.motion + self.begin, motion + t) - 1
 
 
 def pieces(program: Program, path: Segments, tolerance: float, swing: Swing, *, linearize_arcs: bool = False) -> Pieces:

@@ -1,0 +1,73 @@
+"""Pieces of arcs along which a FEED force swings round.
+
+Where the travel comes near the direction of the spindle, FEED axes turn by up to half a turn within a short part of the
+arc: pieces of one size for the whole arc would be very many. So each piece is halved as long as its circle would miss
+the displacement by the force at its quarters. That asks for the wrench alone; what the robot then does is found by the
+simulation of the written program.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc import forces, toolpath
+from postproc.forces import MotionForces
+from postproc.frames import Array, norm
+from postproc.pipeline.root import InRoot
+from postproc.pipeline.select import circle_through
+from postproc.program import Program
+from postproc.toolpath import Pieces, Segments, Swing
+
+_SHORTEST = 1e-7
+"""Length [m] and share of the arc below which no piece is halved: the text of the program tells no shorter ones."""
+_QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def followed(
+    program: Program,
+    path: Segments,
+    load: MotionForces,
+    arcs: Pieces,
+    place: InRoot,
+    swing: Swing,
+    softness: tuple[float, float],
+    limit: float,
+) -> Pieces:
+    """Return the pieces, halved where the force swings round, until their circles follow it or nothing can.
+
+    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
+    :param limit: what may be missed [m].
+    """
+    found = swing.round[arcs.motion]
+    if not found.any():
+        return arcs
+    left = arcs.take(found)
+    left = left.settled(left.least).cut(left.least)
+    done = [arcs.take(~found)]
+    while len(left.motion):
+        share = left.end - left.begin
+        long = np.minimum(share, share * path.length[left.motion]) > _SHORTEST
+        again = long & (_missed(program, path, load, left, place, softness) > limit)
+        done.append(left.take(~again))
+        left = left.take(again)
+        left = left.cut(np.full(len(left.motion), 2))
+    return done[0].joined(*done[1:])
+
+
+def _missed(
+    program: Program, path: Segments, load: MotionForces, arcs: Pieces, place: InRoot, softness: tuple[float, float]
+) -> Array:
+    """Return what circles through start, middle and end of pieces (n,) would miss at their quarters, about [m]."""
+    spots = []
+    for share in _QUARTERS:
+        t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
+        sample = toolpath.at(program, path, arcs.motion, t)
+        wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
+        spots.append(sample.pose[:, :3, 3] - softness[0] * wrench[:, :3] - softness[1] * wrench[:, 3:])
+    begin, _, middle, _, end = spots
+    centre, radial, across, angle = circle_through(begin, middle, end)
+    missed = np.zeros(len(begin))
+    for share, spot in zip(_QUARTERS, spots, strict=True):
+        turned = (angle * share)[:, None]
+        missed = np.maximum(missed, norm(spot - centre - np.cos(turned) * radial - np.sin(turned) * across))
+    return missed
