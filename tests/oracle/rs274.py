@@ -59,7 +59,7 @@ def canonical(text: str, variables: str = "") -> list[Move]:
         (folder / "part.ngc").write_text(text, newline="")
         (folder / "part.var").write_text(variables)
         result = subprocess.run(
-            [RS274 or "rs274", "-g", "-t", "tool.tbl", "-v", "part.var" if variables else "/dev/null", "part.ngc"],
+            [RS274 or "rs274", "-g", "-t", "tool.tbl", "-v", "part.var", "part.ngc"],
             cwd=folder,
             env={**os.environ, "HOME": name},  # it keeps a memory map there
             stdin=subprocess.DEVNULL,
