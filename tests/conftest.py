@@ -1,7 +1,9 @@
 """What holds for all tests."""
 
 import os
+import signal
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -11,3 +13,15 @@ settings.register_profile(
     derandomize="CI" in os.environ,
 )
 settings.load_profile("postproc")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def signals_are_heard():
+    """Whoever starts the tests with signals ignored (nohup, a background job) has them heard by what these start."""
+    numbers = [getattr(signal, name) for name in ("SIGHUP", "SIGINT", "SIGTERM") if hasattr(signal, name)]
+    ignored = [number for number in numbers if signal.getsignal(number) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, signal.SIG_DFL)
+    yield
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
