@@ -12,7 +12,7 @@ from typing import NamedTuple
 from postproc.dialects.krl.declarations import declared
 from postproc.dialects.krl.names import MOTIONS, NAME, PURE, RESERVED, TYPES
 from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import Call, Reference, operand
+from postproc.dialects.krl.syntax import Call, Reference, Value, operand
 from postproc.errors import ProgramError
 
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
@@ -204,13 +204,8 @@ def calls(source: Source, start: int, stop: int) -> list[Call]:
 
 def sole_call(source: Source, start: int, stop: int) -> Call | None:
     """Return the call that a piece of code consists of; None if it is something else."""
-    text = source.text
-    while start < stop and text[start] in " \t":
-        start += 1
-    if not NAME.match(text, start, stop):
-        return None
-    value, end = operand(source, start, stop)
-    return value if isinstance(value, Call) and not text[end:stop].strip() else None
+    value = _sole_operand(source, start, stop)
+    return value if isinstance(value, Call) else None
 
 
 def reference_of(source: Source, span: tuple[int, int]) -> Reference | None:
@@ -218,11 +213,16 @@ def reference_of(source: Source, span: tuple[int, int]) -> Reference | None:
 
     :raises ProgramError: brackets are not balanced.
     """
-    start, stop = span
+    value = _sole_operand(source, *span)
+    return value if isinstance(value, Reference) else None
+
+
+def _sole_operand(source: Source, start: int, stop: int) -> Value | None:
+    """Return the named operand that a piece of code consists of; None if it is something else."""
     text = source.text
     while start < stop and text[start] in " \t":
         start += 1
     if not NAME.match(text, start, stop):
         return None
     value, end = operand(source, start, stop)
-    return value if isinstance(value, Reference) and not text[end:stop].strip() else None
+    return value if not text[end:stop].strip() else None
