@@ -17,11 +17,11 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
-    from postproc.batch import load_robot, read_program
     from postproc.cell import Cell
     from postproc.cell import load as load_cell
     from postproc.errors import Issue, PostprocError
     from postproc.forces import read_force_csv
+    from postproc.jobs import load_robot, read_program
     from postproc.pipeline.process import process
     from postproc.pipeline.result import Result, statistics
     from postproc.program import Program
@@ -56,11 +56,11 @@ _HOME = {
     "Result": "pipeline.Result",
     "RobotModel": "robot.RobotModel",
     "load_cell": "cell.load",
-    "load_robot": "batch.load_robot",
+    "load_robot": "jobs.load_robot",
     "page": "report.page",
     "process": "pipeline.process",
     "read_force_csv": "forces.read_force_csv",
-    "read_program": "batch.read_program",
+    "read_program": "jobs.read_program",
     "statistics": "pipeline.statistics",
     "summary": "report.summary",
     "targets_csv": "report.targets_csv",

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc import batch, kinematics, pipeline, toolpath
 from postproc import cell as cells
+from postproc import jobs, kinematics, pipeline, toolpath
 from postproc.pipeline import bounds
 from tests.programs import program
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = batch.load_robot(CELL.robot)
+ROBOT = jobs.load_robot(CELL.robot)
 DOWN = CELL.tool_pose_in_program()
 UP = (0.0, 0.0, 1.0)
 HEAD = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]
@@ -55,7 +55,7 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
 
 @pytest.mark.parametrize("name", ["kuka_kr270", "kuka_kr16_2"])
 def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str) -> None:
-    robot = batch.load_robot(name)
+    robot = jobs.load_robot(name)
     rng = np.random.default_rng(3)
     q = rng.uniform(-np.pi, np.pi, (50_000, 6))
     away = np.linalg.norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3], axis=1)

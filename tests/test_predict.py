@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc import batch, pipeline, report
 from postproc import cell as cells
+from postproc import jobs, pipeline, report
 from postproc.forces import read_force_csv
 from postproc.program import Document
 from tests.programs import program
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = batch.load_robot(CELL.robot)
+ROBOT = jobs.load_robot(CELL.robot)
 DOWN = CELL.tool_pose_in_program()
 
 
 @pytest.mark.parametrize("name", ["pocket.nc", "long_lin.src", "inline.src"])
 def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
-    made = batch.read_program(SAMPLES / name, ROBOT, CELL)
+    made = jobs.read_program(SAMPLES / name, ROBOT, CELL)
     csv = SAMPLES / f"{Path(name).stem}.forces.csv"
     rows = read_force_csv(csv) if csv.exists() else None
     corrected, predicted = (pipeline.process(made, ROBOT, CELL, rows, mode) for mode in ("convert", "predict"))
@@ -35,7 +35,7 @@ def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
 
 
 def test_what_is_worst_between_the_targets_of_a_long_line_is_told() -> None:
-    made = batch.read_program(SAMPLES / "inline.src", ROBOT, CELL)
+    made = jobs.read_program(SAMPLES / "inline.src", ROBOT, CELL)
     result = pipeline.process(made, ROBOT, CELL, mode="predict")
     ends, between = result.before[result.t == 1.0], result.before[result.t < 1.0]
     assert between.max() > ends.max() + 0.05e-3
@@ -43,7 +43,7 @@ def test_what_is_worst_between_the_targets_of_a_long_line_is_told() -> None:
 
 
 def test_numbers_of_krl_stand_beside_its_own_targets_only() -> None:
-    made = batch.read_program(SAMPLES / "inline.src", ROBOT, CELL)
+    made = jobs.read_program(SAMPLES / "inline.src", ROBOT, CELL)
     result = pipeline.process(made, ROBOT, CELL, mode="predict")
     nominal = result.nominal[:, :3, 3] * 1e3
     assert (result.t < 1.0).any()

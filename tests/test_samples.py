@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from postproc.batch import Settings, convert_all, find_jobs
+from postproc.jobs import Settings, convert_all, find_jobs
 
 SAMPLES = Path(__file__).parent.parent / "samples"
 _NUMBER = re.compile(r"-?\d+\.?\d*")

@@ -99,8 +99,8 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.batch import Cluster, Settings, find_jobs
     from postproc.dialects.krl.names import fault_of
+    from postproc.jobs import Cluster, Settings, find_jobs
 
     if scheduler is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
@@ -141,7 +141,7 @@ def predict(
     Example:
       postproc predict samples/pocket.nc --cell samples/cell_kr270.toml -o out
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.batch import Settings, find_jobs
+    from postproc.jobs import Settings, find_jobs
 
     found = find_jobs([program], dialect=dialect, forces=forces, output=output)
     if len(found) > 1:

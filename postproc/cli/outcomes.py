@@ -12,7 +12,7 @@ import click
 from postproc.cli.faults import told
 
 if TYPE_CHECKING:
-    from postproc.batch import Cluster, Job, Outcome, Settings
+    from postproc.jobs import Cluster, Job, Outcome, Settings
 
 
 def work(
@@ -25,8 +25,8 @@ def work(
     cluster: Cluster | None = None,
 ) -> None:
     """Work through jobs and print what came of them; end the command with the exit code of the worst."""
-    from postproc.batch import convert_all, left
     from postproc.errors import PostprocError
+    from postproc.jobs import convert_all, left
 
     known: dict[str, Outcome] = {}
     try:

@@ -140,8 +140,8 @@ def plan(
 def _test_poses(
     programs: tuple[str, ...], forces: Path | None, poses: Path | None, model: RobotModel, cell: Cell
 ) -> TestPoses:
-    from postproc.batch.inputs import find_jobs, read_documents
     from postproc.forces import read_force_csv
+    from postproc.jobs.inputs import find_jobs, read_documents
     from postproc.pipeline.process import read
     from postproc.plan import milling
 

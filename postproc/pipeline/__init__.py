@@ -1,6 +1,6 @@
 """One program from text to result: sample, load, solve, compensate, choose targets, write, read back, simulate.
 
-Reads and writes no files; the command line, the batch and CAM hosts share it.
+Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
 from postproc.pipeline.process import process, read

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from postproc import batch, pipeline
 from postproc import cell as cells
+from postproc import jobs, pipeline
 from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.dialects import gcode
@@ -97,7 +97,7 @@ def _attempt(work: Callable[[], str], data: bytes) -> str:
 @cache
 def _setup() -> tuple[Cell, RobotModel, Program]:
     cell = cells.load(ROOT / "samples" / "cell_kr270.toml")
-    robot = batch.load_robot(cell.robot)
+    robot = jobs.load_robot(cell.robot)
     program = pipeline.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode")
     return cell, robot, program
 

@@ -36,7 +36,7 @@ STAGES = {
     "/report/targets.py": "CSV",
     "/report/": "page",
     "/files/": "files",
-    "/batch/outputs.py": "files",
+    "/jobs/outputs.py": "files",
 }
 """Part of a module's path → its stage."""
 WITHIN = {

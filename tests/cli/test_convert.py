@@ -242,10 +242,10 @@ def test_unusable_program_exits_with_1_and_names_the_line(folder, content, messa
 
 def _aggregate(joints: list[float]) -> str:
     """Where the tool of the KR 270 cell stands at A1…A6 [deg], as KRL."""
-    from postproc import batch, kinematics
+    from postproc import jobs, kinematics
     from postproc.frames import inverse, xyzabc_from_pose
 
-    cell, model = batch.load_setup(batch.Settings(Path(CELL_270)))
+    cell, model = jobs.load_setup(jobs.Settings(Path(CELL_270)))
     pose = kinematics.tcp(model.nominal, np.radians([joints]), cell.tool.pose())[0][0]
     values = xyzabc_from_pose(inverse(cell.base.pose()) @ pose)
     return "{" + ",".join(f"{name} {value:.5f}" for name, value in zip("XYZABC", values, strict=True)) + "}"

@@ -14,17 +14,17 @@ import msgspec
 from postproc import cell as cells
 from postproc import files, interrupts, pipeline, report
 from postproc import robot as robots
-from postproc.batch import outputs
-from postproc.batch.inputs import dialect_of, read_documents
-from postproc.batch.job import Job
-from postproc.batch.marking import marked
-from postproc.batch.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.cell import Cell
 from postproc.dialects import krl
 from postproc.dialects.krl.names import fault_of
 from postproc.errors import InputError, Issue, PostprocError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
+from postproc.jobs import outputs
+from postproc.jobs.inputs import dialect_of, read_documents
+from postproc.jobs.job import Job
+from postproc.jobs.marking import marked
+from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.pipeline import Result
 from postproc.program import Program
 from postproc.report import Summary

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from postproc.batch.job import Job, data_beside
 from postproc.dialects.krl.names import valid
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, ProgramError
+from postproc.jobs.job import Job, data_beside
 from postproc.program import Document
 
 DIALECTS = {

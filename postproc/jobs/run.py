@@ -6,13 +6,13 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from postproc import interrupts
-from postproc.batch import outputs
-from postproc.batch.cluster import Cluster, convert_on_cluster
-from postproc.batch.convert import convert_one, load_setup
-from postproc.batch.job import Job
-from postproc.batch.outcome import Outcome, Settings
-from postproc.batch.pool import Pool
 from postproc.files import remove_leftovers
+from postproc.jobs import outputs
+from postproc.jobs.cluster import Cluster, convert_on_cluster
+from postproc.jobs.convert import convert_one, load_setup
+from postproc.jobs.job import Job
+from postproc.jobs.outcome import Outcome, Settings
+from postproc.jobs.pool import Pool
 
 
 def convert_all(

@@ -1,4 +1,4 @@
-"""What is to be done with the programs of a batch, and what came of each."""
+"""What is to be done with several programs, and what came of each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GOOD, FAILED, EXCEEDED = 0, 1, 3
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What is to be done with every program of a batch.
+    """What is to be done with every program.
 
     :param cell: cell file.
     :param mode: see `pipeline.process`.

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from postproc import provenance
-from postproc.batch.inputs import read_documents
-from postproc.batch.job import Job
 from postproc.errors import InputError, ProgramError
 from postproc.files import foreign, listed, refuse
+from postproc.jobs.inputs import read_documents
+from postproc.jobs.job import Job
 from postproc.pipeline import Mode
 
 

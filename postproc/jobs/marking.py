@@ -7,9 +7,9 @@ from pathlib import Path
 
 from postproc import provenance
 from postproc import robot as robots
-from postproc.batch.job import Job
-from postproc.batch.outcome import Settings
 from postproc.cell import Cell
+from postproc.jobs.job import Job
+from postproc.jobs.outcome import Settings
 from postproc.pipeline import Result
 from postproc.version import VERSION
 

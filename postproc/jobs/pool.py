@@ -1,4 +1,4 @@
-"""Several programs at the same time, each in a worker process: `batch.worker` at the other end of two pipes."""
+"""Several programs at the same time, each in a worker process: `jobs.worker` at the other end of two pipes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from postproc import interrupts
-from postproc.batch.job import Job
-from postproc.batch.outcome import FAILED, Outcome, Settings
+from postproc.jobs.job import Job
+from postproc.jobs.outcome import FAILED, Outcome, Settings
 
-_START = "from postproc.batch.worker import main; main()"
+_START = "from postproc.jobs.worker import main; main()"
 _POLL = 0.2
 """Seconds between two looks at whether a signal came: on Windows none ends a wait."""
 

@@ -19,10 +19,10 @@ from queue import SimpleQueue
 from typing import BinaryIO
 
 from postproc import interrupts
-from postproc.batch.convert import convert_one, failure, load_setup
-from postproc.batch.job import Job
-from postproc.batch.outcome import Outcome, Settings
 from postproc.cell import Cell
+from postproc.jobs.convert import convert_one, failure, load_setup
+from postproc.jobs.job import Job
+from postproc.jobs.outcome import Outcome, Settings
 from postproc.robot import RobotModel
 
 _Task = tuple[Job, Settings]

@@ -1,4 +1,4 @@
-"""Programs on the workers of a Dask cluster, each in a process of its own there (see `batch.pool`)."""
+"""Programs on the workers of a Dask cluster, each in a process of its own there (see `jobs.pool`)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from postproc import interrupts
-from postproc.batch.job import Job
-from postproc.batch.outcome import FAILED, Outcome, Settings
-from postproc.batch.pool import work_alone
 from postproc.errors import PostprocError
+from postproc.jobs.job import Job
+from postproc.jobs.outcome import FAILED, Outcome, Settings
+from postproc.jobs.pool import work_alone
 
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from postproc import batch
-from postproc.batch import Job, Settings, convert_all, convert_one, find_jobs
+from postproc import jobs
 from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError
+from postproc.jobs import Job, Settings, convert_all, convert_one, find_jobs
 from tests import fabricated
 
 CELL = Path(__file__).parent.parent / "samples" / "cell_kr270.toml"
@@ -110,7 +110,7 @@ def test_an_input_is_never_overwritten(folder, program, options):
 def test_the_program_itself_is_not_overwritten_whatever_it_is_called(folder, computed):
     _touch("part.src")
     settings = Settings(CELL)
-    outcome = convert_one(Job(Path("part.src"), "gcode", Path(), None), settings, *batch.load_setup(settings))
+    outcome = convert_one(Job(Path("part.src"), "gcode", Path(), None), settings, *jobs.load_setup(settings))
     assert "would be overwritten" in outcome.message
     assert Path("part.src").read_text() == "G0 X0\n"
 
@@ -118,8 +118,8 @@ def test_the_program_itself_is_not_overwritten_whatever_it_is_called(folder, com
 def test_a_krl_program_takes_the_dat_beside_it_in_any_case(folder):
     Path("Part.src").write_text("DEF Part()\nEND\n")
     Path("PART.DAT").write_text("DEFDAT PART\nENDDAT\n")
-    assert [document.name for document in batch.read_documents(Path("Part.src"), "krl")] == ["Part.src", "PART.DAT"]
-    assert [document.name for document in batch.read_documents(Path("Part.src"), "gcode")] == ["Part.src"]
+    assert [document.name for document in jobs.read_documents(Path("Part.src"), "krl")] == ["Part.src", "PART.DAT"]
+    assert [document.name for document in jobs.read_documents(Path("Part.src"), "gcode")] == ["Part.src"]
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_unusable_program_file_is_told_with_its_name(folder, content, message):
     if content is not None:
         Path("part.nc").write_bytes(content)
     with pytest.raises(ProgramError, match=message) as caught:
-        batch.read_documents(Path("part.nc"), "gcode")
+        jobs.read_documents(Path("part.nc"), "gcode")
     assert caught.value.file == "part.nc"
 
 
