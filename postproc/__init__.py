@@ -19,11 +19,11 @@ TYPE_CHECKING = False  # as in typing, which takes longer to import than all els
 if TYPE_CHECKING:
     from postproc.cell import Cell
     from postproc.cell import load as load_cell
+    from postproc.correction.process import process
+    from postproc.correction.result import Result, statistics
     from postproc.errors import Issue, PostprocError
     from postproc.forces import read_force_csv
     from postproc.jobs import load_robot, read_program
-    from postproc.pipeline.process import process
-    from postproc.pipeline.result import Result, statistics
     from postproc.program import Program
     from postproc.report.html import page
     from postproc.report.summary import summary
@@ -53,15 +53,15 @@ _HOME = {
     "Issue": "errors.Issue",
     "PostprocError": "errors.PostprocError",
     "Program": "program.Program",
-    "Result": "pipeline.Result",
+    "Result": "correction.Result",
     "RobotModel": "robot.RobotModel",
     "load_cell": "cell.load",
     "load_robot": "jobs.load_robot",
     "page": "report.page",
-    "process": "pipeline.process",
+    "process": "correction.process",
     "read_force_csv": "forces.read_force_csv",
     "read_program": "jobs.read_program",
-    "statistics": "pipeline.statistics",
+    "statistics": "correction.statistics",
     "summary": "report.summary",
     "targets_csv": "report.targets_csv",
 }

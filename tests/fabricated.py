@@ -1,4 +1,4 @@
-"""Results made up for tests of what comes after the pipeline: no robot is computed here."""
+"""Results made up for tests of what comes after the correction: no robot is computed here."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from postproc.correction import Mode, Result
 from postproc.errors import Issue
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
-from postproc.pipeline import Mode, Result
 from postproc.program import LIN, Document, Motions, Program
 
 

@@ -24,8 +24,8 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def computed(monkeypatch):
     """Replace the computation: every program gives a made-up result."""
-    monkeypatch.setattr("postproc.pipeline.read", lambda *_: fabricated.program())
-    monkeypatch.setattr("postproc.pipeline.process", lambda *_, **__: fabricated.result())
+    monkeypatch.setattr("postproc.correction.read", lambda *_: fabricated.program())
+    monkeypatch.setattr("postproc.correction.process", lambda *_, **__: fabricated.result())
 
 
 def _touch(*names: str) -> None:
@@ -167,9 +167,9 @@ def test_one_failing_program_does_not_stop_the_others(folder, computed, monkeypa
     def process(program, *_, **__):
         raise {"a": ForceError("bad force", line=3), "b": ZeroDivisionError("oops"), "c": MemoryError()}[program]
 
-    monkeypatch.setattr("postproc.pipeline.read", lambda documents, *_: documents[0].name[0])
+    monkeypatch.setattr("postproc.correction.read", lambda documents, *_: documents[0].name[0])
     good = fabricated.result()
-    monkeypatch.setattr("postproc.pipeline.process", lambda p, *a, **k: good if p == "d" else process(p))
+    monkeypatch.setattr("postproc.correction.process", lambda p, *a, **k: good if p == "d" else process(p))
     outcomes = list(convert_all(find_jobs(["a.nc", "b.nc", "c.nc", "d.nc"]), Settings(CELL)))
     assert [outcome.code for outcome in outcomes] == [1, 1, 1, 0]
     assert "bad force" in outcomes[0].message
@@ -182,7 +182,7 @@ def test_one_failing_program_does_not_stop_the_others(folder, computed, monkeypa
 def test_a_program_with_an_error_is_not_written_and_says_why(folder, computed, monkeypatch):
     issue = Issue("error", "unreachable", "out of reach", 12)
     failed = fabricated.with_changes(fabricated.result(), issues=(issue,), documents=())
-    monkeypatch.setattr("postproc.pipeline.process", lambda *_, **__: failed)
+    monkeypatch.setattr("postproc.correction.process", lambda *_, **__: failed)
     _touch("part.nc")
     (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL))
     assert (outcome.code, outcome.issues, outcome.written) == (1, (issue,), ())
@@ -190,7 +190,7 @@ def test_a_program_with_an_error_is_not_written_and_says_why(folder, computed, m
 
 
 def test_an_exceeded_tolerance_counts_only_where_one_is_stated(folder, computed, monkeypatch):
-    monkeypatch.setattr("postproc.pipeline.process", lambda *_, **__: fabricated.result(mode="nominal"))
+    monkeypatch.setattr("postproc.correction.process", lambda *_, **__: fabricated.result(mode="nominal"))
     _touch("part.nc")
     jobs = find_jobs(["part.nc"])
     assert [o.code for o in convert_all(jobs, Settings(CELL, "nominal"))] == [0]
@@ -204,7 +204,7 @@ def test_messages_name_the_program_by_its_path(folder, computed, monkeypatch):
     def read(*_):
         raise ProgramError("odd word", file="part.nc", line=7, text="G999", advice="Remove it.")
 
-    monkeypatch.setattr("postproc.pipeline.read", read)
+    monkeypatch.setattr("postproc.correction.read", read)
     _touch("deep/down/part.nc")
     (outcome,) = convert_all(find_jobs(["deep/down/part.nc"]), Settings(CELL))
     assert outcome.message == f"{Path('deep/down/part.nc')}:7: odd word. Text: 'G999'. Remove it."

@@ -38,8 +38,8 @@ def computed(tmp_path, monkeypatch):
             return result
         return fabricated.with_changes(result, documents=(Document(f"{name}.src", f"DEF {name}()\n;{document.text}"),))
 
-    monkeypatch.setattr("postproc.pipeline.read", read)
-    monkeypatch.setattr("postproc.pipeline.process", process)
+    monkeypatch.setattr("postproc.correction.read", read)
+    monkeypatch.setattr("postproc.correction.process", process)
     Path("part.nc").write_text("G0 X0\n")
 
 

@@ -20,7 +20,7 @@ from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, SAMPLES, Held, prog
 resource = pytest.importorskip("resource", reason="POSIX")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices")
 CONVERT = ("convert", ".", "--cell", CELL_16, "-o", "out")
-COMPUTING, MAKING = "postproc.pipeline:process", "postproc.files.writing:_write"
+COMPUTING, MAKING = "postproc.correction:process", "postproc.files.writing:_write"
 REPLACING = "postproc.files.writing:_replace"
 MOUNTING = (
     shutil.which("unshare") is not None

@@ -13,7 +13,7 @@ from postproc import provenance
 from postproc.cli import main
 from postproc.dialects.text import decode
 from postproc.provenance import Origin
-from tests.test_end_to_end import SAMPLES
+from tests.correction.test_end_to_end import SAMPLES
 
 CELL = SAMPLES / "cell_kr270.toml"
 GCODE = "G90 G21\n(FORCE FX=300 FZ=200)\nS1000 F600\nG0 X0 Y0 Z10\nG1 Z0\nG1 X20\nG1 X40 Y20\nM2\n"

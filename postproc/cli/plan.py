@@ -140,9 +140,9 @@ def plan(
 def _test_poses(
     programs: tuple[str, ...], forces: Path | None, poses: Path | None, model: RobotModel, cell: Cell
 ) -> TestPoses:
+    from postproc.correction.process import read
     from postproc.forces import read_force_csv
     from postproc.jobs.inputs import find_jobs, read_documents
-    from postproc.pipeline.process import read
     from postproc.plan import milling
 
     if poses is not None:

@@ -12,9 +12,10 @@ from pathlib import Path
 import msgspec
 
 from postproc import cell as cells
-from postproc import files, interrupts, pipeline, report
+from postproc import correction, files, interrupts, report
 from postproc import robot as robots
 from postproc.cell import Cell
+from postproc.correction import Result
 from postproc.dialects import krl
 from postproc.dialects.krl.names import fault_of
 from postproc.errors import InputError, Issue, PostprocError
@@ -25,7 +26,6 @@ from postproc.jobs.inputs import dialect_of, read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.marking import marked
 from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
-from postproc.pipeline import Result
 from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
@@ -97,7 +97,7 @@ def read_program(
     dialect = dialect or dialect_of(path)
     documents = read_documents(path, dialect)
     try:
-        return pipeline.read(documents, robot, cell, path.stem if name is None else name, dialect)
+        return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)
     except InputError as cause:
         raise cause.with_file(path.name, str(path)) from cause
 
@@ -118,7 +118,7 @@ def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Resu
     name = job.stem if job.dialect == "gcode" else None
     program = read_program(job.program, robot, cell, job.dialect, name)
     rows = None if job.forces is None else read_force_csv(job.forces)
-    result = pipeline.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
+    result = correction.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
     if job.dialect == "krl" and job.name is not None:
         result = replace(result, documents=krl.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)

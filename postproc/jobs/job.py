@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from postproc.pipeline import Mode
+from postproc.correction import Mode
 
 
 @dataclass(frozen=True, slots=True)

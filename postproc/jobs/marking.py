@@ -8,9 +8,9 @@ from pathlib import Path
 from postproc import provenance
 from postproc import robot as robots
 from postproc.cell import Cell
+from postproc.correction import Result
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Settings
-from postproc.pipeline import Result
 from postproc.version import VERSION
 
 

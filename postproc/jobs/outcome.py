@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from postproc.correction import Mode
 from postproc.errors import Issue
-from postproc.pipeline import Mode
 from postproc.report import Summary
 
 GOOD, FAILED, EXCEEDED = 0, 1, 3
@@ -18,7 +18,7 @@ class Settings:
     """What is to be done with every program.
 
     :param cell: cell file.
-    :param mode: see `pipeline.process`.
+    :param mode: see `correction.process`.
     :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
     :param linearize_arcs: write arcs as lines.
     :param overwrite: replace files that postproc did not write.

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from postproc import provenance
+from postproc.correction import Mode
 from postproc.errors import InputError, ProgramError
 from postproc.files import foreign, listed, refuse
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
-from postproc.pipeline import Mode
 
 
 def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from postproc.correction import Result
 from postproc.frames import Array, norm
-from postproc.pipeline import Result
 from postproc.program import CIRC, Ints
 
 _STEP = tuple(np.radians([10.0, 20.0]))

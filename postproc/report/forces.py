@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import decimals
-from postproc.pipeline import Result
+from postproc.correction import Result
 from postproc.program import FORCE_FRAMES, PTP
 
 COLUMNS = ("line", "line_end", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "frame")

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from postproc.correction import Result
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
-from postproc.pipeline import Result
 from postproc.program import Ints
 from postproc.report import charts
 from postproc.report.charts import Curve

@@ -9,10 +9,10 @@ from typing import NotRequired, TypedDict
 import numpy as np
 
 from postproc import provenance
+from postproc.correction import Mode, Result, Statistics, statistics
 from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
-from postproc.pipeline import Mode, Result, Statistics, statistics
 from postproc.program import Bools
 
 ROUNDING_MM = 1e-4

@@ -8,9 +8,9 @@ import numpy as np
 
 from postproc import decimals
 from postproc.chunks import chunks
+from postproc.correction import Result
 from postproc.decimals import Bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
-from postproc.pipeline import Result
 from postproc.program import Bools, Ints
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")

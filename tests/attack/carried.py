@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from postproc import cell as cells
-from postproc import forces, pipeline, report
+from postproc import correction, forces, report
 from postproc import robot as robots
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
@@ -114,7 +114,7 @@ class Writer:
 
 
 def read(files, dialect, cell, robot):
-    return pipeline.read([decode(n, t.encode()) for n, t in files.items()], robot, cell, "part", dialect)
+    return correction.read([decode(n, t.encode()) for n, t in files.items()], robot, cell, "part", dialect)
 
 
 def csv_of(writer, program, folder):
@@ -149,7 +149,7 @@ def try_program(seed):
     with tempfile.TemporaryDirectory() as folder:
         try:
             program = read(files, dialect, cell, robot)
-            result = pipeline.process(program, robot, cell, csv_of(writer, program, folder))
+            result = correction.process(program, robot, cell, csv_of(writer, program, folder))
         except PostprocError:
             return "refused"
         if result.failed:
@@ -157,8 +157,8 @@ def try_program(seed):
             return "refused"
         carried = report.forces_csv(result)
         rows = None if carried is None else rows_of(folder, carried)
-        back = pipeline.process(
-            pipeline.read(result.documents, robot, cell, "part", "krl"), robot, cell, rows, "predict"
+        back = correction.process(
+            correction.read(result.documents, robot, cell, "part", "krl"), robot, cell, rows, "predict"
         )
     ends = back.t == 1.0
     tip = back.nominal[ends, :3, 3] + back.deflection[ends]

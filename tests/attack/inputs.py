@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from postproc import cell as cells
-from postproc import jobs, pipeline
+from postproc import correction, jobs
 from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.dialects import gcode
@@ -98,12 +98,12 @@ def _attempt(work: Callable[[], str], data: bytes) -> str:
 def _setup() -> tuple[Cell, RobotModel, Program]:
     cell = cells.load(ROOT / "samples" / "cell_kr270.toml")
     robot = jobs.load_robot(cell.robot)
-    program = pipeline.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode")
+    program = correction.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode")
     return cell, robot, program
 
 
 def _result(program: Program, robot: RobotModel, cell: Cell, rows: object = None) -> str:
-    result = pipeline.process(program, robot, cell, rows)  # type: ignore[arg-type]
+    result = correction.process(program, robot, cell, rows)  # type: ignore[arg-type]
     return "blocked" if result.failed else "written"
 
 
@@ -120,7 +120,7 @@ def spoilt_program(seed: int) -> str:
         if rng.random() < 0.9:
             gcode.read(document, CELL, START_FLANGE, "part")
             return "read"
-        return _result(pipeline.read([document], robot, cell, "part", "gcode"), robot, cell)
+        return _result(correction.read([document], robot, cell, "part", "gcode"), robot, cell)
 
     return _attempt(work, data)
 
@@ -147,7 +147,7 @@ def spoilt_cell(seed: int) -> str:
     def work(path: Path) -> str:
         cell = cells.load(path)
         return _result(
-            pipeline.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell
+            correction.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell
         )
 
     return _from_file(data, work)
@@ -165,7 +165,7 @@ def spoilt_model(seed: int) -> str:
     def work(path: Path) -> str:
         robot = robots.load(path)
         return _result(
-            pipeline.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell
+            correction.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell
         )
 
     with tempfile.TemporaryDirectory() as name:

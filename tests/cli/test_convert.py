@@ -41,8 +41,8 @@ def computed(monkeypatch):
             return fabricated.with_changes(result, issues=(issue,), documents=())
         return result
 
-    monkeypatch.setattr("postproc.pipeline.read", read)
-    monkeypatch.setattr("postproc.pipeline.process", process)
+    monkeypatch.setattr("postproc.correction.read", read)
+    monkeypatch.setattr("postproc.correction.process", process)
 
 
 def _touch(*names: str) -> None:

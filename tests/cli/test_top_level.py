@@ -40,7 +40,7 @@ def oops(*_, **__):
 def faulty(request, monkeypatch):
     """A command with a fault: of the command itself, or in one of its programs."""
     programs(1)
-    monkeypatch.setattr("postproc.robot.shipped" if request.param == "robots" else "postproc.pipeline.process", oops)
+    monkeypatch.setattr("postproc.robot.shipped" if request.param == "robots" else "postproc.correction.process", oops)
     return ["robots"] if request.param == "robots" else ["convert", "p00.src", "--cell", CELL_16]
 
 
@@ -70,7 +70,7 @@ def test_where_no_file_can_be_written_debug_is_what_helps(faulty, monkeypatch):
 def test_a_fault_of_a_worker_is_told_by_the_process_that_waits():
     programs(2)
     Path("sitecustomize.py").write_text(
-        "import postproc.pipeline as p\ndef oops(*_, **__):\n    raise ZeroDivisionError('oops')\np.process = oops\n"
+        "import postproc.correction as p\ndef oops(*_, **__):\n    raise ZeroDivisionError('oops')\np.process = oops\n"
     )
     done = subprocess.run(
         [*COMMAND, "convert", ".", "--cell", CELL_16, "--jobs", "2"],

@@ -14,8 +14,8 @@ import numpy as np
 
 from postproc import toolpath
 from postproc.cell import Cell
+from postproc.correction.select import circle_through
 from postproc.frames import M_PER_MM, Array, norm
-from postproc.pipeline.select import circle_through
 from postproc.program import CIRC, PTP, Bools, Ints, Program, Targets
 from postproc.toolpath import Segments
 

@@ -3,7 +3,7 @@
 Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
-from postproc.pipeline.process import process, read
-from postproc.pipeline.result import Mode, Result, Statistics, statistics
+from postproc.correction.process import process, read
+from postproc.correction.result import Mode, Result, Statistics, statistics
 
 __all__ = ["Mode", "Result", "Statistics", "process", "read", "statistics"]

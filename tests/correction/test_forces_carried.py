@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import forces, pipeline, report, robot
+from postproc import correction, forces, report, robot
 from postproc.dialects.text import decode
+from tests.correction.test_end_to_end import SAMPLES, simulator
 from tests.oracle import cell_sim
-from tests.test_end_to_end import SAMPLES, simulator
 
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
 ROBOT = robot.load(robot.find(CELL.robot))
@@ -23,8 +23,8 @@ MILLINEWTON = 1e-3
 def convert(name, text, data=None, rows=None, **options):
     files = {name: text} | ({} if data is None else {"part.dat": data})
     documents = [decode(file, content.encode()) for file, content in files.items()]
-    program = pipeline.read(documents, ROBOT, CELL, "part", "krl" if name.endswith("src") else "gcode")
-    result = pipeline.process(program, ROBOT, CELL, rows, **options)
+    program = correction.read(documents, ROBOT, CELL, "part", "krl" if name.endswith("src") else "gcode")
+    result = correction.process(program, ROBOT, CELL, rows, **options)
     assert not result.failed, result.issues
     return result
 
@@ -36,8 +36,8 @@ def predicted(result, tmp_path):
     if text is not None:
         (tmp_path / "part.forces.csv").write_bytes(text)
         rows = forces.read_force_csv(tmp_path / "part.forces.csv")
-    program = pipeline.read(result.documents, ROBOT, CELL, "part", "krl")
-    back = pipeline.process(program, ROBOT, CELL, rows, "predict")
+    program = correction.read(result.documents, ROBOT, CELL, "part", "krl")
+    back = correction.process(program, ROBOT, CELL, rows, "predict")
     assert not back.failed, back.issues
     return back, back.t == 1.0
 

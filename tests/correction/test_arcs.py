@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.test_end_to_end import convert, rows_of, simulator, written
+from tests.correction.test_end_to_end import convert, rows_of, simulator, written
 
 HEAD = "%\nG21 G90 G17 G94\nG0 X0 Y0 Z20\nG1 Z0 F1500\n"
 SHARES = (0.25, 0.55, 0.8, 1.0)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import jobs, kinematics, pipeline, toolpath
-from postproc.pipeline import bounds
+from postproc import correction, jobs, kinematics, toolpath
+from postproc.correction import bounds
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[1] / "samples"
+SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
 ROBOT = jobs.load_robot(CELL.robot)
 DOWN = CELL.tool_pose_in_program()
@@ -35,13 +35,13 @@ HEAD = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]
 @pytest.mark.parametrize("mode", ["convert", "predict"])
 def test_absurd_moves_are_refused_without_sampling(monkeypatch, move, kind, mode) -> None:
     monkeypatch.setattr(toolpath, "places", lambda *_, **__: pytest.fail("the path is sampled"))
-    (issue,) = pipeline.process(program([*HEAD, move], orientation=DOWN), ROBOT, CELL, mode=mode).issues
+    (issue,) = correction.process(program([*HEAD, move], orientation=DOWN), ROBOT, CELL, mode=mode).issues
     assert (issue.level, issue.kind, issue.source_line) == ("error", kind, 3)
 
 
 def test_a_path_of_absurd_length_is_refused() -> None:
     there_and_back = [("LIN", 1500.0 * (n % 2), 0, 0) for n in range(30_000)]
-    (issue,) = pipeline.process(program([*HEAD, *there_and_back], orientation=DOWN), ROBOT, CELL).issues
+    (issue,) = correction.process(program([*HEAD, *there_and_back], orientation=DOWN), ROBOT, CELL).issues
     assert (issue.level, issue.kind) == ("error", "path-length")
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import jobs, pipeline, report
+from postproc import correction, jobs, report
 from postproc.forces import read_force_csv
 from postproc.program import Document
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[1] / "samples"
+SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
 ROBOT = jobs.load_robot(CELL.robot)
 DOWN = CELL.tool_pose_in_program()
@@ -24,7 +24,7 @@ def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
     made = jobs.read_program(SAMPLES / name, ROBOT, CELL)
     csv = SAMPLES / f"{Path(name).stem}.forces.csv"
     rows = read_force_csv(csv) if csv.exists() else None
-    corrected, predicted = (pipeline.process(made, ROBOT, CELL, rows, mode) for mode in ("convert", "predict"))
+    corrected, predicted = (correction.process(made, ROBOT, CELL, rows, mode) for mode in ("convert", "predict"))
     before, as_it_stands = report.summary(corrected)["before"], report.summary(predicted)["before"]
     for key, value in before.items():
         assert as_it_stands[key] == pytest.approx(value, abs=1e-7)  # mm: what the equilibrium is solved to
@@ -36,7 +36,7 @@ def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
 
 def test_what_is_worst_between_the_targets_of_a_long_line_is_told() -> None:
     made = jobs.read_program(SAMPLES / "inline.src", ROBOT, CELL)
-    result = pipeline.process(made, ROBOT, CELL, mode="predict")
+    result = correction.process(made, ROBOT, CELL, mode="predict")
     ends, between = result.before[result.t == 1.0], result.before[result.t < 1.0]
     assert between.max() > ends.max() + 0.05e-3
     assert result.between >= between.max()
@@ -44,7 +44,7 @@ def test_what_is_worst_between_the_targets_of_a_long_line_is_told() -> None:
 
 def test_numbers_of_krl_stand_beside_its_own_targets_only() -> None:
     made = jobs.read_program(SAMPLES / "inline.src", ROBOT, CELL)
-    result = pipeline.process(made, ROBOT, CELL, mode="predict")
+    result = correction.process(made, ROBOT, CELL, mode="predict")
     nominal = result.nominal[:, :3, 3] * 1e3
     assert (result.t < 1.0).any()
     np.testing.assert_allclose(result.printed[:, :3], nominal, atol=1e-6)
@@ -57,5 +57,5 @@ def test_a_force_that_no_command_can_hold_is_an_error_with_its_line() -> None:
         orientation=DOWN,
     )
     assert isinstance(made.documents[0], Document)
-    (issue,) = (i for i in pipeline.process(made, ROBOT, CELL, mode="predict").issues if i.level == "error")
+    (issue,) = (i for i in correction.process(made, ROBOT, CELL, mode="predict").issues if i.level == "error")
     assert (issue.kind, issue.source_line) == ("not-converged", 3)

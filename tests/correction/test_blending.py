@@ -9,11 +9,11 @@ import pytest
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells
-from postproc import pipeline, report, robot
+from postproc import correction, report, robot
+from postproc.correction.blending import Corners
 from postproc.dialects.text import decode
-from postproc.pipeline.blending import Corners
+from tests.correction.test_end_to_end import SAMPLES
 from tests.oracle import cell_sim
-from tests.test_end_to_end import SAMPLES
 
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
 ROBOT = robot.load(robot.find(CELL.robot))
@@ -23,8 +23,8 @@ HEAD = "G90 G21 G17\nS1000 F600\nG0 X0 Y0 Z10\n"
 def converted(text, dialect="gcode", **gcode):
     cell = changed(CELL, gcode=changed(CELL.gcode, **gcode))
     document = decode("part.nc" if dialect == "gcode" else "part.src", text.encode())
-    program = pipeline.read([document], ROBOT, cell, "part", dialect)
-    result = pipeline.process(program, ROBOT, cell)
+    program = correction.read([document], ROBOT, cell, "part", dialect)
+    result = correction.process(program, ROBOT, cell)
     assert not result.failed, result.issues
     return result
 

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import kinematics, toolpath
+from postproc.correction import checks
+from postproc.correction.root import InRoot
 from postproc.errors import Issue
 from postproc.frames import RAD_PER_DEG, Array, largest
 from postproc.kinematics import JointPath
-from postproc.pipeline import checks
-from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, Ints, Program
 from postproc.toolpath import Segments, Toolpath
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import forces, toolpath
+from postproc.correction.root import InRoot
+from postproc.correction.select import circle_through
 from postproc.forces import MotionForces
 from postproc.frames import Array, norm
-from postproc.pipeline.root import InRoot
-from postproc.pipeline.select import circle_through
 from postproc.program import Program
 from postproc.toolpath import Pieces, Segments, Swing
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import pipeline, robot
+from postproc import correction, robot
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-SAMPLES = Path(__file__).parent.parent / "samples"
+SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
 MODEL = robot.load(robot.find("kuka_kr270"))
 DOWN = CELL.tool_pose_in_program()
@@ -20,7 +20,7 @@ DOWN = CELL.tool_pose_in_program()
 
 def issues_of(moves, notes=(), mode="predict", **changes):
     made = program(moves, notes=notes, orientation=DOWN, **changes)
-    return {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode=mode).issues}
+    return {issue.kind: issue for issue in correction.process(made, MODEL, CELL, mode=mode).issues}
 
 
 FINE = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 100, 0, 0)]
@@ -43,7 +43,7 @@ def test_a_joint_limit_passed_on_the_way_is_found_though_both_ends_are_within():
 
     model = replace(MODEL, upper=tight)
     made = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", -900, 0, 0)], orientation=DOWN)
-    kinds = {issue.kind: issue for issue in pipeline.process(made, model, CELL, mode="predict").issues}
+    kinds = {issue.kind: issue for issue in correction.process(made, model, CELL, mode="predict").issues}
     assert kinds["joint-limit-A1"].source_line == 3
 
 
@@ -56,7 +56,7 @@ def test_a_move_behind_the_robot_passes_the_shoulder_singularity():
 def test_feed_too_fast_for_a_joint_is_an_error_with_the_joint_and_its_speed():
     made = program(FINE, orientation=DOWN)
     made.motions.feed[2] = 5.0
-    kinds = {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues}
+    kinds = {issue.kind: issue for issue in correction.process(made, MODEL, CELL, mode="predict").issues}
     fast = [issue for kind, issue in kinds.items() if kind.startswith("joint-speed-A")]
     assert fast
     assert fast[0].source_line == 3
@@ -71,7 +71,7 @@ def test_a_correction_beyond_the_limit_of_the_cell_is_an_error():
 
 def test_a_result_with_an_error_holds_no_documents():
     made = program([*FINE, ("LIN", 3500, 0, 0)], orientation=DOWN)
-    result = pipeline.process(made, MODEL, CELL)
+    result = correction.process(made, MODEL, CELL)
     assert result.failed
     assert result.documents == ()
 
@@ -90,7 +90,7 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
         return written
 
     monkeypatch.setattr(krl, "emit", wrong)
-    result = pipeline.process(
+    result = correction.process(
         program(FINE, notes=[(2, (0.0, 50.0, 90.0, 0, 0, 0))], orientation=DOWN), MODEL, CELL, mode="convert"
     )
     assert result.failed
@@ -103,7 +103,7 @@ def test_start_joints_beyond_their_limits_stop_every_program():
 
     start = msgspec.structs.replace(CELL.start, joints=(0.0, 50.0, 110.0, 0.0, 50.0, 0.0))
     cell = msgspec.structs.replace(CELL, start=start)
-    result = pipeline.process(program(FINE, orientation=DOWN), MODEL, cell, mode="predict")
+    result = correction.process(program(FINE, orientation=DOWN), MODEL, cell, mode="predict")
     found = {issue.kind: issue for issue in result.issues}
     assert found["start-joints"].level == "error"
     assert "A2" in found["start-joints"].message
@@ -112,7 +112,7 @@ def test_start_joints_beyond_their_limits_stop_every_program():
 def test_a_turn_that_no_legal_axis_value_has_is_an_error():
     made = program([*FINE, ("PTP", 0, 0, 50)], orientation=DOWN)
     made.motions.status[3], made.motions.turn[3] = 2, 0  # A2 is negative within its limits: bit 1 must be set
-    kinds = {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues}
+    kinds = {issue.kind: issue for issue in correction.process(made, MODEL, CELL, mode="predict").issues}
     assert (kinds["status-turn"].level, kinds["status-turn"].source_line) == ("error", 4)
 
 
@@ -121,7 +121,7 @@ def test_turning_the_tool_on_the_spot_under_force_is_not_timed_by_the_feed():
 
     made = program([*FINE, ("LIN", 100, 0, 0)], notes=[(2, (100.0, 50.0, 200.0, 0, 0, 0))], orientation=DOWN)
     made.motions.target[3, :3, :3] = Rotation.from_euler("y", 3, degrees=True).as_matrix() @ DOWN
-    result = pipeline.process(made, MODEL, CELL)
+    result = correction.process(made, MODEL, CELL)
     assert not [issue for issue in result.issues if issue.kind.startswith("joint-speed")]
     assert not result.failed
 
@@ -141,7 +141,7 @@ def test_the_fastest_feed_is_where_a_joint_of_an_independent_arm_reaches_its_spe
     made = program(FINE, orientation=DOWN)
     made.motions.feed[2] = share * fastest
     found = [
-        issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues if "joint-speed" in issue.kind
+        issue for issue in correction.process(made, MODEL, CELL, mode="predict").issues if "joint-speed" in issue.kind
     ]
     assert [issue.level for issue in found] == ([] if level is None else [level])
     if found:
@@ -155,7 +155,7 @@ def test_a_start_with_a5_at_zero_is_warned_about_and_one_exactly_at_a_limit_is_n
 
     def kinds(*joints):
         start = msgspec.structs.replace(CELL.start, joints=joints)
-        result = pipeline.process(program(FINE, orientation=DOWN), MODEL, msgspec.structs.replace(CELL, start=start))
+        result = correction.process(program(FINE, orientation=DOWN), MODEL, msgspec.structs.replace(CELL, start=start))
         return {issue.kind: issue.level for issue in result.issues}
 
     assert kinds(0.0, -70.0, 110.0, 0.0, 0.0, 0.0)["start-singular"] == "warning"
@@ -168,7 +168,7 @@ def test_a_first_move_that_turns_the_hand_by_half_a_turn_is_told():
 
     cell = changed(CELL, gcode=changed(CELL.gcode, redundancy_deg=0.0))
     made = program(FINE, orientation=cell.tool_pose_in_program())
-    told = {issue.kind: issue for issue in pipeline.process(made, MODEL, cell, mode="predict").issues}
+    told = {issue.kind: issue for issue in correction.process(made, MODEL, cell, mode="predict").issues}
     issue = told["first-move-A6"]
     assert (issue.level, issue.source_line) == ("warning", 1)
     assert "redundancy_deg" in issue.message
@@ -178,7 +178,7 @@ def test_a_first_move_that_turns_the_hand_by_half_a_turn_is_told():
 def test_a_posture_that_changes_is_told():
     made = program([*FINE, ("PTP", 100, 0, 50), ("LIN", 100, 0, 0)], orientation=DOWN)
     made.motions.status[3] = 6  # wrist turned over
-    told = {issue.kind: issue for issue in pipeline.process(made, MODEL, CELL, mode="predict").issues}
+    told = {issue.kind: issue for issue in correction.process(made, MODEL, CELL, mode="predict").issues}
     assert (told["posture"].level, told["posture"].source_line, told["posture"].count) == ("info", 4, 1)
     assert "S from 2 to 6" in told["posture"].message
     assert "posture" not in issues_of(FINE)
@@ -190,5 +190,5 @@ def test_advice_for_g_code_is_not_given_for_krl():
     made = program(FINE, orientation=DOWN)
     for dialect, given in (("gcode", True), ("krl", False)):
         tight = replace(MODEL, upper=np.radians([180.0, -120.0, 150.0, 350.0, 125.0, 350.0]))
-        issues = pipeline.process(replace(made, dialect=dialect), tight, CELL, mode="nominal").issues
+        issues = correction.process(replace(made, dialect=dialect), tight, CELL, mode="nominal").issues
         assert any("redundancy_deg" in issue.message for issue in issues) is given

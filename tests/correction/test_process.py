@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import pipeline, robot
+from postproc import correction, robot
 from postproc.dialects.text import decode
+from tests.correction.test_end_to_end import SAMPLES, check_targets, simulator
 from tests.oracle import cell_sim
-from tests.test_end_to_end import SAMPLES, check_targets, simulator
 
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
 ROBOT = robot.load(robot.find(CELL.robot))
@@ -21,8 +21,8 @@ def converted(*lines, dat=""):
     documents = [decode("part.src", src.encode())]
     if dat:
         documents.append(decode("part.dat", f"DEFDAT part\r\n{dat}ENDDAT\r\n".encode()))
-    program = pipeline.read(documents, ROBOT, CELL, "part", "krl")
-    result = pipeline.process(program, ROBOT, CELL)
+    program = correction.read(documents, ROBOT, CELL, "part", "krl")
+    result = correction.process(program, ROBOT, CELL)
     assert not result.failed, result.issues
     return result, result.documents[0].text.splitlines()
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import pipeline, report, robot
+from postproc import correction, report, robot
 from postproc.dialects.text import decode
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
 
-SAMPLES = Path(__file__).parent.parent / "samples"
+SAMPLES = Path(__file__).parents[2] / "samples"
 MICROMETRE = 1e-6
 
 
@@ -27,8 +27,8 @@ def convert(text_files, cell_file, dialect, rows=None, **options):
     cell = cells.load(SAMPLES / cell_file)
     model = robot.load(robot.find(cell.robot))
     documents = [decode(name, data) for name, data in text_files.items()]
-    program = pipeline.read(documents, model, cell, Path(documents[0].name).stem, dialect)
-    return pipeline.process(program, model, cell, rows, **options)
+    program = correction.read(documents, model, cell, Path(documents[0].name).stem, dialect)
+    return correction.process(program, model, cell, rows, **options)
 
 
 def simulator(cell_file):

@@ -13,12 +13,12 @@ import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.chunks import in_chunks
+from postproc.correction import blending, checks
+from postproc.correction.root import InRoot
 from postproc.dialects import krl
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
-from postproc.pipeline import blending, checks
-from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
 from postproc.toolpath import Segments
 

@@ -13,11 +13,11 @@ import pytest
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells
-from postproc import pipeline, robot
+from postproc import correction, robot
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-CELL = cells.load(Path(__file__).parent.parent / "samples/cell_kr270.toml")
+CELL = cells.load(Path(__file__).parents[2] / "samples/cell_kr270.toml")
 MODEL = robot.load(robot.find("kuka_kr270"))
 ARM = Arm.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)
@@ -54,7 +54,7 @@ def errors(made, model=MODEL, start=None):
     if start is not None:
         cell = changed(CELL, start=changed(CELL.start, joints=tuple(np.degrees(start).tolist())))
     return [
-        issue.kind for issue in pipeline.process(made, model, cell, mode="nominal").issues if issue.level == "error"
+        issue.kind for issue in correction.process(made, model, cell, mode="nominal").issues if issue.level == "error"
     ]
 
 

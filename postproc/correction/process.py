@@ -11,14 +11,14 @@ from postproc import elastostatics, forces, kinematics, provenance, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.compensation import Compensation, compensate
+from postproc.correction import blending, bounds, checks, closely, select, swings, verify
+from postproc.correction.result import Mode, Result
+from postproc.correction.root import InRoot
 from postproc.dialects import gcode, krl
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.pipeline import blending, bounds, checks, closely, select, swings, verify
-from postproc.pipeline.result import Mode, Result
-from postproc.pipeline.root import InRoot
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath
