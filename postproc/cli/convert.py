@@ -99,7 +99,7 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.dialects.krl.names import fault_of
+    from postproc.dialects.krl.language.names import fault_of
     from postproc.jobs import Cluster, Settings, find_jobs
 
     if scheduler is not None and jobs > 1:

@@ -84,7 +84,7 @@ def plan(
     from postproc import cell as cells
     from postproc import interrupts
     from postproc import robot as robots
-    from postproc.dialects.krl.names import valid
+    from postproc.dialects.krl.language.names import valid
     from postproc.files import foreign, refuse, with_record, write_whole
     from postproc.frames import RAD_PER_DEG
     from postproc.identification.experiment import read_experiment

@@ -45,7 +45,7 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     if dialect == "gcode":
         program = gcode.read(documents[0], cell, place.start_flange, name)
     else:
-        program = krl.read(documents, cell, place.forward, name)
+        program = krl.read_program(documents, cell, place.forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
     return program

@@ -91,7 +91,7 @@ def simulate(
     :param corrected: the program claims to hold the tolerance.
     """
     try:
-        written = krl.read(text.documents, place.cell, place.forward, program.name)
+        written = krl.read_program(text.documents, place.cell, place.forward, program.name)
     except ProgramError as cause:
         message = f"the written program cannot be read back ({cause.problem}): a fault of postproc, please report it"
         return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))

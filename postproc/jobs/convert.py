@@ -17,7 +17,7 @@ from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import krl
-from postproc.dialects.krl.names import fault_of
+from postproc.dialects.krl.language.names import fault_of
 from postproc.errors import InputError, Issue, PostprocError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM

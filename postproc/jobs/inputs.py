@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from postproc.dialects.krl.names import valid
+from postproc.dialects.krl.language.names import valid
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, ProgramError
 from postproc.jobs.job import Job, data_beside

@@ -131,7 +131,7 @@ def attempt(seed, folder):
         (folder / name).write_bytes(text.encode())
     documents = [replaced(decode(n, files[n].encode()), folder=str(folder)) for n in ("part.src", "part.dat")]
     try:
-        program = krl.read(documents, cell(folder), forward, "part")
+        program = krl.read_program(documents, cell(folder), forward, "part")
     except PostprocError:
         return "refused"
     m = program.motions
@@ -210,7 +210,7 @@ def damaged(seed):
         folder = Path(name)
         try:
             documents = [replaced(decode(n, files[n].encode()), folder=name) for n in ("part.src", "part.dat")]
-            program = krl.read(documents, cell(folder), forward, "part")
+            program = krl.read_program(documents, cell(folder), forward, "part")
             krl.rewrite(program, moved(program, rng))
         except PostprocError as error:
             return f"refused: {len(str(error)) < 10_000}"

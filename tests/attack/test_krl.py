@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
-from postproc.dialects.krl.execution import Execution
-from postproc.dialects.krl.points import Points
-from postproc.dialects.krl.settings import Settings
-from postproc.dialects.krl.variables import NOTHING, Variables
+from postproc.dialects.krl.read.execution import Execution
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.variables import NOTHING, Variables
+from postproc.dialects.krl.write.named_points import Points
 from tests.attack.krl import Wrong, attack, damaged
 
 

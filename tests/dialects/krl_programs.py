@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from postproc.cell import Cell, Frame, Krl, Start, Tool
 from postproc.dialects import krl
-from postproc.dialects.krl.reader import read as read_documents
+from postproc.dialects.krl.read import read_program as read_documents
 from postproc.dialects.text import decode, line_spans
 from postproc.frames import pose_from_xyzabc
 from postproc.program import CIRC, LIN, Program, Targets, Written
@@ -127,7 +127,7 @@ def check_commands(program: Program, wanted: Targets, written: Written):
 
     Half of the last digit: 0.05 µm, and 0.5e-5° in each of three angles.
     """
-    again = krl.read(written.documents, CELL, forward, program.name)
+    again = krl.read_program(written.documents, CELL, forward, program.name)
     m, old = again.motions, program.motions
     cartesian = np.isnan(m.joints[:, 0])
     if program.dialect == "krl":

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
-from postproc.dialects.krl.reader import read as read_documents
+from postproc.dialects.krl.read import read_program as read_documents
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets

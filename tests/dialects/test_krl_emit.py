@@ -282,7 +282,7 @@ def test_many_targets_are_written_in_bulk():
         return partial(krl.emit, program, programs.ends(motions, pose[:count]), MILLING)
 
     written = writing(len(pose))()
-    again = krl.read(written.documents, CELL, forward, "part")
+    again = krl.read_program(written.documents, CELL, forward, "part")
     np.testing.assert_allclose(again.motions.target[1:, :3, 3], pose[:, :3, 3], atol=5.1e-8)
     assert written.output_line[-1] == written.documents[0].text.count("\r\n") - 1
     assert calls_for_each(writing) < 0.1

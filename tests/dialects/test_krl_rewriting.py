@@ -87,7 +87,7 @@ def test_rewriting_again_with_the_same_targets_changes_nothing(source):
         assume(False)
     assume(not (program.motions.kind == CIRC).any())  # their auxiliary points are chosen anew
     first = krl.rewrite(program, targets(program, up(program, *range(len(program.motions)))))
-    again = krl.read(first.documents, CELL, forward, "part")
+    again = krl.read_program(first.documents, CELL, forward, "part")
     second = krl.rewrite(again, targets(again))
     assert [d.text for d in second.documents] == [d.text for d in first.documents]
 

@@ -57,7 +57,7 @@ def test_the_csv_has_the_columns_units_and_number_of_the_contract(written):
 def test_the_krl_program_visits_the_poses_of_the_csv_and_waits_twice_at_each(written):
     document = decode("plan.src", (written[0] / "plan.src").read_bytes())
     forward = lambda q: tcp(setting.ROBOT.nominal, q[None], np.eye(4))[0][0]  # noqa: E731
-    motions = krl.read([document], setting.CELL, forward, "plan").motions
+    motions = krl.read_program([document], setting.CELL, forward, "plan").motions
     q, _ = setting.read_plan((written[0] / "plan.csv").read_text())
     start = setting.CELL.start_joints
     halts = [line for line in document.text.splitlines() if line.startswith("HALT ;measure")]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from postproc.dialects.krl.moves import Move
-from postproc.dialects.krl.rows import Offsets
-from postproc.dialects.krl.triggers import Trigger
+from postproc.dialects.krl.language.triggers import Trigger
+from postproc.dialects.krl.read.motion_columns import Offsets
+from postproc.dialects.krl.read.motion_reader import Move
 from postproc.frames import Array
 from postproc.program import Bools, Ints, Program
 

@@ -6,13 +6,13 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from postproc.dialects.krl.language.expressions import Aggregate
+from postproc.dialects.krl.language.names import NAME, unused
+from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.moves import Operand
-from postproc.dialects.krl.names import NAME, unused
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.splice import Edits
-from postproc.dialects.krl.statements import applied, edits, literal_of
-from postproc.dialects.krl.syntax import Aggregate
+from postproc.dialects.krl.read.motion_reader import Operand
+from postproc.dialects.krl.write.replacements import Edits
+from postproc.dialects.krl.write.statements import applied, edits, literal_of
 from postproc.errors import Issue
 
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl.positions import CARTESIAN, FARTHEST, Position, from_pose
-from postproc.dialects.krl.source import Place, Source
-from postproc.dialects.krl.syntax import Aggregate, Call, Number, Reference, Value, Word, parse
-from postproc.dialects.krl.variables import NOTHING, Known, Unknown, Variables
+from postproc.dialects.krl.language.expressions import Aggregate, Call, Number, Reference, Value, Word, parse
+from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, Position, from_pose
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.read.variables import NOTHING, Known, Unknown, Variables
 from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM, Array
 

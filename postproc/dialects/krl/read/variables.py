@@ -12,11 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl.declarations import DECLARATION, Declared, declared
-from postproc.dialects.krl.names import MAX_LENGTH
-from postproc.dialects.krl.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import (
+from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared
+from postproc.dialects.krl.language.expressions import (
     Aggregate,
     Call,
     Chain,
@@ -28,6 +25,9 @@ from postproc.dialects.krl.syntax import (
     Word,
     parse,
 )
+from postproc.dialects.krl.language.names import MAX_LENGTH
+from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
+from postproc.dialects.krl.language.source import Source
 
 _MORE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
 _INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)

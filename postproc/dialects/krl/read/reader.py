@@ -14,19 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl import bulk
-from postproc.dialects.krl.again import told_of_next_run
-from postproc.dialects.krl.assembly import InOrder, assemble, in_order
-from postproc.dialects.krl.library import Library
-from postproc.dialects.krl.moves import MoveReader
-from postproc.dialects.krl.positions import FARTHEST
-from postproc.dialects.krl.routines import Module, Routine, routines
-from postproc.dialects.krl.rows import Rows, merged, none
-from postproc.dialects.krl.settings import Settings, out_of_reach
-from postproc.dialects.krl.source import Place, Source, comment_start
-from postproc.dialects.krl.told import told
-from postproc.dialects.krl.variables import Variables
-from postproc.dialects.krl.walker import Walker
+from postproc.dialects.krl.language.positions import FARTHEST
+from postproc.dialects.krl.language.routines import Module, Routine, routines
+from postproc.dialects.krl.language.source import Place, Source, comment_start
+from postproc.dialects.krl.read import plain_lines
+from postproc.dialects.krl.read.issues import told
+from postproc.dialects.krl.read.library import Library
+from postproc.dialects.krl.read.motion_columns import Rows, merged, none
+from postproc.dialects.krl.read.motion_reader import MoveReader
+from postproc.dialects.krl.read.motions import InOrder, assemble, in_order
+from postproc.dialects.krl.read.next_run import told_of_next_run
+from postproc.dialects.krl.read.settings import Settings, out_of_reach
+from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.read.walker import Walker
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, largest
@@ -35,7 +35,7 @@ from postproc.program import FORCE_COMMENT, Bools, Document, ForceNote, Ints, Pr
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
 
-def read(
+def read_program(
     documents: Sequence[Document],
     cell: Cell,
     forward: Callable[[Array], Array],
@@ -61,7 +61,7 @@ def read(
         variables.read_data(Source.of(document, index))
     if cell.config_dat is not None:
         variables.read_data(_config(cell, cell.config_dat), fill=True, shared=True)
-    plain = bulk.scan(source) if _bulk else [none()]
+    plain = plain_lines.scan(source) if _bulk else [none()]
     lines = np.concatenate([rows.line for rows in plain])
     module, main, faults = _main(source, lines, name)
     settings = Settings(variables, cell)

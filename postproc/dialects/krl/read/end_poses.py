@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.dialects.krl.geometry import circles, turned
-from postproc.dialects.krl.moves import Move
-from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.language.circles import circles, turned
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.read.motion_reader import Move
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import Bools, Ints, Starts
 

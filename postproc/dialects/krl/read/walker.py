@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from postproc.dialects.krl.execution import LOOP_ADVICE, Execution
-from postproc.dialects.krl.library import Library
-from postproc.dialects.krl.moves import MoveReader
-from postproc.dialects.krl.names import NAME, fault_of
-from postproc.dialects.krl.routines import MOTION_WORDS, Routine, calls
-from postproc.dialects.krl.rows import Collector
-from postproc.dialects.krl.settings import FIELDS, Settings
-from postproc.dialects.krl.source import Place
+from postproc.dialects.krl.language.names import NAME, fault_of
+from postproc.dialects.krl.language.routines import MOTION_WORDS, Routine, calls
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.read.execution import LOOP_ADVICE, Execution
+from postproc.dialects.krl.read.library import Library
+from postproc.dialects.krl.read.motion_columns import Collector
+from postproc.dialects.krl.read.motion_reader import MoveReader
+from postproc.dialects.krl.read.settings import FIELDS, Settings
 from postproc.errors import MOST, ProgramError, together
 
 

@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.geometry import circles, same_orientation
+from postproc.dialects.krl.language.circles import circles, same_orientation
+from postproc.dialects.krl.language.positions import EXTERNAL
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.moves import Move, doubtful
-from postproc.dialects.krl.positions import EXTERNAL
-from postproc.dialects.krl.rows import Rows, merged
-from postproc.dialects.krl.sequence import Sequence, follow
-from postproc.dialects.krl.settings import DEFAULT_SPEED, Settings, State
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.triggers import Trigger, triggers
-from postproc.dialects.krl.walker import Walker
+from postproc.dialects.krl.read.end_poses import Sequence, follow
+from postproc.dialects.krl.read.motion_columns import Rows, merged
+from postproc.dialects.krl.read.motion_reader import Move, doubtful
+from postproc.dialects.krl.read.settings import DEFAULT_SPEED, Settings, State
+from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts

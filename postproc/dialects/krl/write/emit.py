@@ -19,12 +19,12 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.chunks import chunks
 from postproc.decimals import Bytes, fixed, lines
-from postproc.dialects.krl import forces
-from postproc.dialects.krl.forces import where
-from postproc.dialects.krl.names import fault_of, valid
-from postproc.dialects.krl.positions import CARTESIAN
-from postproc.dialects.krl.statements import written
-from postproc.dialects.krl.wanted import DECIMALS, printed
+from postproc.dialects.krl.language.names import fault_of, valid
+from postproc.dialects.krl.language.positions import CARTESIAN
+from postproc.dialects.krl.write import force_comments
+from postproc.dialects.krl.write.force_comments import where
+from postproc.dialects.krl.write.statements import written
+from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, TargetForces, Targets, Written
@@ -97,7 +97,7 @@ class _Emitter:
         self._speeds()
         none = np.full(len(self.row), -1)
         if self.carried is not None:
-            self.noted = forces.needed(self.carried, self.targets.kind, none, (), np.nan)
+            self.noted = force_comments.needed(self.carried, self.targets.kind, none, (), np.nan)
         printed = [self._print(kind, approximated) for kind in (LIN, CIRC, PTP)]
         text, output_line = self._joined(head, printed)
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
@@ -232,7 +232,7 @@ class _Emitter:
         end = _aggregate(numbers)
         tail: list[Bytes | bytes] = [where(b" C_DIS", approximated)]
         if self.carried is not None and self.noted[k].any():
-            tail += [where(b" ", self.noted[k]), *forces.columns(self.carried, k, self.noted[k])]
+            tail += [where(b" ", self.noted[k]), *force_comments.columns(self.carried, k, self.noted[k])]
         tail.append(b"\r\n")
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 
-from postproc.dialects.krl.declarations import declared_names
-from postproc.dialects.krl.routines import Module, Routine
-from postproc.dialects.krl.variables import Scope, Variables
+from postproc.dialects.krl.language.declarations import declared_names
+from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.read.variables import Scope, Variables
 from postproc.errors import ProgramError
 
 _OF_THE_CONTROLLER = frozenset({"BASE_DATA", "TOOL_DATA", "FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})

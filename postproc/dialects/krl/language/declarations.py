@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import parse
+from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
 
 DECLARATION = re.compile(

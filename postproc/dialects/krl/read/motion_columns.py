@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.dialects.krl.moves import Move
-from postproc.dialects.krl.positions import CARTESIAN
-from postproc.dialects.krl.settings import State
-from postproc.dialects.krl.syntax import Number
+from postproc.dialects.krl.language.expressions import Number
+from postproc.dialects.krl.language.positions import CARTESIAN
+from postproc.dialects.krl.read.motion_reader import Move
+from postproc.dialects.krl.read.settings import State
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 

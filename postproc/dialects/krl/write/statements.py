@@ -7,13 +7,13 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from postproc.dialects.krl.language.expressions import Aggregate
+from postproc.dialects.krl.language.positions import CARTESIAN, EXTERNAL
+from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.moves import Operand
-from postproc.dialects.krl.positions import CARTESIAN, EXTERNAL
-from postproc.dialects.krl.rows import COLUMNS
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import Aggregate
-from postproc.dialects.krl.wanted import MOST_DECIMALS, Wanted, printed
+from postproc.dialects.krl.read.motion_columns import COLUMNS
+from postproc.dialects.krl.read.motion_reader import Operand
+from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, Wanted, printed
 from postproc.program import CIRC, LIN, PTP, Targets
 
 _WORD = re.compile(r"[A-Za-z_]+")

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from postproc.dialects.krl.assembly import InOrder, in_order
-from postproc.dialects.krl.moves import MoveReader
-from postproc.dialects.krl.positions import Position
-from postproc.dialects.krl.rows import Rows
-from postproc.dialects.krl.settings import Settings
-from postproc.dialects.krl.walker import Walker
+from postproc.dialects.krl.language.positions import Position
+from postproc.dialects.krl.read.motion_columns import Rows
+from postproc.dialects.krl.read.motion_reader import MoveReader
+from postproc.dialects.krl.read.motions import InOrder, in_order
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue, ProgramError
 from postproc.frames import Array
 

@@ -11,10 +11,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from postproc.dialects.krl.effects import CYCLIC, IMPORTED, Analysis, Effects
-from postproc.dialects.krl.library import Library
-from postproc.dialects.krl.names import DECLARING, OPENING, PURE, STANDARD, TYPES, WITHOUT_MOTION
-from postproc.dialects.krl.routines import (
+from postproc.dialects.krl.language.expressions import Aggregate, Call, Reference, Value, operand, parse
+from postproc.dialects.krl.language.names import DECLARING, OPENING, PURE, STANDARD, TYPES, WITHOUT_MOTION
+from postproc.dialects.krl.language.routines import (
     MOTION_WORDS,
     SPLINES,
     Module,
@@ -26,11 +25,12 @@ from postproc.dialects.krl.routines import (
     sole_call,
     word_at,
 )
-from postproc.dialects.krl.scopes import Scopes
-from postproc.dialects.krl.settings import FIELDS, RELEVANT, Settings, State
-from postproc.dialects.krl.source import Place
-from postproc.dialects.krl.syntax import Aggregate, Call, Reference, Value, operand, parse
-from postproc.dialects.krl.variables import NOTHING, Known, Scope, Unknown
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED, Analysis, Effects
+from postproc.dialects.krl.read.library import Library
+from postproc.dialects.krl.read.scopes import Scopes
+from postproc.dialects.krl.read.settings import FIELDS, RELEVANT, Settings, State
+from postproc.dialects.krl.read.variables import NOTHING, Known, Scope, Unknown
 from postproc.errors import Issue, ProgramError
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}

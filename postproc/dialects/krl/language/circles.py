@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.language.source import Source
 from postproc.frames import RAD_PER_DEG, Array, rotation_from_vector
 from postproc.program import Bools, Ints
 

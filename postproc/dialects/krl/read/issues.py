@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.rows import Rows
-from postproc.dialects.krl.settings import State
-from postproc.dialects.krl.walker import Walker
+from postproc.dialects.krl.read.motion_columns import Rows
+from postproc.dialects.krl.read.settings import State
+from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue
 from postproc.program import Ints
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.splice import Edits
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.write.replacements import Edits
 from postproc.program import Ints
 
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
-from postproc.dialects.krl.names import NAME
-from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.language.names import NAME
+from postproc.dialects.krl.language.source import Source
 
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NUMBER = re.compile(NUMBER_PATTERN)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from postproc.dialects.krl.positions import FARTHEST, Position
-from postproc.dialects.krl.settings import RELEVANT, Settings, State, out_of_reach
-from postproc.dialects.krl.source import Place
-from postproc.dialects.krl.syntax import Reference, operand, parse, split
-from postproc.dialects.krl.variables import NOTHING
+from postproc.dialects.krl.language.expressions import Reference, operand, parse, split
+from postproc.dialects.krl.language.positions import FARTHEST, Position
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.read.settings import RELEVANT, Settings, State, out_of_reach
+from postproc.dialects.krl.read.variables import NOTHING
 from postproc.program import CIRC, LIN, PTP
 
 KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC}

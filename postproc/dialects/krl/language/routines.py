@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import NamedTuple
 
-from postproc.dialects.krl.declarations import declared
-from postproc.dialects.krl.names import MOTIONS, NAME, PURE, RESERVED, TYPES
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import Call, Reference, Value, operand
+from postproc.dialects.krl.language.declarations import declared
+from postproc.dialects.krl.language.expressions import Call, Reference, Value, operand
+from postproc.dialects.krl.language.names import MOTIONS, NAME, PURE, RESERVED, TYPES
+from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
 
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}

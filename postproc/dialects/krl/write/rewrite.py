@@ -19,17 +19,17 @@ from operator import attrgetter
 
 import numpy as np
 
-from postproc.dialects.krl.forces import needed, texts
-from postproc.dialects.krl.geometry import same_orientation
+from postproc.dialects.krl.language.circles import same_orientation
+from postproc.dialects.krl.language.source import Source, comment_start
+from postproc.dialects.krl.language.triggers import Trigger, placed
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.lines import Lines
-from postproc.dialects.krl.moves import Move, Operand
-from postproc.dialects.krl.points import Points, Use, mentions
-from postproc.dialects.krl.source import Source, comment_start
-from postproc.dialects.krl.splice import Edits
-from postproc.dialects.krl.statements import APPROXIMATION, Statements, edits, written
-from postproc.dialects.krl.triggers import Trigger, placed
-from postproc.dialects.krl.wanted import DECIMALS, wanted
+from postproc.dialects.krl.read.motion_reader import Move, Operand
+from postproc.dialects.krl.write.force_comments import needed, texts
+from postproc.dialects.krl.write.inserted_lines import Lines
+from postproc.dialects.krl.write.named_points import Points, Use, mentions
+from postproc.dialects.krl.write.replacements import Edits
+from postproc.dialects.krl.write.statements import APPROXIMATION, Statements, edits, written
+from postproc.dialects.krl.write.target_numbers import DECIMALS, wanted
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, TargetForces, Targets, Written
 

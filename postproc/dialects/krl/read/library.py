@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from postproc.dialects.krl import bulk
-from postproc.dialects.krl.routines import Module, Routine, routines
-from postproc.dialects.krl.source import Source
+from postproc.dialects.krl.language.routines import Module, Routine, routines
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError, together
 
@@ -99,7 +99,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 
     :raises ProgramError: a DEF has no END, or a motion stands outside of DEF … END.
     """
-    plain = np.concatenate([rows.line for rows in bulk.scan(source)])
+    plain = np.concatenate([rows.line for rows in plain_lines.scan(source)])
     others = np.ones(len(source.starts), dtype=np.bool_)
     others[plain - 1] = False
     found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain.tolist())

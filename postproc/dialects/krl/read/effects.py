@@ -11,9 +11,9 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from postproc.dialects.krl.library import Library
-from postproc.dialects.krl.names import DECLARING, RESERVED, STANDARD
-from postproc.dialects.krl.routines import (
+from postproc.dialects.krl.language.expressions import Call
+from postproc.dialects.krl.language.names import DECLARING, RESERVED, STANDARD
+from postproc.dialects.krl.language.routines import (
     MOTION_WORDS,
     SPLINES,
     Module,
@@ -24,10 +24,10 @@ from postproc.dialects.krl.routines import (
     reference_of,
     word_at,
 )
-from postproc.dialects.krl.settings import BAS_SETS, RELEVANT
-from postproc.dialects.krl.source import Place
-from postproc.dialects.krl.syntax import Call
-from postproc.dialects.krl.variables import Scope
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.read.library import Library
+from postproc.dialects.krl.read.settings import BAS_SETS, RELEVANT
+from postproc.dialects.krl.read.variables import Scope
 from postproc.errors import ProgramError
 
 ACTION = re.compile(r"\bDO\b[ \t]*", re.I)

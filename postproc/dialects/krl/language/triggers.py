@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.dialects.krl.source import Source
-from postproc.dialects.krl.syntax import NUMBER_PATTERN
+from postproc.dialects.krl.language.expressions import NUMBER_PATTERN
+from postproc.dialects.krl.language.source import Source
 from postproc.frames import M_PER_MM, MM_PER_M, Array
 
 _WHEN = re.compile(

@@ -1,0 +1,7 @@
+"""KRL out: a program as it was with other numbers, or a new one."""
+
+from postproc.dialects.krl.write.emit import emit
+from postproc.dialects.krl.write.renaming import renamed
+from postproc.dialects.krl.write.rewrite import rewrite
+
+__all__ = ["emit", "renamed", "rewrite"]
