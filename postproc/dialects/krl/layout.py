@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.triggers import Trigger
-from postproc.dialects.krl.read.motion_columns import Offsets
-from postproc.dialects.krl.read.motion_reader import Move
 from postproc.frames import Array
 from postproc.program import Bools, Ints, Program
+
+Offsets = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +50,7 @@ class Layout:
     via_target: Ints
     resumed: Bools
     constant: Bools
-    moves: Mapping[int, Move]
+    moves: Mapping[int, MotionStatement]
     types: Mapping[str, str]
     public: frozenset[str]
     understood: frozenset[int]

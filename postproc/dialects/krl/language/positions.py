@@ -13,6 +13,8 @@ from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 CARTESIAN = ("X", "Y", "Z", "A", "B", "C")
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+COLUMNS = (*CARTESIAN, "S", "T")
+"""Components whose places in the text are kept."""
 _AXES = frozenset(AXES)
 _EXTERNAL = frozenset(EXTERNAL)
 _CARTESIAN_COMPONENTS = frozenset({*CARTESIAN, "S", "T", *EXTERNAL})

@@ -10,22 +10,14 @@ from pathlib import PurePath
 from typing import NamedTuple
 
 from postproc.dialects.krl.language.declarations import declared
-from postproc.dialects.krl.language.expressions import Call, Reference, Value, operand
-from postproc.dialects.krl.language.names import MOTIONS, NAME, PURE, RESERVED, TYPES
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.statements import MOTION_WORDS, declares, word_at
 from postproc.errors import ProgramError
 
-MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
-SPLINES = frozenset({"SPLINE", "PTP_SPLINE", "SPL", "SPL_REL"})
 _DEF = re.compile(
     r"(GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)[ \t]*(?:\(([^)]*)\)?)?", re.I | re.A
 )
 _PARAMETER = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*(?::[ \t]*(IN|OUT)\b)?", re.I | re.A)
-_UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
-"""A declaration without DECL: type and name."""
-_CALL = re.compile(r"(?<![\w$#.])([A-Za-z_]\w*)[ \t]*\(", re.A)
-_STRING = re.compile(r'"[^"]*"')
-_EQUALS = re.compile(r"[ \t]*=(?!=)")
 _INCOMPLETE = "Check that the file was transferred completely."
 
 
@@ -155,74 +147,3 @@ def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int]) -> Ro
         motion,
         frozenset(local),
     )
-
-
-def word_at(text: str, start: int, stop: int) -> str:
-    """Return the word at an offset, upper case; empty if there is none."""
-    match = NAME.match(text, start, stop)
-    return match[0].upper() if match else ""
-
-
-def declares(text: str, start: int, stop: int) -> bool:
-    """Return whether a statement is a declaration of variables."""
-    word = word_at(text, start, stop)
-    if word == "DECL" or word in TYPES:
-        return True
-    return word not in RESERVED and _UNDECLARED.match(text, start, stop) is not None
-
-
-def assignment(source: Source, start: int, stop: int) -> tuple[Reference, int] | None:
-    """Return what a statement assigns to and the offset behind ``=``; None if it is no assignment.
-
-    :raises ProgramError: brackets are not balanced.
-    """
-    if not NAME.match(source.text, start, stop):
-        return None
-    target, position = operand(source, start, stop)
-    equals = _EQUALS.match(source.text, position, stop)
-    return (target, equals.end()) if isinstance(target, Reference) and equals else None
-
-
-def calls(source: Source, start: int, stop: int) -> list[Call]:
-    """Return the calls of routines and functions in a piece of code, from left to right, also those inside others.
-
-    :raises ProgramError: brackets are not balanced.
-    """
-    text, found = source.text, []
-    if "(" not in text[start:stop]:
-        return []
-    quoted = [match.span() for match in _STRING.finditer(text, start, stop)]
-    for match in _CALL.finditer(text, start, stop):
-        name = match[1].upper()
-        if name in RESERVED or name in PURE or any(a < match.start() < b for a, b in quoted):
-            continue
-        value, _ = operand(source, match.start(), stop)
-        if isinstance(value, Call):
-            found.append(value)
-    return found
-
-
-def sole_call(source: Source, start: int, stop: int) -> Call | None:
-    """Return the call that a piece of code consists of; None if it is something else."""
-    value = _sole_operand(source, start, stop)
-    return value if isinstance(value, Call) else None
-
-
-def reference_of(source: Source, span: tuple[int, int]) -> Reference | None:
-    """Return the variable that an argument consists of; None if it is something else.
-
-    :raises ProgramError: brackets are not balanced.
-    """
-    value = _sole_operand(source, *span)
-    return value if isinstance(value, Reference) else None
-
-
-def _sole_operand(source: Source, start: int, stop: int) -> Value | None:
-    """Return the named operand that a piece of code consists of; None if it is something else."""
-    text = source.text
-    while start < stop and text[start] in " \t":
-        start += 1
-    if not NAME.match(text, start, stop):
-        return None
-    value, end = operand(source, start, stop)
-    return value if not text[end:stop].strip() else None

@@ -1,8 +1,7 @@
-"""TRIGGER statements: what they refer to, and where they stand once inserted targets divide their motion.
+"""TRIGGER statements and what they refer to.
 
 A TRIGGER refers to the motion that follows it: to its start (``DISTANCE=0``, ``PATH=… ONSTART``) or to its end
-(``DISTANCE=1``, ``PATH=…``), and switches within it. When the motion is divided, it must stand before the piece on
-which it switches; ``PATH`` is then counted from the start or the end of that piece.
+(``DISTANCE=1``, ``PATH=…``), and switches within it.
 """
 
 from __future__ import annotations
@@ -11,11 +10,9 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from postproc.dialects.krl.language.expressions import NUMBER_PATTERN
 from postproc.dialects.krl.language.source import Source
-from postproc.frames import M_PER_MM, MM_PER_M, Array
+from postproc.frames import M_PER_MM, Array
 
 _WHEN = re.compile(
     r"TRIGGER[ \t]+WHEN[ \t]+(?:(DISTANCE)|PATH)[ \t]*=[ \t]*(.+?)[ \t]*(\bONSTART\b)?[ \t]*\bDELAY[ \t]*=[ \t]*(.+?)"
@@ -24,8 +21,6 @@ _WHEN = re.compile(
 )
 _NUMBER = re.compile(NUMBER_PATTERN)
 _S_PER_MS = 1e-3
-_ROUNDING = 1e-6
-"""Places on a path closer than this [m] are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,29 +46,6 @@ class Trigger:
     delay: float
     length: float
 
-    def piece(self, ends: Array, speed: float) -> tuple[int, float] | None:
-        """Return before which piece of its motion it must stand, and its offset there [m]; None if nowhere.
-
-        :param ends: (n,) where the pieces end, as shares of the motion in (0, 1].
-        :param speed: of the TCP [m/s].
-        """
-        end = ends * self.length
-        begin = np.concatenate([[0.0], end[:-1]])
-        place = self.offset + (0.0 if self.from_start else self.length)
-        first, last = min(place, place + self.delay * speed), max(place, place + self.delay * speed)
-        behind, before = first > begin - _ROUNDING, last < end + _ROUNDING
-        behind[0] = before[-1] = True  # beyond the ends of the motion the controller does what it did
-        fits = behind & before
-        if self.path is None:
-            fits[slice(1, None) if self.from_start else slice(-1)] = False
-        if not self.attached:
-            fits[1:] = False
-        found = np.flatnonzero(fits & np.isfinite(place + self.delay))
-        if not len(found):
-            return None
-        piece = int(found[0 if self.from_start else -1])
-        return piece, float(place - (begin if self.from_start else end)[piece])
-
 
 def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
     """Return TRIGGER statements of a `.src`.
@@ -97,49 +69,3 @@ def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Arr
 
 def _number(text: str) -> float:
     return float(text) if _NUMBER.fullmatch(text) else float("nan")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Placed:
-    """The TRIGGERs of one divided motion, and where its inserted targets go.
-
-    :param at: for each inserted target, the 1-based line before which it stands.
-    :param moved: for each piece, the TRIGGERs that are to be moved before it.
-    :param paths: for TRIGGERs whose PATH changes, what it must say.
-    :param lost: those that cannot be kept right.
-    """
-
-    at: list[int]
-    moved: list[list[Trigger]]
-    paths: dict[Trigger, str]
-    lost: list[Trigger]
-
-
-def placed(given: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
-    """Return where TRIGGERs and inserted targets of one motion go.
-
-    A TRIGGER stays on its line wherever the inserted targets can stand around it.
-
-    :param given: in order.
-    :param line: 1-based line of the motion.
-    :param ends: (n,) where the pieces of the motion end, as shares of it.
-    :param speed: [m/s].
-    """
-    out = Placed([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
-    earliest = len(ends)
-    for trigger in reversed(given):
-        found = trigger.piece(ends, speed)
-        if found is None:
-            out.lost.append(trigger)
-            continue
-        piece, offset = found
-        if trigger.path is not None and abs(offset - trigger.offset) > _ROUNDING:
-            out.paths[trigger] = f"{round(offset * MM_PER_M, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
-        if piece > earliest:
-            out.moved[piece].insert(0, trigger)
-            continue
-        earliest = piece
-        if trigger.attached:
-            out.at[:piece] = [trigger.line] * piece
-    out.lost.reverse()
-    return out

@@ -13,18 +13,17 @@ from dataclasses import dataclass, field
 
 from postproc.dialects.krl.language.expressions import Call
 from postproc.dialects.krl.language.names import DECLARING, RESERVED, STANDARD
-from postproc.dialects.krl.language.routines import (
+from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.statements import (
     MOTION_WORDS,
     SPLINES,
-    Module,
-    Routine,
     assignment,
     calls,
     declares,
     reference_of,
     word_at,
 )
-from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.settings import BAS_SETS, RELEVANT
 from postproc.dialects.krl.read.variables import Scope

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.dialects.krl.language.circles import circles, turned
+from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.motion_reader import Move
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import Bools, Ints, Starts
 
@@ -117,7 +117,7 @@ class _Follower:
             problem = "components are missing right after $BASE or $TOOL changed: their values are not certain"
             raise self.source.line_error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
 
-    def special(self, row: int, move: Move) -> None:
+    def special(self, row: int, move: MotionStatement) -> None:
         """Take an axis or relative target, or a circle with CA."""
         if move.end.position.axis:
             self._axes(row, move)
@@ -132,7 +132,7 @@ class _Follower:
         self.numbers[row, :3] = MM_PER_M * self._arc_end(move, start)
         self.arrive(row)
 
-    def _axes(self, row: int, move: Move) -> None:
+    def _axes(self, row: int, move: MotionStatement) -> None:
         """Take an axis target, missing axes kept."""
         angles, known = np.array(move.end.position.values) * RAD_PER_DEG, self.stand.joints
         if known is None and (move.relative or np.isnan(angles).any()):
@@ -146,7 +146,7 @@ class _Follower:
         self.stand = _Stand(self.forward(angles), angles)
         self.numbers[row] = self.here(row)
 
-    def _relative(self, move: Move, numbers: Array) -> Array:
+    def _relative(self, move: MotionStatement, numbers: Array) -> Array:
         """Return X…C of a target relative to a position."""
         position = move.end.position
         offset = np.nan_to_num(np.array(position.values))
@@ -161,7 +161,7 @@ class _Follower:
             step = pose_from_xyzabc(numbers)[:3, :3] @ step
         return np.concatenate([numbers[:3] + step, numbers[3:]])
 
-    def _arc_end(self, move: Move, start: Array) -> Array:
+    def _arc_end(self, move: MotionStatement, start: Array) -> Array:
         """Return where a circle with CA ends (3,) [m]."""
         via, end = arc_points(move)
         line = np.array([move.line])
@@ -169,7 +169,7 @@ class _Follower:
         return turned(start, centre[0], normal[0], (move.angle or 0.0) * RAD_PER_DEG)
 
 
-def arc_points(move: Move) -> tuple[Array, Array]:
+def arc_points(move: MotionStatement) -> tuple[Array, Array]:
     """Return auxiliary and end point of a CIRC statement as written, (3,) each [m]."""
     via = np.array(move.via.position.values[:3]) if move.via else np.full(3, np.nan)
     return via * M_PER_MM, np.array(move.end.position.values[:3]) * M_PER_MM
@@ -180,7 +180,7 @@ def follow(
     line: Ints,
     given: Array,
     frames: tuple[Ints, Ints, Array, Array],
-    moves: Mapping[int, Move],
+    moves: Mapping[int, MotionStatement],
     start_joints: Array,
     forward: Callable[[Array], Array],
 ) -> Sequence:

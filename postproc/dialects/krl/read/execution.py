@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 
 from postproc.dialects.krl.language.expressions import Aggregate, Call, Reference, Value, operand, parse
 from postproc.dialects.krl.language.names import DECLARING, OPENING, PURE, STANDARD, TYPES, WITHOUT_MOTION
-from postproc.dialects.krl.language.routines import (
+from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.statements import (
     MOTION_WORDS,
     SPLINES,
-    Module,
-    Routine,
     assignment,
     calls,
     declares,
@@ -25,7 +25,6 @@ from postproc.dialects.krl.language.routines import (
     sole_call,
     word_at,
 )
-from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED, Analysis, Effects
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.scopes import Scopes

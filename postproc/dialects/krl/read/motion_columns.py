@@ -7,18 +7,15 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from postproc.dialects.krl.language.expressions import Number
-from postproc.dialects.krl.language.positions import CARTESIAN
-from postproc.dialects.krl.read.motion_reader import Move
+from postproc.dialects.krl.language.motion_statements import MotionStatement
+from postproc.dialects.krl.language.positions import COLUMNS
+from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read.settings import State
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 
-COLUMNS = (*CARTESIAN, "S", "T")
-"""Components whose places in the text are kept."""
-Offsets = NDArray[np.int32]
 _BATCH = 1000
 NUMBERS = len(COLUMNS) + 6
 """Those and E1 … E6."""
@@ -87,18 +84,18 @@ class Collector:
 
     def __init__(self) -> None:
         self.states: list[State] = []
-        self.special: list[tuple[int, Move]] = []
-        self._waiting: list[Move] = []
+        self.special: list[tuple[int, MotionStatement]] = []
+        self._waiting: list[MotionStatement] = []
         self._done: list[Rows] = []
 
     def __len__(self) -> int:
         return len(self.states)
 
-    def add(self, move: Move) -> None:
-        """Take the next statement."""
+    def add(self, move: MotionStatement, state: State) -> None:
+        """Take the next statement, and what is in force for it."""
         if not move.plain:
             self.special.append((len(self.states), move))
-        self.states.append(move.state)
+        self.states.append(state)
         self._waiting.append(move)
         if len(self._waiting) == _BATCH:
             self._convert()
@@ -116,7 +113,7 @@ class Collector:
         return merged(self._done, np.arange(len(self.states)))
 
 
-def _of_moves(moves: Sequence[Move]) -> Rows:
+def _of_moves(moves: Sequence[MotionStatement]) -> Rows:
     numbers = np.full((len(moves), NUMBERS), np.nan)
     spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 from postproc.dialects.krl.language.expressions import Reference, operand, parse, split
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.positions import FARTHEST, Position
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.read.settings import RELEVANT, Settings, State, out_of_reach
@@ -27,67 +27,7 @@ _HOME = frozenset({"XHOME", "HOME", "$H_POS"})
 RUN_TIME_ADVICE = "Targets must be known before the program runs: write them as numbers or as points of the .dat."
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Operand:
-    """One point of a motion statement.
-
-    :param position: its numbers, as far as they are given.
-    :param start: offset in the `.src` where its text begins.
-    :param stop: offset behind its text.
-    :param name: variable (upper case) when it is named by itself, else empty: a literal or a chain.
-    """
-
-    position: Position
-    start: int
-    stop: int
-    name: str = ""
-
-    @property
-    def inline(self) -> bool:
-        """Whether its numbers stand in the statement itself."""
-        aggregate = self.position.aggregate
-        return aggregate is not None and not self.name and aggregate.start == self.start
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Move:
-    """One motion statement.
-
-    :param line: 1-based line.
-    :param kind: `LIN`, `CIRC` or `PTP`.
-    :param keyword: span of the instruction, with ``_REL``.
-    :param end: target.
-    :param relative: ``""``, ``"#BASE"`` or ``"#TOOL"``: axes of a ``_REL`` target.
-    :param via: auxiliary point of a CIRC.
-    :param angle: CA [deg], or None.
-    :param tail: offset from which the text applies to inserted targets too: approximation and WITH.
-    :param stop: offset behind the code of the line.
-    :param approximated: True where `$APO.CDIS` applies.
-    :param state: what is in force.
-    :param behind: span of ``#BASE`` or ``#TOOL`` where it stands behind the approximation.
-    """
-
-    line: int
-    kind: int
-    keyword: tuple[int, int]
-    end: Operand
-    relative: str
-    via: Operand | None
-    angle: float | None
-    tail: int
-    stop: int
-    approximated: bool
-    state: State
-    behind: tuple[int, int] | None = None
-
-    @property
-    def plain(self) -> bool:
-        """Whether its points are Cartesian, with their numbers in the line: what the bulk path reads too."""
-        inline = self.end.inline and (self.via is None or self.via.inline)
-        return inline and self.angle is None and not self.end.position.axis and not self.relative
-
-
-class MoveReader:
+class MotionReader:
     """Reads motion statements.
 
     :ivar home_used: line of the first motion to a home position that only the cell knows; 0 if there is none.
@@ -98,13 +38,13 @@ class MoveReader:
         self.home = home
         self.home_used = 0
 
-    def read(self, at: Place, word: str, start: int, stop: int) -> tuple[Move | None, list[int]]:
+    def read(self, at: Place, word: str, start: int, stop: int) -> tuple[MotionStatement | None, State, list[int]]:
         """Return the motion of a statement, or None where it only asks for the present position, and what it names.
 
         :param word: instruction, upper case.
         :param start: offset of the instruction.
         :param stop: offset behind the code of the line.
-        :returns: the motion; offsets of the names whose values it uses.
+        :returns: the motion; what is in force for it; offsets of the names whose values it uses.
         :raises ProgramError: it is not understood, or its target is not known before the program runs.
         """
         text, name = at.source.text, word.removesuffix("_REL")
@@ -122,7 +62,7 @@ class MoveReader:
             position = comma.end()
         end, position = self._operand(at, position, stop, names)
         if end is None:
-            return None, names
+            return None, self.settings.state, names
         if kind == CIRC and (match := _ANGLE.match(text, position, stop)):
             angle, position = self._angle(at, match.end(), stop)
         code = stop
@@ -136,11 +76,12 @@ class MoveReader:
         self.settings.refuse_doubts(state, doubtful(kind, axis=end.position.axis, approximated=approximated))
         keyword = (start, start + len(word))
         return (
-            Move(at.line, kind, keyword, end, relative, via, angle, position, code, approximated, state, behind),
+            MotionStatement(at.line, kind, keyword, end, relative, via, angle, position, code, approximated, behind),
+            state,
             names,
         )
 
-    def _operand(self, at: Place, start: int, stop: int, names: list[int]) -> tuple[Operand | None, int]:
+    def _operand(self, at: Place, start: int, stop: int, names: list[int]) -> tuple[Point | None, int]:
         """Return a point and the offset behind it; None for the present position."""
         source = at.source
         value, end = parse(source, start, stop)
@@ -161,7 +102,7 @@ class MoveReader:
             raise at.error(f"the target is not known: {why}", RUN_TIME_ADVICE)
         if position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
-        return Operand(position, value.start, value.stop, name), end
+        return Point(position, value.start, value.stop, name), end
 
     def _angle(self, at: Place, start: int, stop: int) -> tuple[float, int]:
         value, end = parse(at.source, start, stop)
@@ -170,7 +111,7 @@ class MoveReader:
             raise at.error("the circular angle CA is not a number of degrees other than 0")
         return angle, end
 
-    def _check(self, at: Place, word: str, kind: int, end: Operand, via: Operand | None) -> None:
+    def _check(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
         if kind == CIRC and any(value != value for p in (end, via) if p for value in p.position.values[:3]):

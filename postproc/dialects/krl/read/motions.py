@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from postproc.dialects.krl.language.circles import circles, same_orientation
+from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import EXTERNAL
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.end_poses import Sequence, follow
 from postproc.dialects.krl.read.motion_columns import Rows, merged
-from postproc.dialects.krl.read.motion_reader import Move, doubtful
+from postproc.dialects.krl.read.motion_reader import doubtful
 from postproc.dialects.krl.read.settings import DEFAULT_SPEED, Settings, State
 from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue
@@ -39,7 +40,7 @@ class InOrder(NamedTuple):
     rows: Rows
     states: list[State]
     state: Ints
-    moves: dict[int, Move]
+    moves: dict[int, MotionStatement]
 
 
 def in_order(walker: Walker, plain: list[Rows]) -> InOrder:
@@ -153,7 +154,7 @@ def _whole(numbers: Array) -> Ints:
 
 
 def _check_settings(
-    settings: Settings, rows: Rows, states: list[State], state: Ints, moves: Mapping[int, Move]
+    settings: Settings, rows: Rows, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> None:
     """Refuse motions that depend on what is not known: frames, speeds, modes."""
     for index, used in enumerate(states):
@@ -165,7 +166,7 @@ def _check_settings(
             settings.refuse_doubts(used, fields)
 
 
-def _external(source: Source, rows: Rows, moves: Mapping[int, Move]) -> list[Issue]:
+def _external(source: Source, rows: Rows, moves: Mapping[int, MotionStatement]) -> list[Issue]:
     """Refuse programs that move external axes; tell where one stands elsewhere than at zero."""
     external = rows.numbers[:, 8:]
     if np.isnan(external).all():
@@ -206,7 +207,9 @@ def _check_orientation(source: Source, rows: Rows, states: list[State], state: I
         raise source.line_error(problem, int(rows.line[turned[0]]), advice)
 
 
-def _arcs(source: Source, rows: Rows, chain: Sequence, moves: Mapping[int, Move]) -> tuple[Array, Array, Array]:
+def _arcs(
+    source: Source, rows: Rows, chain: Sequence, moves: Mapping[int, MotionStatement]
+) -> tuple[Array, Array, Array]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
     nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
     circular = np.flatnonzero(rows.kind == CIRC)
@@ -266,7 +269,7 @@ def _by_speed(source: Source, rows: Rows) -> list[Issue]:
     return [Issue("info", "blending-by-speed", message, int(rows.line[found[0]]), count=len(found))]
 
 
-def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, Move]) -> list[Issue]:
+def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, MotionStatement]) -> list[Issue]:
     """Return what had to be assumed, each once with the first line it concerns."""
     issues = []
     incomplete = np.asarray(missing.any(axis=1))

@@ -12,7 +12,7 @@ import numpy as np
 
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.motion_columns import Rows
-from postproc.dialects.krl.read.motion_reader import MoveReader
+from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import InOrder, in_order
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.walker import Walker
@@ -37,7 +37,7 @@ def told_of_next_run(
     if not kept:
         return
     settings = Settings(walker.settings.variables.next_run(), walker.settings.cell)
-    again = Walker(walker.library, walker.main, settings, MoveReader(settings, start_joints))
+    again = Walker(walker.library, walker.main, settings, MotionReader(settings, start_joints))
     try:
         again.walk([])
         second = in_order(again, plain)

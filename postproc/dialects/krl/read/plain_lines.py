@@ -13,8 +13,9 @@ import warnings
 import numpy as np
 
 from postproc.decimals import Bytes, numbers_in, parsed
+from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.motion_columns import COLUMNS, NUMBERS, Rows, no_circles, none
+from postproc.dialects.krl.read.motion_columns import NUMBERS, Rows, no_circles, none
 from postproc.dialects.text import line_spans
 from postproc.frames import Array
 from postproc.program import CIRC, LIN, PTP, Bools, Ints

@@ -21,7 +21,7 @@ from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.krl.read.issues import told
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import Rows, merged, none
-from postproc.dialects.krl.read.motion_reader import MoveReader
+from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import InOrder, assemble, in_order
 from postproc.dialects.krl.read.next_run import told_of_next_run
 from postproc.dialects.krl.read.settings import Settings, out_of_reach
@@ -66,7 +66,7 @@ def read_program(
     module, main, faults = _main(source, lines, name)
     settings = Settings(variables, cell)
     start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
-    moves = MoveReader(settings, start)
+    moves = MotionReader(settings, start)
     walker = Walker(Library(module, _folders(documents[0], cell)), main, settings, moves)
     try:
         walker.walk(faults)

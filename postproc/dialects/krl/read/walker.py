@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from postproc.dialects.krl.language.names import NAME, fault_of
-from postproc.dialects.krl.language.routines import MOTION_WORDS, Routine, calls
+from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.statements import MOTION_WORDS, calls
 from postproc.dialects.krl.read.execution import LOOP_ADVICE, Execution
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import Collector
-from postproc.dialects.krl.read.motion_reader import MoveReader
+from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.settings import FIELDS, Settings
 from postproc.errors import MOST, ProgramError, together
 
@@ -22,7 +23,7 @@ class Walker(Execution):
     :ivar still: lines of motions to where the robot is already.
     """
 
-    def __init__(self, library: Library, main: Routine, settings: Settings, reader: MoveReader) -> None:
+    def __init__(self, library: Library, main: Routine, settings: Settings, reader: MotionReader) -> None:
         super().__init__(library, main, settings)
         self.reader = reader
         self.moves = Collector()
@@ -91,9 +92,9 @@ class Walker(Execution):
             return
         for call in calls(at.source, start, stop):
             self.call(at, call, certain=False)
-        move, names = self.reader.read(at, word, start, stop)
+        move, state, names = self.reader.read(at, word, start, stop)
         self.understood.update(names)
         if move is None:
             self.still.append(at.line)
         else:
-            self.moves.add(move)
+            self.moves.add(move, state)

@@ -23,8 +23,8 @@ from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.write import force_comments
 from postproc.dialects.krl.write.force_comments import where
-from postproc.dialects.krl.write.statements import written
 from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
+from postproc.dialects.krl.write.target_statements import written
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, TargetForces, Targets, Written

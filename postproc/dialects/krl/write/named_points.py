@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from postproc.dialects.krl.language.expressions import Aggregate
+from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.names import NAME, unused
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.motion_reader import Operand
 from postproc.dialects.krl.write.replacements import Edits
-from postproc.dialects.krl.write.statements import applied, edits, literal_of
+from postproc.dialects.krl.write.target_statements import applied, edits, literal_of
 from postproc.errors import Issue
 
 
@@ -27,7 +27,7 @@ class Use:
     """
 
     line: int
-    operand: Operand
+    operand: Point
     texts: Mapping[str, str] | None
     whole: str
 

@@ -20,16 +20,17 @@ from operator import attrgetter
 import numpy as np
 
 from postproc.dialects.krl.language.circles import same_orientation
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.source import Source, comment_start
-from postproc.dialects.krl.language.triggers import Trigger, placed
+from postproc.dialects.krl.language.triggers import Trigger
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.motion_reader import Move, Operand
 from postproc.dialects.krl.write.force_comments import needed, texts
 from postproc.dialects.krl.write.inserted_lines import Lines
 from postproc.dialects.krl.write.named_points import Points, Use, mentions
 from postproc.dialects.krl.write.replacements import Edits
-from postproc.dialects.krl.write.statements import APPROXIMATION, Statements, edits, written
 from postproc.dialects.krl.write.target_numbers import DECIMALS, wanted
+from postproc.dialects.krl.write.target_statements import APPROXIMATION, Statements, edits, written
+from postproc.dialects.krl.write.trigger_places import placed
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, TargetForces, Targets, Written
 
@@ -137,7 +138,7 @@ class _Rewriter:
         points.settle()
         self.issues += points.issues
 
-    def _statement(self, row: int, k: int, move: Move, points: Points) -> None:
+    def _statement(self, row: int, k: int, move: MotionStatement, points: Points) -> None:
         """Change one statement, or note that it uses named points as they are."""
         split = k > 0 and bool(self.row[k - 1] == row)
         straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
@@ -164,7 +165,7 @@ class _Rewriter:
             via = self.wanted.via_texts(k)
             self._point(move.line, move.via, (via or None) if changed else None, written(via), points)
 
-    def _point(self, line: int, operand: Operand, texts: Mapping[str, str] | None, whole: str, points: Points) -> None:
+    def _point(self, line: int, operand: Point, texts: Mapping[str, str] | None, whole: str, points: Points) -> None:
         """Change the numbers of a point where they stand in the statement; note the use of any other point."""
         literal = self.statements.inline(operand)
         if literal is None:

@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from postproc.dialects.krl.language.expressions import Aggregate
-from postproc.dialects.krl.language.positions import CARTESIAN, EXTERNAL
+from postproc.dialects.krl.language.motion_statements import Point
+from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNAL
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.motion_columns import COLUMNS
-from postproc.dialects.krl.read.motion_reader import Operand
 from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, Wanted, printed
 from postproc.program import CIRC, LIN, PTP, Targets
 
@@ -102,7 +101,7 @@ class Statements:
         start, stop = self.layout.target[row].tolist()
         return Literal(self.text, start, stop, places)
 
-    def inline(self, operand: Operand) -> Literal | None:
+    def inline(self, operand: Point) -> Literal | None:
         """Return the literal of a point whose numbers stand in the statement itself."""
         aggregate = operand.position.aggregate
         return literal_of(aggregate) if aggregate is not None and operand.inline else None
@@ -132,14 +131,14 @@ class Statements:
                     texts |= _bits(name, value, literal.text[slice(*literal.places[name])])
         return texts
 
-    def end_texts(self, k: int, operand: Operand, *, copy: bool = False) -> dict[str, str]:
+    def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written for the end point of a statement, wherever its own stand."""
         aggregate = operand.position.aggregate
         if aggregate is None:
             return self.wanted.texts(k, range(6))
         return self.texts(k, literal_of(aggregate), copy=copy)
 
-    def whole(self, k: int, operand: Operand | None) -> str:
+    def whole(self, k: int, operand: Point | None) -> str:
         """Return the whole target as a new literal, with the external axes and for a PTP the S and T that are known."""
         texts = self.wanted.texts(k, range(6))
         if operand is None:

@@ -1,0 +1,88 @@
+"""Where TRIGGER statements stand once inserted targets divide the motion that they refer to.
+
+A TRIGGER must stand before the piece on which it switches; ``PATH`` is then counted from the start or the end of that
+piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.dialects.krl.language.triggers import Trigger
+from postproc.frames import MM_PER_M, Array
+
+_ROUNDING = 1e-6
+"""Places on a path closer than this [m] are one."""
+
+
+def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
+    """Return before which piece of its motion a TRIGGER must stand, and its offset there [m]; None if nowhere.
+
+    :param ends: (n,) where the pieces of its motion end, as shares of it in (0, 1].
+    :param speed: of the TCP [m/s].
+    """
+    end = ends * trigger.length
+    begin = np.concatenate([[0.0], end[:-1]])
+    place = trigger.offset + (0.0 if trigger.from_start else trigger.length)
+    first, last = min(place, place + trigger.delay * speed), max(place, place + trigger.delay * speed)
+    behind, before = first > begin - _ROUNDING, last < end + _ROUNDING
+    behind[0] = before[-1] = True  # beyond the ends of the motion the controller does what it did
+    fits = behind & before
+    if trigger.path is None:
+        fits[slice(1, None) if trigger.from_start else slice(-1)] = False
+    if not trigger.attached:
+        fits[1:] = False
+    found = np.flatnonzero(fits & np.isfinite(place + trigger.delay))
+    if not len(found):
+        return None
+    piece = int(found[0 if trigger.from_start else -1])
+    return piece, float(place - (begin if trigger.from_start else end)[piece])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """The TRIGGERs of one divided motion, and where its inserted targets go.
+
+    :param at: for each inserted target, the 1-based line before which it stands.
+    :param moved: for each piece, the TRIGGERs that are to be moved before it.
+    :param paths: for TRIGGERs whose PATH changes, what it must say.
+    :param lost: those that cannot be kept right.
+    """
+
+    at: list[int]
+    moved: list[list[Trigger]]
+    paths: dict[Trigger, str]
+    lost: list[Trigger]
+
+
+def placed(given: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
+    """Return where TRIGGERs and inserted targets of one motion go.
+
+    A TRIGGER stays on its line wherever the inserted targets can stand around it.
+
+    :param given: in order.
+    :param line: 1-based line of the motion.
+    :param ends: (n,) where the pieces of the motion end, as shares of it.
+    :param speed: [m/s].
+    """
+    out = Placed([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
+    earliest = len(ends)
+    for trigger in reversed(given):
+        found = piece_of(trigger, ends, speed)
+        if found is None:
+            out.lost.append(trigger)
+            continue
+        piece, offset = found
+        if trigger.path is not None and abs(offset - trigger.offset) > _ROUNDING:
+            out.paths[trigger] = f"{round(offset * MM_PER_M, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
+        if piece > earliest:
+            out.moved[piece].insert(0, trigger)
+            continue
+        earliest = piece
+        if trigger.attached:
+            out.at[:piece] = [trigger.line] * piece
+    out.lost.reverse()
+    return out
