@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc.correction import Mode, Result
 from postproc.errors import Issue
-from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
+from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import LIN, Document, Motions, Program
 
 
@@ -60,9 +60,9 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         nominal=made.motions.target,
         printed=xyzabc_from_pose(command),
         wrench=wrench,
-        deflection=np.stack([np.zeros(count), np.zeros(count), -before], axis=1),
-        before=before,
-        after=np.where(rapid, 0.0, 2e-7) if mode == "convert" else before,
+        deflection=_down(before),
+        deviation_before=_down(before),
+        deviation_after=_down(np.where(rapid, 0.0, 2e-7) if mode == "convert" else before),
         bound=None,
         q=np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (count, 1)),
         joint_margin=np.radians([180.0, 60.0, 40.0, 340.0, 70.0, 350.0]),
@@ -77,5 +77,11 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
 
 
 def with_changes(base: Result, **changes: object) -> Result:
-    """The same result with other fields."""
+    """The same result with other fields; distances `before` and `after` are taken straight down."""
+    for name in {"before", "after"} & set(changes):
+        changes[f"deviation_{name}"] = _down(changes.pop(name))
     return replace(base, **changes)  # type: ignore[arg-type]
+
+
+def _down(distance: Array) -> Array:
+    return np.stack([np.zeros(len(distance)), np.zeros(len(distance)), -distance], axis=1)

@@ -143,14 +143,14 @@ def process(
         issues = [*told, *program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         everywhere = np.arange(len(sampled.sample))
     try:
-        before, deflection = _uncorrected(program, place, sampled, everywhere)
+        uncorrected, deflection = _uncorrected(program, place, sampled, everywhere)
     except NotConvergedError as cause:
         motion = sampled.sample.motion[everywhere[list(cause.rows)]]
         return _nothing(program, robot, mode, _at_rows("not-converged", _NO_BALANCE, program, motion))
-    between = float(before.max(initial=0.0))
+    between = float(norm(uncorrected).max(initial=0.0))
     if mode == "predict":
-        before, deflection = before[row], deflection[row]
-    after = before
+        uncorrected, deflection = uncorrected[row], deflection[row]
+    as_written = uncorrected
     documents: tuple[Document, ...] = ()
     programmed = np.zeros(len(row))
     if program.dialect == "krl":
@@ -163,7 +163,7 @@ def process(
     if text is not None and simulated is not None:
         issues += simulated.issues
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
-        after, between, printed = simulated.after, simulated.between, simulated.printed
+        as_written, between, printed = simulated.deviation, simulated.between, simulated.printed
         rounding = simulated.rounding
     tool = place.tool(program, targets.motion)
     q, wrench = sampled.command.q[row], sampled.wrench[row]
@@ -180,8 +180,8 @@ def process(
         printed=printed,
         wrench=wrench,
         deflection=deflection,
-        before=before,
-        after=after,
+        deviation_before=uncorrected,
+        deviation_after=as_written,
         bound=elastostatics.position_bound(place.robot, q, tool, place.wrench(program, targets.motion, wrench)),
         q=q,
         joint_margin=kinematics.joint_margin(robot, sampled.command.q),
@@ -410,7 +410,7 @@ def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q
 def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints) -> tuple[Array, Array]:
     """Return what the targets (K rows of the samples) would do uncorrected.
 
-    That is the distance of the tip from nominal (K,) and the displacement by the wrench alone (K, 3), `$BASE` [m].
+    That is the tip seen from nominal (K, 3), and the displacement by the wrench alone (K, 3), `$BASE` [m].
     """
     robot = place.robot
 
@@ -420,12 +420,12 @@ def _uncorrected(program: Program, place: InRoot, sampled: _Sampled, row: Ints) 
         state = sampled.joints.q[row], place.tool(program, motion)
         tip = place.points_back(program, motion, _tip(robot, *state, force, sampled.command.theta[row]))
         if place.rest_is_nominal:
-            return norm(tip - nominal), tip - nominal
+            return tip - nominal, tip - nominal
         rest = _tip(robot, *state, np.zeros_like(force), sampled.command.theta[row])
-        return norm(tip - nominal), tip - place.points_back(program, motion, rest)
+        return tip - nominal, tip - place.points_back(program, motion, rest)
 
-    before, deflection = in_chunks(deflected, row)
-    return before, deflection
+    deviation, deflection = in_chunks(deflected, row)
+    return deviation, deflection
 
 
 def _tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array) -> Array:
@@ -450,8 +450,8 @@ def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> R
         printed=np.zeros((0, 6)),
         wrench=np.zeros((0, 6)),
         deflection=np.zeros((0, 3)),
-        before=none,
-        after=none,
+        deviation_before=np.zeros((0, 3)),
+        deviation_after=np.zeros((0, 3)),
         bound=None,
         q=np.zeros((0, 6)),
         joint_margin=np.full(6, np.nan),

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from postproc.errors import Issue
-from postproc.frames import Array
+from postproc.frames import Array, norm
 from postproc.program import Bools, Document, Ints, Program, TargetForces
 
 Mode = Literal["convert", "nominal", "predict"]
@@ -29,8 +29,8 @@ class Result:
     :param printed: (K, 6) X, Y, Z, A, B, C of the command as they stand in the written text: mm and degrees.
     :param wrench: (K, 6) force and moment used.
     :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
-    :param before: (K,) distance of the predicted tip from nominal if nothing is corrected [m].
-    :param after: (K,) the same with the program as written [m].
+    :param deviation_before: (K, 3) predicted tip minus nominal position if nothing is corrected [m].
+    :param deviation_after: (K, 3) the same with the program as written [m].
     :param bound: (K,) 95 % bound of the predicted position from the model's covariance [m], or None.
     :param q: (K, 6) joint angles that the controller holds [rad].
     :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
@@ -55,8 +55,8 @@ class Result:
     printed: Array
     wrench: Array
     deflection: Array
-    before: Array
-    after: Array
+    deviation_before: Array
+    deviation_after: Array
     bound: Array | None
     q: Array
     joint_margin: Array
@@ -85,6 +85,16 @@ class Result:
     def rapid(self) -> Bools:
         """(K,) True for moves without cutting force."""
         return np.asarray(self.program.motions.rapid[self.motion])
+
+    @property
+    def before(self) -> Array:
+        """(K,) distance of the predicted tip from nominal if nothing is corrected [m]."""
+        return norm(self.deviation_before)
+
+    @property
+    def after(self) -> Array:
+        """(K,) distance of the predicted tip from nominal with the program as written [m]."""
+        return norm(self.deviation_after)
 
     @property
     def inserted(self) -> int:

@@ -47,7 +47,7 @@ _ON_RAMPS = 4
 class Simulated:
     """What the written program would do.
 
-    :param after: (K,) distance of the predicted tip from nominal at each target [m].
+    :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param printed: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
     :param rounding: (K,) how far approximate positioning passes each target [m].
@@ -56,7 +56,7 @@ class Simulated:
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
-    after: Array
+    deviation: Array
     between: float
     printed: Array
     rounding: Array
@@ -145,8 +145,8 @@ def simulate(
         line = int(program.motions.line[motion[cause.rows[0]]])
         issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
         return _unusable(targets, issue)
-    after = norm(off[share == 1.0])
     distance = norm(off)
+    after = distance[share == 1.0]
     rounding = blending.of_motions(written, written_path, row).rounding(m.blend[row])
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
     jump = (path.length[motion] * (targets.t - begin)[index] < _AT_ONCE) & (share < 1.0)
@@ -158,14 +158,14 @@ def simulate(
             issues += checks.blending(program, targets.motion, more, place.tolerance)
     bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance) & ~jump
     between = float(distance[settled].max(initial=0.0))
-    return Simulated(after, between, printed, rounding, (motion[bad], t[bad], distance[bad]), tuple(issues))
+    return Simulated(off[share == 1.0], between, printed, rounding, (motion[bad], t[bad], distance[bad]), tuple(issues))
 
 
 def _unusable(targets: Targets, issue: Issue) -> Simulated:
     count = len(targets)
     nowhere = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     unknown = np.full(count, np.nan)
-    return Simulated(unknown, np.inf, np.full((count, 6), np.nan), unknown, nowhere, (issue,))
+    return Simulated(np.full((count, 3), np.nan), np.inf, np.full((count, 6), np.nan), unknown, nowhere, (issue,))
 
 
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:

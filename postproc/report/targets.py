@@ -10,7 +10,7 @@ from postproc import decimals
 from postproc.chunks import chunks
 from postproc.correction import Result
 from postproc.decimals import Bytes
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Bools, Ints
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
@@ -42,7 +42,7 @@ def targets_csv(result: Result) -> Iterator[bytes]:
         yield _rows(
             (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
             (result.nominal[part], result.printed[part], _COMMAND[result.program.dialect], result.wrench[part]),
-            (result.deflection[part], result.before[part], result.after[part]),
+            (result.deflection[part], norm(result.deviation_before[part]), norm(result.deviation_after[part])),
             None if result.bound is None else result.bound[part],
             result.q[part],
         )
