@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from postproc.cli.outcomes import work
+
+if TYPE_CHECKING:
+    from postproc.jobs import Cluster
 
 _PATH = click.Path(path_type=Path)
 _DIALECT = click.Choice(["gcode", "krl"])
@@ -48,6 +51,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 @click.option("--nominal", is_flag=True, help="Write the KRL without correction, to compare against.")
 @click.option(
     "--tolerance",
+    "tolerance_mm",
     type=float,
     callback=_finite,
     metavar="MM",
@@ -68,22 +72,13 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 @click.pass_context
 def convert(
     ctx: click.Context,
+    /,
     programs: tuple[str, ...],
-    cell: Path,
-    forces: Path | None,
-    output: Path | None,
-    dialect: str | None,
-    nominal: bool,
-    tolerance: float | None,
-    linearize_arcs: bool,
     jobs: int,
+    nominal: bool,
     name: str | None,
-    scheduler: str | None,
-    tls_ca: Path | None,
-    tls_cert: Path | None,
-    tls_key: Path | None,
-    overwrite: bool,
     as_json: bool,
+    **more: Any,
 ) -> None:
     """Write corrected KRL and a report for each PROGRAM.
 
@@ -100,39 +95,43 @@ def convert(
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.dialects.krl.language.names import fault_of
-    from postproc.jobs import Cluster, Settings, find_jobs
+    from postproc.jobs import Settings, find_jobs
 
-    if scheduler is not None and jobs > 1:
+    cluster = _cluster(more.pop("scheduler"), *(more.pop(f"tls_{file}") for file in ("ca", "cert", "key")))
+    if cluster is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
-    if forces is not None and len(programs) > 1 and forces.is_file():
+    if more["forces"] is not None and len(programs) > 1 and more["forces"].is_file():
         raise click.UsageError(
             "--forces FILE goes with one program: its line numbers belong to one. Give a folder that holds NAME.csv "
             "for each program, or write the forces into the programs as comments."
         )
-    if scheduler is None and (tls_ca or tls_cert or tls_key):
-        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler tls://…")
     if name is not None and (fault := fault_of(name)) is not None:
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
-    found = find_jobs(programs, dialect=dialect, forces=forces, output=output, name=name)
-    settings = Settings(cell, "nominal" if nominal else "convert", tolerance, linearize_arcs, overwrite)
-    cluster = None if scheduler is None else Cluster(scheduler, tls_ca, tls_cert, tls_key)
+    found = find_jobs(programs, name=name, **_of_files(more))
+    settings = Settings(mode="nominal" if nominal else "convert", **more)
     work(ctx, found, settings, as_json=as_json, workers=jobs, cluster=cluster)
+
+
+def _of_files(options: dict[str, Any]) -> dict[str, Any]:
+    """Take those options away that say which files there are; the others are settings."""
+    return {name: options.pop(name) for name in ("dialect", "forces", "output")}
+
+
+def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
+    from postproc.jobs import Cluster
+
+    if scheduler is not None:
+        return Cluster(scheduler, *certificates)
+    if any(certificates):
+        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler tls://…")
+    return None
 
 
 @click.command()
 @click.argument("program")
 @_shared
 @click.pass_context
-def predict(
-    ctx: click.Context,
-    program: str,
-    cell: Path,
-    forces: Path | None,
-    output: Path | None,
-    dialect: str | None,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> None:
     """Predict how far the tool leaves the path of PROGRAM as it stands; nothing is corrected.
 
     For part.nc this writes part.predict.report.json, part.predict.targets.csv and part.predict.report.html.
@@ -143,7 +142,7 @@ def predict(
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 
-    found = find_jobs([program], dialect=dialect, forces=forces, output=output)
+    found = find_jobs([program], **_of_files(more))
     if len(found) > 1:
         raise click.UsageError(f"predict takes one program; {program} names {len(found)}.")
-    work(ctx, found, Settings(cell, "predict", overwrite=overwrite), as_json=as_json)
+    work(ctx, found, Settings(mode="predict", **more), as_json=as_json)

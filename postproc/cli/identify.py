@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
-    from postproc.identification.procedure import Depth, Method
 
 _FILE = click.Path(path_type=Path)
 _overwrite = click.option(
@@ -44,13 +43,9 @@ def compensator(markers: Path, output: Path, overwrite: bool) -> None:
     Example:
       postproc identify compensator markers.csv -o compensator.toml
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.files import foreign_single, refuse
-    from postproc.identification import compensator_geometry
+    from postproc.jobs.identification_files import identify_compensator
 
-    if not overwrite:
-        refuse(foreign_single(output))
-    result = compensator_geometry.identify(compensator_geometry.read(markers))
-    compensator_geometry.save(output, result, markers.name)
+    result = identify_compensator(markers, output, overwrite=overwrite)
     for name, value, half in zip(("L", "a_x", "a_y"), result.value, result.ci95, strict=True):
         click.echo(f"{name:>4} = {value * 1e3:8.3f} ± {half * 1e3:.3f} mm")
     for warning in result.warnings:
@@ -61,7 +56,7 @@ def compensator(markers: Path, output: Path, overwrite: bool) -> None:
 @identify.command()
 @click.argument("measurements", type=_FILE)
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
-@click.option("--compensator", "compensator_file", type=_FILE, help="Geometry from `identify compensator`.")
+@click.option("--compensator", type=_FILE, help="Geometry from `identify compensator`.")
 @click.option(
     "--method",
     type=click.Choice(["enhanced", "serial"]),
@@ -80,17 +75,7 @@ def compensator(markers: Path, output: Path, overwrite: bool) -> None:
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
 @_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
-def elastostatics(
-    measurements: Path,
-    experiment: Path,
-    compensator_file: Path | None,
-    method: Method,
-    structure: Depth,
-    geometry: bool,
-    output: Path,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
+def elastostatics(as_json: bool, **request: Any) -> None:
     """Compliances of joints, compensator, links and gears, with 95 % intervals.
 
     MEASUREMENTS is a CSV file of the positions of reference points on the tool, without load (load 0) and loaded, in
@@ -104,15 +89,10 @@ def elastostatics(
       postproc identify elastostatics measurements.csv --experiment experiment.toml \\
           --compensator compensator.toml -o my_robot
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.identification import identify_folder, model_folder
-    from postproc.report.identification import page
+    from postproc.jobs.identification_files import ElastostaticsRequest, identify_elastostatics
 
-    if not overwrite:
-        model_folder.protect(output)
-    done = identify_folder(
-        measurements, experiment, output, compensator_file, method, structure, _say, page, geometry=geometry
-    )
-    _show(done, output, as_json)
+    asked = ElastostaticsRequest(**request)
+    _show(identify_elastostatics(asked, _say), asked.output, as_json)
 
 
 @identify.command()
@@ -122,9 +102,7 @@ def elastostatics(
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
 @_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
-def geometry(
-    measurements: Path, experiment: Path, model: Path | None, output: Path, overwrite: bool, as_json: bool
-) -> None:
+def geometry(output: Path, as_json: bool, **request: Any) -> None:
     """Geometry from readings without load: offsets, lengths, tilts, with sag under own weight.
 
     MEASUREMENTS is the CSV file of `identify elastostatics`; loaded readings in it are not used. The model folder
@@ -135,12 +113,9 @@ def geometry(
     Example:
       postproc identify geometry measurements.csv --experiment experiment.toml --model my_robot -o my_calibrated_robot
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.identification import geometry_folder, model_folder
-    from postproc.report.identification import page
+    from postproc.jobs.identification_files import identify_geometry
 
-    if not overwrite:
-        model_folder.protect(output)
-    _show(geometry_folder(measurements, experiment, output, model, page), output, as_json)
+    _show(identify_geometry(output=output, **request), output, as_json)
 
 
 def _show(done: IdentifiedFolder, output: Path, as_json: bool) -> None:

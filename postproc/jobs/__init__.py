@@ -1,12 +1,18 @@
-"""Many programs: from what the user named to files written, one failure apart from the others."""
+"""What each command does: files in, files out, whole or not at all.
+
+`conversion` takes one program from file to files, `run` many of them, one failure apart from the others. Other jobs
+have a file of their own, `plan_files` and `identification_files`, and are imported from there: what they need is loaded
+with them only.
+"""
 
 from postproc.jobs.cluster import Cluster
-from postproc.jobs.convert import convert_one, load_robot, load_setup, read_program
+from postproc.jobs.conversion import convert_one, read_program
 from postproc.jobs.inputs import DIALECTS, dialect_of, find_jobs, read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Outcome, Settings
 from postproc.jobs.outputs import left
-from postproc.jobs.run import convert_all
+from postproc.jobs.run import convert_all, convert_program
+from postproc.jobs.setup import load_robot, load_setup
 
 __all__ = [
     "DIALECTS",
@@ -16,6 +22,7 @@ __all__ = [
     "Settings",
     "convert_all",
     "convert_one",
+    "convert_program",
     "dialect_of",
     "find_jobs",
     "left",

@@ -29,25 +29,36 @@ def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> No
                 f"{first} and {job.program} would both be written as {job.output / job.stem}.*",
                 advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
             )
-    inputs = {_key(path) for job in jobs for path in job.reads()} | {_key(cell)}
+    inputs = [cell, *(path for job in jobs for path in job.reads())]
+    names: dict[Path, list[str]] = {}
     for job in jobs:
-        _protect(inputs, job, job.writes(mode))
+        names.setdefault(job.output, []).extend(job.writes(mode))
+    for folder, written in names.items():
+        protect(inputs, folder, written)
     if not overwrite:
         refuse([path for job in jobs for path in _foreign(job, job.writes(mode), mode)])
 
 
 def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -> None:
     """Look again when the names of the files to be written are known; see `check`."""
-    _protect({_key(path) for path in job.reads()}, job, names)
+    protect(job.reads(), job.output, names)
     if not overwrite:
         foreseen = job.writes(mode)
         refuse(_foreign(job, [name for name in names if name not in foreseen], mode))
 
 
-def _protect(inputs: set[str], job: Job, names: Iterable[str]) -> None:
-    for path in (job.output / name for name in names):
-        if _key(path) in inputs:
-            advice = "Nothing was written. Choose another output folder with -o."
+def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
+    """Refuse to write over what is read; names that differ in case are one.
+
+    :param inputs: files that are read.
+    :param folder: that is written into.
+    :param names: of the files to be written.
+    :raises InputError: one of them is an input.
+    """
+    read = {_key(path) for path in inputs}
+    for path in (folder / name for name in names):
+        if _key(path) in read:
+            advice = "Nothing was written. Choose another place with -o."
             raise InputError("this input would be overwritten", file=str(path), advice=advice)
 
 

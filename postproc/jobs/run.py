@@ -1,18 +1,23 @@
-"""Many programs: one after the other, in local processes, or on a Dask cluster."""
+"""Many programs: one after the other, in local processes, or on a Dask cluster; and one that no file holds."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from postproc import interrupts
+from postproc.dialects.krl.language.names import valid
 from postproc.files import remove_leftovers
 from postproc.jobs import outputs
 from postproc.jobs.cluster import Cluster, convert_on_cluster
-from postproc.jobs.convert import convert_one, load_setup
+from postproc.jobs.conversion import convert_one, converted
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Outcome, Settings
 from postproc.jobs.pool import Pool
+from postproc.jobs.setup import load_setup
+from postproc.program import Program
 
 
 def convert_all(
@@ -44,3 +49,25 @@ def convert_all(
             yield from Pool(waiting, settings).outcomes(min(workers, len(jobs)))
         while waiting and not interrupts.came():
             yield convert_one(waiting.popleft(), settings, cell, robot)
+
+
+def convert_program(program: Program, settings: Settings, output: Path, forces: Path | None = None) -> Outcome:
+    """Convert a program that is not in a file, and write its files: the way in for hosts, which have moves and no text.
+
+    All is as for a file: it is read back, simulated and marked; its documents are the text that lines of issues and
+    forces refer to. A name that KRL does not allow is made valid.
+
+    :param program: as a reader makes it; `load_setup` gives what is needed to make one.
+    :param settings: what is to be done with it.
+    :param output: folder to write into.
+    :param forces: CSV file with its forces; lines are those of its first document.
+    :returns: what came of it; whatever is wrong with the program is told there.
+    :raises PostprocError: the cell or the robot is unusable, or an output must not be written.
+    """
+    job = Job(Path(program.documents[0].name), program.dialect, output, forces, valid(program.name))
+    with interrupts.held_back():
+        with interrupts.heard():
+            outputs.check([job], settings.cell, settings.mode, overwrite=settings.overwrite)
+            cell, robot = load_setup(settings)
+        remove_leftovers(output)
+        return converted(job, settings, cell, robot, lambda: replace(program, name=job.stem))

@@ -20,9 +20,10 @@ from typing import BinaryIO
 
 from postproc import interrupts
 from postproc.cell import Cell
-from postproc.jobs.convert import convert_one, failure, load_setup
+from postproc.jobs.conversion import convert_one, failure
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Outcome, Settings
+from postproc.jobs.setup import load_setup
 from postproc.robot import RobotModel
 
 _Task = tuple[Job, Settings]

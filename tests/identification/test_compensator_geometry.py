@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from postproc.compensator import Compensator
-from postproc.errors import MeasurementError
+from postproc.errors import InputError, MeasurementError
 from postproc.identification import compensator_geometry as cg
+from postproc.jobs.identification_files import identify_compensator
 
 TRUE = np.array([0.18472, 0.68593, 0.12330])
 PAPER_Q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0, -140.0])
@@ -126,3 +127,11 @@ def test_angles_in_radians_are_recognised(tmp_path):
     path = write(tmp_path / "c.csv", np.radians(PAPER_Q2), raw, ("P1", *exact.markers))
     with pytest.raises(MeasurementError, match="look like radians"):
         cg.read(path)
+
+
+def test_the_readings_are_never_overwritten(tmp_path):
+    markers = tmp_path / "markers.csv"
+    markers.write_text("q2,marker,repeat,X,Y,Z\n")
+    with pytest.raises(InputError, match="this input would be overwritten"):
+        identify_compensator(markers, tmp_path / "MARKERS.csv", overwrite=True)
+    assert markers.read_text() == "q2,marker,repeat,X,Y,Z\n"

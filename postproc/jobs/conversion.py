@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import gc
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
-
-from postproc import cell as cells
 from postproc import correction, files, interrupts, report
-from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import krl
@@ -31,30 +27,6 @@ from postproc.report import Summary
 from postproc.robot import RobotModel
 
 
-def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
-    """Read the cell and its robot.
-
-    :raises CellError: the cell is unusable.
-    :raises ModelError: its robot is.
-    """
-    cell = cells.load(settings.cell)
-    if settings.tolerance_mm is not None:
-        cell = msgspec.structs.replace(
-            cell, output=msgspec.structs.replace(cell.output, tolerance_mm=settings.tolerance_mm)
-        )
-    return cell, load_robot(cell.robot, cell.folder)
-
-
-def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
-    """Read a robot model.
-
-    :param name: of a shipped robot (`postproc robots` lists them), or the path of a model folder.
-    :param relative_to: folder that the path starts from: for the robot of a cell, `cell.folder`.
-    :raises ModelError: there is none, or it is unusable.
-    """
-    return robots.load(robots.find(name, Path(relative_to)))
-
-
 def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
@@ -63,9 +35,18 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
 
     :raises KeyboardInterrupt: nothing was written.
     """
+    name = job.stem if job.dialect == "gcode" else None
+    return converted(job, settings, cell, robot, lambda: read_program(job.program, robot, cell, job.dialect, name))
+
+
+def converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, read: Callable[[], Program]) -> Outcome:
+    """Return what `convert_one` does, of a program wherever it is from.
+
+    :param read: returns the program; what it raises is the outcome.
+    """
     try:
         with interrupts.heard(), _no_collection():
-            result = _result(job, settings, cell, robot)
+            result = _result(job, settings, cell, robot, read())
             if not result.failed:
                 content, contents = _contents(job, settings, cell, result)
     except Exception as cause:
@@ -114,9 +95,7 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Result:
-    name = job.stem if job.dialect == "gcode" else None
-    program = read_program(job.program, robot, cell, job.dialect, name)
+def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program) -> Result:
     rows = None if job.forces is None else read_force_csv(job.forces)
     result = correction.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
     if job.dialect == "krl" and job.name is not None:

@@ -1,0 +1,135 @@
+"""`postproc plan`: from experiment, cell and programs to the files of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+
+from postproc import cell as cells
+from postproc import interrupts
+from postproc.cell import Cell
+from postproc.dialects.krl.language.names import valid
+from postproc.errors import InputError
+from postproc.files import foreign, refuse, with_record, write_whole
+from postproc.forces import read_force_csv
+from postproc.frames import RAD_PER_DEG
+from postproc.identification.experiment import read_experiment
+from postproc.identification.readings import read
+from postproc.jobs.conversion import read_program
+from postproc.jobs.inputs import find_jobs
+from postproc.jobs.outputs import protect
+from postproc.jobs.setup import load_robot
+from postproc.plan import Options, PlanResult, milling, plan_measurements
+from postproc.plan.krl_program import krl_program
+from postproc.plan.milling import TestPoses
+from postproc.plan.planning import Progress
+from postproc.plan.site import site_of
+from postproc.report.plan import plan_page
+from postproc.report.plan_data import plan_csv, plan_json
+from postproc.robot import RobotModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanRequest:
+    """What a plan is made from, and where it is written. See `plan.Options` for the numbers.
+
+    :param experiment: how it is measured: experiment.toml with [rig].
+    :param cell: of the programs.
+    :param programs: what will be milled: files, folders, patterns; or none and `poses`.
+    :param output: CSV file to write; `.src`, `.html` and `.json` beside it.
+    :param forces: CSV file of cutting forces, or a folder of such files.
+    :param poses: CSV file of test poses.
+    :param measured: readings so far.
+    :param margin: distance to keep from joint limits [deg].
+    :param overwrite: replace files that postproc did not write.
+    """
+
+    experiment: Path
+    cell: Path
+    programs: tuple[str, ...]
+    output: Path
+    forces: Path | None = None
+    poses: Path | None = None
+    measured: Path | None = None
+    configurations: int = 15
+    q2_levels: int = 5
+    grouped: bool = False
+    test_poses: int = 20
+    repeats: int = 3
+    margin: float = 5.0
+    seed: int = 0
+    overwrite: bool = False
+
+    def options(self) -> Options:
+        """Return the numbers of the plan."""
+        return Options(self.configurations, self.q2_levels, self.seed, self.grouped, self.test_poses, self.repeats)
+
+    def reads(self) -> list[Path]:
+        """Return the files that are read."""
+        given = filter(None, (self.forces, self.poses, self.measured))
+        return [self.experiment, self.cell, *given, *map(Path, self.programs)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanFiles:
+    """A plan as it was written.
+
+    :param result: the plan.
+    :param written: its files, the CSV first and the JSON last.
+    """
+
+    result: PlanResult
+    written: tuple[Path, ...]
+
+
+def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFiles:
+    """Plan measurements and write the plan, whole or not at all.
+
+    Ctrl-C ends the search; the best plan so far is written.
+
+    :param progress: told how far the work is.
+    :raises PostprocError: an input is unusable, no pose can be measured, or an output must not be written.
+    """
+    setup = read_experiment(request.experiment)
+    cell = cells.load(request.cell)
+    robot = load_robot(setup.robot, request.experiment.parent)
+    _check_same_arm(robot, load_robot(cell.robot, cell.folder))
+    site = site_of(robot, setup, request.experiment.parent, request.margin * RAD_PER_DEG)
+    tests = _test_poses(request, robot, cell)
+    data = None if request.measured is None else read(request.measured, setup)
+    folder, stem = request.output.parent, request.output.stem
+    names = csv, src, html, record = request.output.name, f"{valid(stem)}.src", f"{stem}.html", f"{stem}.json"
+    protect(request.reads(), folder, names)
+    if not request.overwrite:
+        refuse(foreign(folder, names, record))
+    with interrupts.ending_a_search():
+        result = plan_measurements(site, setup.sigma, tests, cell, request.options(), data, progress)
+    contents: dict[str, bytes | Iterable[bytes]] = {
+        csv: plan_csv(result),
+        src: krl_program(result, cell, PurePath(src).stem).to_bytes(),
+        html: plan_page(result, stem),
+    }
+    written = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
+    return PlanFiles(result, tuple(written))
+
+
+def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:
+    if request.poses is not None:
+        return milling.from_file(request.poses, robot, cell)
+    parts = []
+    for job in find_jobs(request.programs, forces=request.forces):
+        program = read_program(job.program, robot, cell, job.dialect)
+        rows = None if job.forces is None else read_force_csv(job.forces)
+        parts.append(milling.from_program(program, robot, cell, rows))
+    return milling.joined(parts)
+
+
+def _check_same_arm(measured: RobotModel, mills: RobotModel) -> None:
+    """Experiment and cell may name different models (priors, identified ones), but of one arm."""
+    one, other = measured.nominal, mills.nominal
+    if abs(one.placement - other.placement).max() > 1e-6 or abs(one.axis - other.axis).max() > 1e-6:
+        raise InputError(
+            f"the experiment is with robot {measured.name}, the cell has {mills.name}, an arm of other dimensions",
+            advice="Plan the measurements for the robot that mills.",
+        )

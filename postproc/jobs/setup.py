@@ -1,0 +1,37 @@
+"""What all programs of a run share: the cell and its robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from postproc import cell as cells
+from postproc import robot as robots
+from postproc.cell import Cell
+from postproc.jobs.outcome import Settings
+from postproc.robot import RobotModel
+
+
+def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
+    """Read the cell and its robot.
+
+    :raises CellError: the cell is unusable.
+    :raises ModelError: its robot is.
+    """
+    cell = cells.load(settings.cell)
+    if settings.tolerance_mm is not None:
+        cell = msgspec.structs.replace(
+            cell, output=msgspec.structs.replace(cell.output, tolerance_mm=settings.tolerance_mm)
+        )
+    return cell, load_robot(cell.robot, cell.folder)
+
+
+def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
+    """Read a robot model.
+
+    :param name: of a shipped robot (`postproc robots` lists them), or the path of a model folder.
+    :param relative_to: folder that the path starts from: for the robot of a cell, `cell.folder`.
+    :raises ModelError: there is none, or it is unusable.
+    """
+    return robots.load(robots.find(name, Path(relative_to)))
