@@ -57,20 +57,18 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     tools = kinematics.components(tool)
     x = elastostatics.spread(robot, q_nominal.T)
     q, theta = _solve(robot, kinematics.components(target), x, tools, np.ascontiguousarray(wrench.T))
-    pose = kinematics.product(kinematics.posture(robot.nominal, q).flange, tools)
-    return Compensation(q.T, kinematics.matrices(pose), theta.T)
+    return Compensation(q.T, kinematics.matrices(kinematics.posture(robot.nominal, q, tools).pose), theta.T)
 
 
 def _solve(robot: RobotModel, target: Array, x: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
     """Return joint angles (6, n) and deflections (nv, n); coordinates x (nv, n) to start from, poses (3, 4, n)."""
     joints, passive = np.array(robot.actuated), np.array(robot.passive, dtype=np.int64)
     for _ in range(_MAX_ITERATIONS):
-        state = kinematics.posture(robot.loaded, x, weigh=robot.has_weight)
-        pose = kinematics.product(state.flange, tool)
-        jacobian = state.jacobian(pose[:, 3])
+        state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
+        jacobian = state.jacobian()
         load = np.einsum("ikn,in->kn", jacobian, wrench)
         theta = elastostatics.springs_under(robot, x, load, elastostatics.asked(robot, x, state))
-        missed = kinematics.twist_between(pose, target)
+        missed = kinematics.twist_between(state.pose, target)
         between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
         left = np.abs(missed) + np.abs(between)
         bad = ~((left[:3].max(axis=0) <= POSITION_TOLERANCE) & (left[3:].max(axis=0) <= ROTATION_TOLERANCE))

@@ -50,12 +50,11 @@ class Balance:
         :param tool: (3, 4, n) or (3, 4, 1) in the flange frame.
         :param wrench: (6, n).
         """
-        state = kinematics.posture(robot.loaded, x, weigh=robot.has_weight)
-        pose = kinematics.product(state.flange, tool)
-        jacobian = state.jacobian(pose[:, 3])
+        state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
+        jacobian = state.jacobian()
         torque = np.einsum("ikn,in->kn", jacobian, wrench) - asked(robot, x, state) + held
         at_rest = felt(robot, held)
-        return cls(robot, x, pose, jacobian, wrench, torque, at_rest, *given_way(robot, torque, at_rest))
+        return cls(robot, x, state.pose, jacobian, wrench, torque, at_rest, *given_way(robot, torque, at_rest))
 
     def moved(self, change: Array) -> Array:
         """Return the twist (6, n) of the tool when the coordinates change by (nv, n)."""

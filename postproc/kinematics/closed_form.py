@@ -134,7 +134,7 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     chain = robot.nominal
     zero = posture(chain, np.zeros((6, 1)))
     axis, origin = (np.array([vector[:, 0] for vector in vectors]) for vectors in (zero.axis, zero.origin))
-    flange = zero.flange[..., 0]
+    flange = zero.pose[..., 0]
     up = np.array([0.0, 0.0, 1.0])
     across = axis[1]
     if abs(across @ up) > _SAME or abs(abs(axis[0] @ up) - 1.0) > _SAME:

@@ -35,7 +35,7 @@ def matrices(pose: Array) -> Array:
 
 
 def combination(columns: Sequence[Array], factors: Array) -> Array:
-    """Return Σ columns[k]·factors[k] (3, n) of three columns (3, n) and factors (3, n)."""
+    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n) and factors (k, n); nothing is done for constant 0, 1."""
     out: Array | None = None
     for column, factor in zip(columns, factors, strict=True):
         constant = float(factor[0]) if len(factor) == 1 else None
@@ -43,7 +43,7 @@ def combination(columns: Sequence[Array], factors: Array) -> Array:
             continue
         term = column if constant == 1.0 else column * factor
         out = term if out is None else out + term
-    return np.zeros((3, 1)) if out is None else out
+    return np.zeros((len(columns[0]), 1)) if out is None else out
 
 
 def product(one: Array, other: Array) -> Array:

@@ -30,8 +30,7 @@ class _Step:
     """From one joint's frame to the next: moved by `offset`, tilted about X, then the joint, which is about Z.
 
     :param offset: (3, 1) [m].
-    :param cosine: of the tilt.
-    :param sine: of the tilt.
+    :param tilt: (2, 2, 1) rows: the new Y and Z by the old ones.
     :param turn: what is added to the joint's angle [rad].
     :param turns: whether the joint turns; else it slides.
     :param mass: of the link that the joint carries [kg].
@@ -39,8 +38,7 @@ class _Step:
     """
 
     offset: Array
-    cosine: float
-    sine: float
+    tilt: Array
     turn: float
     turns: bool
     mass: float
@@ -54,20 +52,21 @@ class Posture:
     :param axis: of each of the nv joints.
     :param origin: of each joint [m].
     :param turns: whether each joint turns.
-    :param flange: (3, 4, n) [m].
+    :param pose: (3, 4, n) of the tool [m].
     :param mass: of each link [kg].
-    :param moment: mass times centre of mass of each link, where asked for [kg·m].
+    :param moment: (2, n) mass times centre of mass of each link, level, where asked for [kg·m].
     """
 
     axis: list[Array]
     origin: list[Array]
     turns: list[bool]
-    flange: Array
+    pose: Array
     mass: list[float]
     moment: list[Array]
 
-    def jacobian(self, point: Array) -> Array:
-        """Return (6, nv, n): how a point (3, n) of the last link moves and turns with each coordinate."""
+    def jacobian(self) -> Array:
+        """Return (6, nv, n): how the tool moves and turns with each coordinate."""
+        point = self.pose[:, 3]
         out = np.zeros((6, len(self.axis), point.shape[-1]))
         for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):
             if self.turns[joint]:
@@ -79,12 +78,12 @@ class Posture:
 
     def weight(self) -> Array:
         """Return ∇U_g (nv, n): torques that hold the weights of the links."""
-        out = np.zeros((len(self.axis), self.flange.shape[-1]))
+        out = np.zeros((len(self.axis), self.pose.shape[-1]))
         mass, moment = 0.0, np.zeros((2, 1))
         for joint in reversed(range(len(out))):  # what a joint carries is all behind it
             mass += self.mass[joint]
             if self.mass[joint]:
-                moment = moment + self.moment[joint][:2]
+                moment = moment + self.moment[joint]
             if mass and self.turns[joint]:
                 (x, y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
                 out[joint] = GRAVITY * (x * lever[1] - y * lever[0])
@@ -93,16 +92,21 @@ class Posture:
         return out
 
 
-def posture(chain: Chain, q: Array, *, weigh: bool = False) -> Posture:
-    """Return a chain in configurations q (nv, n) [rad, m]; `weigh`: with the moments of the masses."""
-    first, steps, flange = _steps(chain)
+def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = False) -> Posture:
+    """Return a chain in configurations.
+
+    :param q: (nv, n) coordinates [rad, m].
+    :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; the flange itself by default.
+    :param weigh: with the moments of the masses.
+    """
+    first, steps, end = _steps(chain)
+    end = end if tool is None else product(end, tool)
     frame, at = [*np.moveaxis(first, 1, 0)], np.zeros((3, 1))
-    out = Posture([], [], [step.turns for step in steps], flange, [step.mass for step in steps], [])
+    out = Posture([], [], [step.turns for step in steps], end, [step.mass for step in steps], [])
     for step, value in zip(steps, q, strict=True):
         at = at + combination(frame, step.offset)
         x, y, z = frame
-        if step.cosine != 1.0:
-            y, z = y * step.cosine + z * step.sine, z * step.cosine - y * step.sine
+        y, z = (combination((y, z), factors) for factors in step.tilt)
         out.axis.append(z)
         out.origin.append(at)
         angle = value + step.turn if step.turns else np.full(1, step.turn)
@@ -111,12 +115,12 @@ def posture(chain: Chain, q: Array, *, weigh: bool = False) -> Posture:
         sine, cosine = sine_and_cosine(angle)
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
-            out.moment.append(step.mass * (at + combination(frame, step.centre)))
-    end = np.empty((3, 4, q.shape[-1]))
+            out.moment.append(step.mass * (at[:2] + combination([level[:2] for level in frame], step.centre)))
+    pose = np.empty((3, 4, q.shape[-1]))
     for column in range(4):
-        end[:, column] = combination(frame, flange[:, column])
-    end[:, 3] += at
-    return replace(out, flange=end)
+        pose[:, column] = combination(frame, end[:, column])
+    pose[:, 3] += at
+    return replace(out, pose=pose)
 
 
 def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
@@ -127,9 +131,8 @@ def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
     :param tool: (4, 4) or (N, 4, 4) tool frame in the flange frame [m].
     :returns: pose in the root frame (N, 4, 4) [m]; Jacobian (N, 6, nv), rows: position [m], rotation [rad], root axes.
     """
-    state = posture(chain, by_coordinate(q))
-    pose = product(state.flange, components(tool))
-    return matrices(pose), np.moveaxis(state.jacobian(pose[:, 3]), -1, 0)
+    state = posture(chain, by_coordinate(q), components(tool))
+    return matrices(state.pose), np.moveaxis(state.jacobian(), -1, 0)
 
 
 def gravity_torque(chain: Chain, q: Array) -> Array:
@@ -158,17 +161,17 @@ def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
         a = float(np.arctan2(between[0, 2], -between[1, 2])) if sine > _ZERO else 0.0
         rest = _about_z(-a) @ between  # Rx(b)·Rz(c)
         turned.append((a, float(np.arctan2(-rest[0, 1], rest[0, 0]))))
-        made.append((_about_z(-a) @ offset, float(rest[2, 2]), -float(rest[1, 2])))
+        cosine, sine = rest[2, 2], -rest[1, 2]
+        made.append((_about_z(-a) @ offset, np.array([[cosine, sine], [-sine, cosine]])))
         before = upright[joint]
     steps = []
-    for joint, (offset, cosine, sine) in enumerate(made):
+    for joint, (offset, tilt) in enumerate(made):
         back = turned[joint + 1][0] if joint + 1 < chain.nv else 0.0
         centre = _about_z(-back) @ upright[joint].T @ chain.centre[joint]
         steps.append(
             _Step(
                 offset=clean(offset)[:, None],
-                cosine=float(clean(np.array(cosine))),
-                sine=float(clean(np.array(sine))),
+                tilt=clean(tilt)[..., None],
                 turn=turned[joint][1] + back,
                 turns=bool(chain.turns[joint]),
                 mass=float(chain.mass[joint]),

@@ -29,7 +29,7 @@ class Arm:
             np.array([np.broadcast_to(vector, (3, len(q))) for vector in vectors]).transpose(2, 0, 1)
             for vectors in (state.origin, state.axis)
         )
-        return Posed(origin, axis, kinematics.matrices(state.flange))
+        return Posed(origin, axis, kinematics.matrices(state.pose))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
