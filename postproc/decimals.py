@@ -66,8 +66,10 @@ def fixed(values: Array, decimals: int) -> Bytes:
     return out
 
 
-_FOUR = np.frombuffer(b"".join(b"%04d" % n for n in range(10_000)), dtype=np.uint32)
-_FOUR_STRIPPED = np.frombuffer(b"".join((b"%d" % n).rjust(4, b"\0") for n in range(10_000)), dtype=np.uint32)
+_EACH = np.arange(10_000)[:, None]
+_DIGITS = (_EACH // [1000, 100, 10, 1] % 10 + ord("0")).astype(np.uint8)
+_FOUR = _DIGITS.view(np.uint32)[:, 0]
+_FOUR_STRIPPED = (_DIGITS * (_EACH >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
 
 
 def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:

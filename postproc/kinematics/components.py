@@ -35,7 +35,7 @@ def matrices(pose: Array) -> Array:
 
 
 def combination(columns: Sequence[Array], factors: Array) -> Array:
-    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n) and factors (k, n); nothing is done for constant 0, 1."""
+    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n), factors (k, n); constant 0 and 1 cost nothing."""
     out: Array | None = None
     for column, factor in zip(columns, factors, strict=True):
         constant = float(factor[0]) if len(factor) == 1 else None
