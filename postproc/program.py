@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,12 +233,21 @@ class Event:
     text: str = ""
 
 
+class Layout(Protocol):
+    """Where the numbers of a program stand in its text: what a reader leaves for the writer of the same dialect."""
+
+    @property
+    def numbers(self) -> Array:
+        """X, Y, Z [mm], A, B, C [deg] (M, 6) of its motions as the text commands them."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
     """A program: its documents to the byte, its motions as arrays.
 
     :param name: name of the program (stem of its file); the written program gets the same.
-    :param dialect: ``"gcode"`` or ``"krl"``.
+    :param dialect: name of the format it was read from: ``"gcode"``, ``"krl"``, see `dialects.registry`.
     :param documents: the main file first (`.src`, `.nc`), then `.dat` where there is one.
     :param motions: what moves, in order.
     :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, row `motions.base[i]` for motion i [m].
@@ -247,11 +256,11 @@ class Program:
     :param events: what a G-code program does besides moving, in order (KRL keeps its text instead).
     :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
-    :param layout: what only the dialect that read the program understands (KRL: where its numbers stand).
+    :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
     name: str
-    dialect: Literal["gcode", "krl"]
+    dialect: str
     documents: tuple[Document, ...]
     motions: Motions
     bases: Array
@@ -260,7 +269,21 @@ class Program:
     events: tuple[Event, ...] = ()
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
-    layout: object = field(default=None, repr=False)
+    layout: Layout | None = field(default=None, repr=False)
+
+    @property
+    def keeps_text(self) -> bool:
+        """Whether it is commands for a robot already, and is written as it was but for the numbers of targets."""
+        return self.layout is not None
+
+    def numbers_as_written(self) -> Array:
+        """Return X, Y, Z [mm], A, B, C [deg] (M, 6) of its motions as its text commands them.
+
+        :raises ValueError: it has none in its text: it was read from G-code.
+        """
+        if self.layout is None:
+            raise ValueError("a program read from G-code does not command poses")
+        return self.layout.numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -314,9 +337,11 @@ class Written:
     :param documents: files to write, the main one (`NAME.src`) first.
     :param output_line: (K,) 1-based line of the main document on which each row of `Targets` stands
         (the motion statement; for a named point the statement that uses it).
+    :param dialect: what they are written in.
     :param issues: what the writer wants to tell.
     """
 
     documents: tuple[Document, ...]
     output_line: Ints
+    dialect: str
     issues: tuple[Issue, ...] = ()

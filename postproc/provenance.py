@@ -2,8 +2,9 @@
 
 ;POSTPROC 1 version=0.1.0 mode=corrected text=… source=… cell=… model=… forces=…
 
-1 is the number of this format. `text` is the SHA-256 of the program without this line: of its `.src`, and of its `.dat`
-behind it. The others are those of the files that it was made from; ``-`` where there was none.
+It is a comment of the program's dialect, here KRL. 1 is the number of this format. `text` is the SHA-256 of the program
+without this line: of its main file, and of the others behind it. The other sums are those of the files that it was made
+from; ``-`` where there was none.
 """
 
 from __future__ import annotations
@@ -12,15 +13,13 @@ import hashlib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 from postproc.program import Document
 
 FORMAT = 1
 State = Literal["intact", "changed", "none"]
-_LINE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*;[ \t]*POSTPROC\b([^\r\n]*)(?:\r{0,2}\n|\r|\Z)", re.IGNORECASE)
-_WORD = re.compile(r";[ \t]*(?i:POSTPROC)\b")
-_DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
 _END = re.compile(r"\r{0,2}\n|\r")
 _CONTENT = re.compile(r"\s*(\d+)((?:\s+\w+=\S+)*)\s*")
 
@@ -68,9 +67,12 @@ def digest(contents: Iterable[bytes]) -> str:
     return total.hexdigest()
 
 
-def of(documents: Sequence[Document]) -> Provenance:
-    """Return what the files of a KRL program, the `.src` first, say of where they come from."""
-    found = _lines(documents[0].text)
+def of(documents: Sequence[Document], comment: str) -> Provenance:
+    """Return what the files of a program, the main one first, say of where they come from.
+
+    :param comment: what comments begin with: ``;`` in KRL.
+    """
+    found = _lines(documents[0].text, comment)
     if not found:
         return Provenance("none")
     line = _line_at(documents[0].text, found[0].start())
@@ -82,21 +84,24 @@ def of(documents: Sequence[Document]) -> Provenance:
     return Provenance(state, said.get("mode", ""), said.get("version", ""), line)
 
 
-def marked(documents: Sequence[Document], origin: Origin) -> tuple[tuple[Document, ...], int]:
-    """Return the files of a KRL program with the line that says where they come from.
+def marked(
+    documents: Sequence[Document], origin: Origin, comment: str, head: re.Pattern[str]
+) -> tuple[tuple[Document, ...], int]:
+    """Return the files of a program with the line that says where they come from.
 
-    It stands below the first DEF, or in place of the line that an earlier run wrote.
-
-    :returns: the files, and the 1-based line from which on lines of the `.src` have moved down by one; 0 if none has.
+    :param comment: what comments begin with: ``;`` in KRL.
+    :param head: a line, its end as the group, below which the new one stands, unless an earlier run wrote one.
+    :returns: the files, and the 1-based line from which on lines of the main one have moved down by one; 0 if none
+        has.
     """
     main, *others = documents
-    old = _lines(main.text)
+    old = _lines(main.text, comment)
     if old:
         start, stop, end = old[0].start(), old[0].end(), _ending(old[0][0])
     else:
-        head = _DEF.search(main.text)
-        start = stop = head.end() if head else 0
-        end = head[1] if head else "\r\n"
+        above = head.search(main.text)
+        start = stop = above.end() if above else 0
+        end = above[1] if above else "\r\n"
     said = {
         "version": origin.version,
         "mode": origin.mode,
@@ -106,19 +111,28 @@ def marked(documents: Sequence[Document], origin: Origin) -> tuple[tuple[Documen
         "model": origin.model,
         "forces": origin.forces,
     }
-    line = f";POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
+    line = f"{comment}POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
     text = main.text[:start] + line + main.text[stop:]
     moved = 0 if old else _line_at(main.text, start)
     return (replace(main, text=text), *others), moved
 
 
-def _lines(text: str) -> list[re.Match[str]]:
+def _lines(text: str, comment: str) -> list[re.Match[str]]:
     """Return the lines that say where a program comes from."""
+    word, line = _patterns(comment)
     lines = []
-    for word in _WORD.finditer(text):  # found fast, unlike lines
-        start = max(text.rfind(end, 0, word.start()) for end in "\r\n") + 1
-        lines.append(_LINE.match(text, start))
-    return [line for line in lines if line is not None]
+    for found in word.finditer(text):  # found fast, unlike lines
+        start = max(text.rfind(end, 0, found.start()) for end in "\r\n") + 1
+        lines.append(line.match(text, start))
+    return [found for found in lines if found is not None]
+
+
+@cache
+def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
+    """Return the expressions for the word that such a line begins with, and for the line."""
+    word = rf"{re.escape(comment)}[ \t]*(?i:POSTPROC)\b"
+    line = rf"(?:\A|(?<=[\r\n]))[ \t]*{word}([^\r\n]*)(?:\r{{0,2}}\n|\r|\Z)"
+    return re.compile(word), re.compile(line)
 
 
 def _text(documents: Sequence[Document], line: re.Match[str]) -> str:

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from postproc import provenance
 from postproc.cli import main
+from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.text import decode
 from postproc.provenance import Origin
 from tests.correction.test_end_to_end import SAMPLES
@@ -116,19 +117,19 @@ def documents(text, data="DEFDAT part\nENDDAT\n"):
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r\r\n"])
 def test_marking_keeps_every_other_byte_and_the_line_ends(end):
     text = f"&ACCESS RVP{end}  def Part ( ){end};x{end}END{end}"
-    marked, moved = provenance.marked(documents(text), ORIGIN)
+    marked, moved = KRL.writer.marked(documents(text), ORIGIN)
     assert moved == 3
     (line,) = [line for line in marked[0].text.split(end) if "POSTPROC" in line]
     assert marked[0].text.replace(line + end, "") == text
-    assert provenance.of(marked) == provenance.Provenance("intact", "corrected", "9.9", 3)
-    again, moved = provenance.marked(marked, ORIGIN)
+    assert KRL.writer.origin(marked) == provenance.Provenance("intact", "corrected", "9.9", 3)
+    again, moved = KRL.writer.marked(marked, ORIGIN)
     assert (again[0].text, moved) == (marked[0].text, 0)
 
 
 def test_any_change_is_noticed_in_either_file():
     text = "DEF part( )\r\nLIN XP1\r\nEND\r\n"
-    marked, _ = provenance.marked(documents(text), ORIGIN)
-    assert provenance.of(marked).state == "intact"
+    marked, _ = KRL.writer.marked(documents(text), ORIGIN)
+    assert KRL.writer.origin(marked).state == "intact"
     src, dat = (document.text for document in marked)
     line = src.splitlines(keepends=True)[1]
     for other in (
@@ -142,7 +143,10 @@ def test_any_change_is_noticed_in_either_file():
         documents(src.replace("text=", "text=0"), dat),
         documents(src.replace(line, ";POSTPROC\r\n"), dat),
     ):
-        assert provenance.of(other).state == "changed"
-    assert provenance.of(documents(src.replace(line, line + "\r\n").replace("\r\n\r\n", "\r\n"), dat)).state == "intact"
-    assert provenance.of(documents(src.replace("1 version", "1  version"), dat)).state == "intact"
-    assert provenance.of(documents(text.replace("LIN", ";POSTPROCESSED\r\nLIN"))).state == "none"
+        assert KRL.writer.origin(other).state == "changed"
+    assert (
+        KRL.writer.origin(documents(src.replace(line, line + "\r\n").replace("\r\n\r\n", "\r\n"), dat)).state
+        == "intact"
+    )
+    assert KRL.writer.origin(documents(src.replace("1 version", "1  version"), dat)).state == "intact"
+    assert KRL.writer.origin(documents(text.replace("LIN", ";POSTPROCESSED\r\nLIN"))).state == "none"

@@ -15,8 +15,17 @@ if TYPE_CHECKING:
     from postproc.jobs import Cluster
 
 _PATH = click.Path(path_type=Path)
-_DIALECT = click.Choice(["gcode", "krl"])
 _Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
+    from postproc.dialects import registry
+    from postproc.errors import InputError
+
+    try:
+        return None if value is None else registry.by_name(value).name
+    except InputError as cause:
+        raise click.BadParameter(str(cause)) from None
 
 
 def _shared(command: _Command) -> _Command:
@@ -26,7 +35,12 @@ def _shared(command: _Command) -> _Command:
             "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
         ),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
-        click.option("--dialect", type=_DIALECT, help="How to read the input; by default the extension says it."),
+        click.option(
+            "--dialect",
+            metavar="NAME",
+            callback=_dialect,
+            help="How to read the input: gcode or krl; by default the extension says it.",
+        ),
         click.option(
             "-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside the program."
         ),
@@ -57,6 +71,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
     metavar="MM",
     help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
 )
+@click.option("--to", metavar="NAME", callback=_dialect, help="Dialect to write G-code in; default: krl.")
 @click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
 @click.option("--name", metavar="NAME", help="Name of the written program, for one PROGRAM.")
@@ -94,7 +109,6 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.dialects.krl.language.names import fault_of
     from postproc.jobs import Settings, find_jobs
 
     cluster = _cluster(more.pop("scheduler"), *(more.pop(f"tls_{file}") for file in ("ca", "cert", "key")))
@@ -105,16 +119,16 @@ def convert(
             "--forces FILE goes with one program: its line numbers belong to one. Give a folder that holds NAME.csv "
             "for each program, or write the forces into the programs as comments."
         )
-    if name is not None and (fault := fault_of(name)) is not None:
-        raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
     found = find_jobs(programs, name=name, **_of_files(more))
+    if name is not None and (fault := found[0].writer.fault_of(name)) is not None:
+        raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
     settings = Settings(mode="nominal" if nominal else "convert", **more)
     work(ctx, found, settings, as_json=as_json, workers=jobs, cluster=cluster)
 
 
 def _of_files(options: dict[str, Any]) -> dict[str, Any]:
     """Take those options away that say which files there are; the others are settings."""
-    return {name: options.pop(name) for name in ("dialect", "forces", "output")}
+    return {name: options.pop(name) for name in ("dialect", "to", "forces", "output") if name in options}
 
 
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:

@@ -117,7 +117,7 @@ def distances(program: Program, targets: Targets, corners: Corners, cell: Cell) 
     at_end = m.blend[motion]
     stop = corners.rounding(at_end) > m.rounding[motion]
     allowed = 4.0 * _SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
-    if program.dialect == "krl":
+    if program.keeps_text:
         between = np.where((at_end > 0.0) | (corners.reach <= allowed), np.inf, 0.0)
     else:
         between = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)

@@ -49,7 +49,7 @@ def unreachable(program: Program, motion: Ints, bad: Bools) -> Iterator[Issue]:
 
 
 def _turn_the_tool(program: Program) -> str:
-    return "turn the tool about its axis" + (" ([gcode] redundancy_deg)" if program.dialect == "gcode" else "")
+    return "turn the tool about its axis" + ("" if program.keeps_text else " ([gcode] redundancy_deg)")
 
 
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:

@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postproc import elastostatics, forces, kinematics, provenance, toolpath
+from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.compensation import Compensation, compensate
 from postproc.correction import blending, bounds, checks, closely, select, swings, verify
 from postproc.correction.result import Mode, Result
 from postproc.correction.root import InRoot
-from postproc.dialects import gcode, krl
+from postproc.dialects import registry
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
 from postproc.forces.per_motion import ForceRows, MotionForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath
 
@@ -38,14 +38,10 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     """Read a program.
 
     :param documents: the main file first.
-    :param dialect: ``"gcode"`` or ``"krl"``.
+    :param dialect: name of its format, see `dialects.registry`.
     :raises ProgramError: it is not understood; the message names file, line, text and what to do.
     """
-    place = InRoot.of(robot, cell)
-    if dialect == "gcode":
-        program = gcode.read(documents[0], cell, place.start_flange, name)
-    else:
-        program = krl.read_program(documents, cell, place.forward, name)
+    program = registry.by_name(dialect).read(documents, cell, InRoot.of(robot, cell).forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
     return program
@@ -83,6 +79,7 @@ def process(
     mode: Mode = "convert",
     *,
     linearize_arcs: bool = False,
+    to: str | None = None,
 ) -> Result:
     """Correct a program, or predict what it does as it stands.
 
@@ -93,9 +90,11 @@ def process(
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
         nothing: it tells what the program does as it stands, at the places where ``"convert"`` would have its targets.
     :param linearize_arcs: write arcs as lines.
+    :param to: dialect to write in; None = that of the program if it is written, else KRL.
     :returns: a result; with an issue of level error it holds no documents.
     :raises ForceError: forces that cannot be given to the motions.
     """
+    _, writer = registry.written_in(program.dialect, to)
     told = _of_origin(program, mode)
     if _blocked(told):
         return _nothing(program, robot, mode, told[0])
@@ -116,7 +115,8 @@ def process(
         if not _blocked(issues):
             carried = forces.of_targets(sampled.path, sampled.load, targets, arrive, sampled.wrench[row], place.axis)
             try:
-                text = _written(program, cell, targets, carried if program.notes and rows is None else None)
+                comments = carried if program.notes and rows is None else None
+                text = writer.write(program, targets, sampled.command.q[row], cell, comments)
             except ProgramError:
                 if mode == "predict":
                     break
@@ -153,13 +153,13 @@ def process(
     as_written = uncorrected
     documents: tuple[Document, ...] = ()
     programmed = np.zeros(len(row))
-    if program.dialect == "krl":
+    if program.keeps_text:
         programmed = blending.programmed(program, sampled.path, targets.motion)
     rounding = programmed
     output_line, printed = program.motions.line[targets.motion], xyzabc_from_pose(targets.pose)
-    if mode == "predict" and program.dialect == "krl":
+    if mode == "predict" and program.keeps_text:
         ends = targets.t == 1.0
-        printed[ends] = krl.numbers(program)[targets.motion[ends]]
+        printed[ends] = program.numbers_as_written()[targets.motion[ends]]
     if text is not None and simulated is not None:
         issues += simulated.issues
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
@@ -197,8 +197,9 @@ def process(
 
 def _of_origin(program: Program, mode: Mode) -> list[Issue]:
     """Return what there is to say about a program that postproc wrote: it is not corrected a second time."""
-    origin = provenance.of(program.documents) if program.dialect == "krl" else provenance.Provenance("none")
-    if origin.state == "none":
+    writer = registry.by_name(program.dialect).writer
+    origin = None if writer is None else writer.origin(program.documents)
+    if origin is None or origin.state == "none":
         return []
     if mode != "predict" and origin.mode != "nominal":
         message = (
@@ -210,12 +211,6 @@ def _of_origin(program: Program, mode: Mode) -> list[Issue]:
         message = f"this program was changed since postproc {origin.version} wrote it."
         return [Issue("warning", "changed-since", message, origin.line)]
     return []
-
-
-def _written(program: Program, cell: Cell, targets: Targets, comments: TargetForces | None) -> Written:
-    if program.dialect == "krl":
-        return krl.rewrite(program, targets, comments)
-    return krl.emit(program, targets, cell, comments)
 
 
 def _blocked(issues: Sequence[Issue]) -> bool:
@@ -334,11 +329,11 @@ def _checked(program: Program, place: InRoot, sampled: _Sampled) -> list[Issue]:
 def _unchanged(program: Program, sampled: _Sampled) -> tuple[Bools, Bools]:
     """Return which motions are one target whatever lies between (M,), and which end as their text says (M,).
 
-    In KRL that is those that need no correction. Where a motion starts matters to straight lines, which may then have
-    to be divided, and to circles, which are other circles then; a PTP ends where it ends.
+    Where a program keeps its text, that is those that need no correction. Where a motion starts matters to straight
+    lines, which may then have to be divided, and to circles, which are other circles then; a PTP ends where it ends.
     """
     m = program.motions
-    if program.dialect == "gcode":
+    if not program.keeps_text:
         return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
     sample = sampled.sample
     moved = largest(twist_between(sample.pose, sampled.command.pose)) > _UNCHANGED
@@ -392,13 +387,13 @@ def _targets(program: Program, place: InRoot, sampled: _Sampled, linearize_arcs:
 
 
 def _status_and_turn(program: Program, place: InRoot, row: Ints, motion: Ints, q: Array) -> tuple[Ints, Ints]:
-    """Return S and T of PTP targets: always for G-code; for KRL where the program gives them."""
+    """Return S and T of PTP targets: of a program that keeps its text where it gives them, else always."""
     m = program.motions
     status, turn = np.full(len(row), -1), np.full(len(row), -1)
     ptp = np.flatnonzero(m.kind[motion] == PTP)
     if len(ptp):
         new_status, new_turn = kinematics.status_of(place.robot, q[row[ptp]]), kinematics.turn_of(q[row[ptp]])
-        if program.dialect == "gcode":
+        if not program.keeps_text:
             status[ptp], turn[ptp] = new_status, new_turn
         else:
             given, given_turn = m.status[motion[ptp]], m.turn[motion[ptp]]

@@ -15,7 +15,7 @@ from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.chunks import in_chunks
 from postproc.correction import blending, checks
 from postproc.correction.root import InRoot
-from postproc.dialects import krl
+from postproc.dialects import registry
 from postproc.errors import Issue, NotConvergedError, ProgramError
 from postproc.forces import MotionForces
 from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
@@ -91,7 +91,7 @@ def simulate(
     :param corrected: the program claims to hold the tolerance.
     """
     try:
-        written = krl.read_program(text.documents, place.cell, place.forward, program.name)
+        written = registry.by_name(text.dialect).read(text.documents, place.cell, place.forward, program.name)
     except ProgramError as cause:
         message = f"the written program cannot be read back ({cause.problem}): a fault of postproc, please report it"
         return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))
@@ -100,7 +100,7 @@ def simulate(
     mismatch = _mismatch(program, targets, written, row)
     if mismatch is not None:
         return _unusable(targets, mismatch)
-    printed = krl.numbers(written)[row]
+    printed = written.numbers_as_written()[row]
     written = replace(written, documents=(), layout=None)  # the text is done with: its places fill much memory
     written_path = toolpath.segments(written, place.start_flange)
     correction = targets.pose[:, :3, 3] - ends
@@ -153,7 +153,7 @@ def simulate(
     issues: list[Issue] = []
     if corrected:
         issues += _not_held(program, place, targets, after, motion, distance, settled, jump)
-        if program.dialect == "krl":
+        if program.keeps_text:
             more = rounding - blending.programmed(program, path, targets.motion)
             issues += checks.blending(program, targets.motion, more, place.tolerance)
     bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance) & ~jump

@@ -7,7 +7,7 @@ with them only.
 
 from postproc.jobs.cluster import Cluster
 from postproc.jobs.conversion import convert_one, read_program
-from postproc.jobs.inputs import DIALECTS, dialect_of, find_jobs, read_documents
+from postproc.jobs.inputs import find_jobs, read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Outcome, Settings
 from postproc.jobs.outputs import left
@@ -15,7 +15,6 @@ from postproc.jobs.run import convert_all, convert_program
 from postproc.jobs.setup import load_robot, load_setup
 
 __all__ = [
-    "DIALECTS",
     "Cluster",
     "Job",
     "Outcome",
@@ -23,7 +22,6 @@ __all__ = [
     "convert_all",
     "convert_one",
     "convert_program",
-    "dialect_of",
     "find_jobs",
     "left",
     "load_robot",

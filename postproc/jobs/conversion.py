@@ -12,13 +12,12 @@ from pathlib import Path
 from postproc import correction, files, interrupts, report
 from postproc.cell import Cell
 from postproc.correction import Result
-from postproc.dialects import krl
-from postproc.dialects.krl.language.names import fault_of
+from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError
 from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
 from postproc.jobs import outputs
-from postproc.jobs.inputs import dialect_of, read_documents
+from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.marking import marked
 from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
@@ -35,7 +34,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
 
     :raises KeyboardInterrupt: nothing was written.
     """
-    name = job.stem if job.dialect == "gcode" else None
+    name = None if job.keeps_text else job.stem
     return converted(job, settings, cell, robot, lambda: read_program(job.program, robot, cell, job.dialect, name))
 
 
@@ -70,12 +69,12 @@ def read_program(
     :param path: of the main file.
     :param robot: with the cell, fixes where the program starts.
     :param cell: frames and settings.
-    :param dialect: ``"gcode"`` or ``"krl"``; None = by the extension.
+    :param dialect: name of its format; None = by the extension.
     :param name: of the program; None = that of the file.
     :raises ProgramError: it is not understood; the message names the file by its path.
     """
     path = Path(path)
-    dialect = dialect or dialect_of(path)
+    dialect = dialect or registry.of_file(path).name
     documents = read_documents(path, dialect)
     try:
         return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)
@@ -97,13 +96,16 @@ def _no_collection() -> Iterator[None]:
 
 def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program) -> Result:
     rows = None if job.forces is None else read_force_csv(job.forces)
-    result = correction.process(program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs)
-    if job.dialect == "krl" and job.name is not None:
-        result = replace(result, documents=krl.renamed(result.documents, job.name))
+    result = correction.process(
+        program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs, to=job.to
+    )
+    if job.keeps_text and job.name is not None:
+        result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)
-    fault = fault_of(job.program.stem)
-    if settings.mode != "predict" and job.dialect == "gcode" and fault is not None:
-        note = f"written as {job.stem}.src: the controller does not accept the name {job.program.stem!r}, {fault}."
+    fault = job.writer.fault_of(job.program.stem)
+    if settings.mode != "predict" and not job.keeps_text and fault is not None:
+        written = f"{job.stem}{job.writer.extension}"
+        note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
     return result
 

@@ -7,17 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from postproc.dialects.krl.language.names import valid
+from postproc.dialects import registry
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, ProgramError
-from postproc.jobs.job import Job, data_beside
+from postproc.jobs.job import Job
 from postproc.program import Document
-
-DIALECTS = {
-    **dict.fromkeys((".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), "gcode"),
-    ".src": "krl",
-}
-"""File extension (lower case) → dialect."""
 
 
 def find_jobs(
@@ -27,6 +21,7 @@ def find_jobs(
     forces: Path | None = None,
     output: Path | None = None,
     name: str | None = None,
+    to: str | None = None,
 ) -> list[Job]:
     """Return a job for each program that files, folders and glob patterns name: sorted, each once.
 
@@ -35,8 +30,10 @@ def find_jobs(
     :param dialect: how to read all of them; None = by extension.
     :param forces: CSV file (for one program), or a folder that holds NAME.csv or NAME.forces.csv for each.
     :param output: folder to write into; None = a folder `corrected` beside each program.
-    :param name: of the written program, for one program; None = that of the file, for G-code made valid.
-    :raises InputError: an input names nothing or no known kind of program, or the name cannot be given.
+    :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
+    :param to: dialect to write in; None = that of the program if it is written, else KRL.
+    :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, or
+        the name cannot be given.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     csv = _forces_for(programs, forces)
@@ -47,34 +44,20 @@ def find_jobs(
         if any("\ud800" <= letter <= "\udfff" for letter in path.name):  # what Python makes of bytes that are no text
             raise InputError("its name is not UTF-8", file=str(path), advice="Rename the file.")
         folder = path.parent / "corrected" if output is None else output
-        how = dialect or dialect_of(path)
-        written = valid(path.stem) if name is None and how == "gcode" else name
-        jobs.append(Job(path, how, folder, csv[path], written))
+        read_as = dialect or registry.of_file(path).name
+        written_as, writer = registry.written_in(read_as, to)
+        made = writer.valid(path.stem) if name is None and written_as != read_as else name
+        jobs.append(Job(path, read_as, folder, csv[path], made, to))
     return jobs
 
 
-def dialect_of(path: Path) -> str:
-    """Return the dialect that the extension of a file stands for.
-
-    :raises ProgramError: the extension is not known.
-    """
-    found = DIALECTS.get(path.suffix.lower())
-    if found is None:
-        advice = f"Known extensions: {' '.join(DIALECTS)}. Otherwise say how to read it with --dialect gcode or krl."
-        if path.suffix.lower() == ".dat":
-            advice = "Give the .src file; the .dat beside it is read with it."
-        raise ProgramError(f"unknown kind of program {path.suffix!r}", file=str(path), advice=advice)
-    return found
-
-
 def read_documents(path: Path, dialect: str) -> list[Document]:
-    """Read the files of a program: the main file, and for KRL the `.dat` beside it (in any case) if there is one.
+    """Read the files of a program: the main file, and the one beside it that goes with it, as the `.dat` of KRL.
 
+    :param dialect: name of its format.
     :raises ProgramError: a file cannot be read, is empty or binary.
     """
-    paths = [path]
-    if dialect == "krl":
-        paths += data_beside(path)[:1]
+    paths = [path, *registry.by_name(dialect).companions(path)[:1]]
     return [replace(decode(one.name, _bytes(one)), folder=str(one.parent)) for one in paths]
 
 
@@ -89,16 +72,17 @@ def _bytes(path: Path) -> bytes:
 
 def _expand(name: str, dialect: str | None) -> Iterator[Path]:
     path = Path(name)
+    known = registry.extensions() if path.is_dir() or glob.has_magic(name) else {}
     if path.is_dir():
-        found = [file for file in path.iterdir() if file.is_file() and file.suffix.lower() in DIALECTS]
+        found = [file for file in path.iterdir() if file.is_file() and file.suffix.lower() in known]
         if not found:
-            raise InputError("no program in this folder", file=name, advice=f"Looked for {' '.join(DIALECTS)}.")
+            raise InputError("no program in this folder", file=name, advice=f"Looked for {' '.join(known)}.")
         yield from sorted(found)
     elif not path.exists() and glob.has_magic(name):
         matches = [Path(match) for match in glob.glob(name, recursive=True)]  # noqa: PTH207 - also absolute patterns
-        found = [file for file in matches if file.is_file() and (dialect or file.suffix.lower() in DIALECTS)]
+        found = [file for file in matches if file.is_file() and (dialect or file.suffix.lower() in known)]
         if not found:
-            raise InputError("the pattern matches no program", file=name, advice=f"Looked for {' '.join(DIALECTS)}.")
+            raise InputError("the pattern matches no program", file=name, advice=f"Looked for {' '.join(known)}.")
         yield from sorted(found)
     else:
         yield path

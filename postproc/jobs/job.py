@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from postproc.correction import Mode
+from postproc.dialects import Writer, registry
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,10 +14,11 @@ class Job:
     """One program to work on.
 
     :param program: its file.
-    :param dialect: ``"gcode"`` or ``"krl"``.
+    :param dialect: name of the format to read it in.
     :param output: folder to write into.
     :param forces: CSV file with its forces, or None.
     :param name: of the written program, and of the files beside it; None = that of the file.
+    :param to: name of the format to write it in; None = its own if that is written, else KRL.
     """
 
     program: Path
@@ -25,6 +26,12 @@ class Job:
     output: Path
     forces: Path | None = None
     name: str | None = None
+    to: str | None = None
+
+    @property
+    def keeps_text(self) -> bool:
+        """Whether the program is written as it was but for its numbers, see `Program.keeps_text`."""
+        return registry.written_in(self.dialect, self.to)[0] == self.dialect
 
     @property
     def stem(self) -> str:
@@ -33,8 +40,8 @@ class Job:
 
     def reads(self) -> list[Path]:
         """Return the files that are read for this program, beside the cell."""
-        data = data_beside(self.program) if self.dialect == "krl" else []
-        return [self.program, *data, *([] if self.forces is None else [self.forces])]
+        beside = registry.by_name(self.dialect).companions(self.program)
+        return [self.program, *beside, *([] if self.forces is None else [self.forces])]
 
     def report(self, mode: Mode) -> str:
         """Return the name of the report that says what was written (`report.json`)."""
@@ -48,18 +55,12 @@ class Job:
             return reports
         if self.forces is not None:
             reports.insert(1, f"{report}forces.csv")
-        if self.dialect == "krl":
-            files = [self.program, *data_beside(self.program)[:1]]
+        if self.keeps_text:
+            files = [self.program, *registry.by_name(self.dialect).companions(self.program)[:1]]
             return [*(path.name if self.name is None else f"{self.name}{path.suffix}" for path in files), *reports]
-        return [f"{self.stem}.src", *reports]
+        return [f"{self.stem}{self.writer.extension}", *reports]
 
-
-def data_beside(path: Path) -> list[Path]:
-    """Return the `.dat` files beside a KRL program, letters of any case; the one that belongs to it first."""
-    try:
-        names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
-    except OSError:
-        return []
-    wanted = f"{path.stem}.dat".lower()
-    found = [path.with_name(name) for name in names if name.lower() == wanted]
-    return sorted(found, key=lambda other: (other.stem != path.stem, other.name))
+    @property
+    def writer(self) -> Writer:
+        """What writes the program."""
+        return registry.written_in(self.dialect, self.to)[1]

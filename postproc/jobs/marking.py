@@ -28,6 +28,6 @@ def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
         model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
         forces="-" if job.forces is None else provenance.digest([job.forces.read_bytes()]),
     )
-    documents, moved = provenance.marked(result.documents, origin)
+    documents, moved = job.writer.marked(result.documents, origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from postproc import provenance
 from postproc.correction import Mode
+from postproc.dialects import registry
 from postproc.errors import InputError, ProgramError
 from postproc.files import foreign, listed, refuse
 from postproc.jobs.inputs import read_documents
@@ -102,10 +102,10 @@ def _marked(job: Job, mode: Mode) -> list[str]:
     if mode == "predict" or not program.is_file():
         return []
     try:
-        documents = read_documents(program, "krl")
+        documents = read_documents(program, registry.written_in(job.dialect, job.to)[0])
     except ProgramError:
         return []
-    return [document.name for document in documents] if provenance.of(documents).state == "intact" else []
+    return [document.name for document in documents] if job.writer.origin(documents).state == "intact" else []
 
 
 def _unused(path: Path) -> Path:

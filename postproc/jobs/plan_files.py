@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from postproc import cell as cells
 from postproc import interrupts
 from postproc.cell import Cell
-from postproc.dialects.krl.language.names import valid
+from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.forces import read_force_csv
@@ -99,7 +99,12 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     tests = _test_poses(request, robot, cell)
     data = None if request.measured is None else read(request.measured, setup)
     folder, stem = request.output.parent, request.output.stem
-    names = csv, src, html, record = request.output.name, f"{valid(stem)}.src", f"{stem}.html", f"{stem}.json"
+    names = csv, src, html, record = (
+        request.output.name,
+        f"{KRL.writer.valid(stem)}.src",
+        f"{stem}.html",
+        f"{stem}.json",
+    )
     protect(request.reads(), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, record))

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from postproc import interrupts
-from postproc.dialects.krl.language.names import valid
+from postproc.dialects import registry
 from postproc.files import remove_leftovers
 from postproc.jobs import outputs
 from postproc.jobs.cluster import Cluster, convert_on_cluster
@@ -64,7 +64,8 @@ def convert_program(program: Program, settings: Settings, output: Path, forces: 
     :returns: what came of it; whatever is wrong with the program is told there.
     :raises PostprocError: the cell or the robot is unusable, or an output must not be written.
     """
-    job = Job(Path(program.documents[0].name), program.dialect, output, forces, valid(program.name))
+    _, writer = registry.written_in(program.dialect)
+    job = Job(Path(program.documents[0].name), program.dialect, output, forces, writer.valid(program.name))
     with interrupts.held_back():
         with interrupts.heard():
             outputs.check([job], settings.cell, settings.mode, overwrite=settings.overwrite)

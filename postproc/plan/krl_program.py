@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from postproc.cell import Cell
+from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.plan.measurement_plan import PlanResult
 from postproc.program import Document
 
 _SPEED_PERCENT = 10
+_DECIMALS = 3
 
 
 def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
@@ -17,35 +17,29 @@ def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
 
     :param name: of the program, as KRL allows it.
     """
-    start = [float(angle) for angle in cell.start.joints]
-    lines = ["&ACCESS RVP", "&REL 1", f"DEF {name}( )"]
-    if cell.output.controller == "KRC2":
-        lines.append("EXT BAS (BAS_COMMAND :IN,REAL :IN )")
-    lines += [
+    lines = [
+        *head(name, cell.output.controller),
         f";{len(result.plan)} poses to measure, in the order of least travel (postproc plan)",
         ";Run it in T1: ways between the poses were checked by coarse shapes only.",
         "BAS (#INITMOV,0 )",
         f"BAS (#VEL_PTP,{_SPEED_PERCENT} )",
-        _ptp(start),
+        axis_motion(cell.start.joints, _DECIMALS),
     ]
     for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
         lines += [
-            _ptp(angles) + " ;on the way, the straight one is blocked" for angles in result.via[row] * DEG_PER_RAD
+            axis_motion(angles, _DECIMALS) + " ;on the way, the straight one is blocked"
+            for angles in result.via[row] * DEG_PER_RAD
         ]
         if row in result.blocked:
             lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
         lines += [
             f";configuration {row + 1}: load {_vector(force)} N, root axes, at the load point",
-            _ptp(angles),
+            axis_motion(angles, _DECIMALS),
             "HALT ;measure all points WITHOUT load, then put the load on",
             "HALT ;measure all points WITH load, then take the load off",
         ]
-    lines += [_ptp(start), "END", ""]
-    return Document(f"{name}.src", "\r\n".join(lines), "cp1252")
-
-
-def _ptp(angles: Sequence[float] | Array) -> str:
-    return "PTP {" + ",".join(f"A{axis} {angle + 0.0:.3f}" for axis, angle in enumerate(angles, 1)) + "}"
+    lines.append(axis_motion(cell.start.joints, _DECIMALS))
+    return document(name, lines)
 
 
 def _vector(force: Array) -> str:

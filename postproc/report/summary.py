@@ -10,6 +10,7 @@ import numpy as np
 
 from postproc import provenance
 from postproc.correction import Mode, Result, Statistics, statistics
+from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
@@ -158,7 +159,8 @@ def _blending(result: Result) -> Blending:
 
 
 def _origin(result: Result) -> Origin:
-    said = provenance.of(result.program.documents) if result.program.dialect == "krl" else None
+    writer = registry.by_name(result.program.dialect).writer
+    said = None if writer is None else writer.origin(result.program.documents)
     if said is None or said.state == "none":
         return {"state": "none", "mode": None, "version": None}
     return {"state": said.state, "mode": said.mode or None, "version": said.version or None}

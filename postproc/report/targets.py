@@ -10,6 +10,7 @@ from postproc import decimals
 from postproc.chunks import chunks
 from postproc.correction import Result
 from postproc.decimals import Bytes
+from postproc.dialects import registry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Bools, Ints
 
@@ -24,8 +25,6 @@ COLUMNS = (
 """Columns of the file, in order."""
 
 _NOMINAL = (6, 6, 6, 6, 6, 6)
-_COMMAND = {"gcode": (4, 4, 4, 5, 5, 5), "krl": (6, 6, 6, 6, 6, 6)}
-"""Decimals of commanded poses by dialect: those of the KRL written from G-code; the most that KRL input has."""
 _WRENCH = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 
@@ -36,12 +35,13 @@ def targets_csv(result: Result) -> Iterator[bytes]:
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
     """
     m = result.program.motions
+    places = registry.by_name(result.program.dialect).command_decimals
     yield (",".join(COLUMNS) + "\n").encode()
     for part in chunks(len(result)):
         motion = result.motion[part]
         yield _rows(
             (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
-            (result.nominal[part], result.printed[part], _COMMAND[result.program.dialect], result.wrench[part]),
+            (result.nominal[part], result.printed[part], places, result.wrench[part]),
             (result.deflection[part], norm(result.deviation_before[part]), norm(result.deviation_after[part])),
             None if result.bound is None else result.bound[part],
             result.q[part],

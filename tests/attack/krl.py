@@ -142,7 +142,7 @@ def attempt(seed, folder):
         except Invalid:
             continue
         runs += 1
-        compare(program, done, krl.numbers(program), m.joints, m.kind, 1e-6, m.line)
+        compare(program, done, program.numbers_as_written(), m.joints, m.kind, 1e-6, m.line)
     if not runs:
         return "invalid"
     wanted = moved(program, rng)

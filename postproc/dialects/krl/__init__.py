@@ -5,8 +5,7 @@ written = krl.rewrite(program, targets)       # the same text with new numbers
 written = krl.emit(program, targets, cell)    # a new program, from G-code
 """
 
-from postproc.dialects.krl.layout import numbers
 from postproc.dialects.krl.read import read_program
 from postproc.dialects.krl.write import emit, renamed, rewrite
 
-__all__ = ["emit", "numbers", "read_program", "renamed", "rewrite"]
+__all__ = ["emit", "read_program", "renamed", "rewrite"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.frames import Array
-from postproc.program import Bools, Ints, Program
+from postproc.program import Bools, Ints
 
 Offsets = NDArray[np.int32]
 
@@ -55,13 +55,3 @@ class Layout:
     public: frozenset[str]
     understood: frozenset[int]
     triggers: tuple[Trigger, ...]
-
-
-def numbers(program: Program) -> Array:
-    """Return X, Y, Z [mm], A, B, C [deg] (M, 6) of a KRL program's motions as its text has them.
-
-    :raises TypeError: the program was not read from KRL.
-    """
-    if not isinstance(program.layout, Layout):
-        raise TypeError("only a program read from KRL has numbers in its text")
-    return program.layout.numbers

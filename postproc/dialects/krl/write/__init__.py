@@ -1,7 +1,8 @@
 """KRL out: a program as it was with other numbers, or a new one."""
 
 from postproc.dialects.krl.write.emit import emit
+from postproc.dialects.krl.write.frame import axis_motion, document, head
 from postproc.dialects.krl.write.renaming import renamed
 from postproc.dialects.krl.write.rewrite import rewrite
 
-__all__ = ["emit", "renamed", "rewrite"]
+__all__ = ["axis_motion", "document", "emit", "head", "renamed", "rewrite"]

@@ -72,7 +72,7 @@ class _Rewriter:
         """Make all edits and return the documents."""
         last, keep = self.last, self.targets.keep
         if (last & keep).all():
-            return Written(self.program.documents, self.program.motions.line[self.row])
+            return Written(self.program.documents, self.program.motions.line[self.row], "krl")
         self.wanted = wanted(self.program.motions, self.layout, self.targets, self.text)
         self.statements = Statements(self.source, self.layout, self.targets, self.wanted)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
@@ -93,7 +93,7 @@ class _Rewriter:
             replace(document, text=changes.applied(document.text)) if changes else document
             for document, changes in zip(self.program.documents, self.edits, strict=True)
         )
-        return Written(documents, output_line, group_issues(self.issues))
+        return Written(documents, output_line, "krl", group_issues(self.issues))
 
     def _added(self) -> Bools:
         """Return which targets get components that their text lacks, (K,)."""

@@ -1,0 +1,141 @@
+"""The program formats there are: our own, and those of other packages, imported when they are asked for.
+
+Another package adds one by an entry point, whose object fulfils `dialect.Dialect`:
+
+    [project.entry-points."postproc.dialects"]
+    fanuc = "my_package.fanuc:FANUC"
+
+One that cannot be imported stops nothing: it says why where it is asked for, and where an extension is not known.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+from postproc.dialects.dialect import Dialect, Writer
+from postproc.errors import InputError, ProgramError
+
+GROUP = "postproc.dialects"
+_ASKED = ("name", "extensions", "command_decimals", "writer", "companions", "read")
+_OURS = {
+    "gcode": "postproc.dialects.gcode.dialect:GCODE",
+    "krl": "postproc.dialects.krl.dialect:KRL",
+}
+_WRITTEN = "krl"
+"""What a program becomes whose own dialect is not written."""
+_NO_PROGRAMS = {
+    ".dat": "the data of a KRL program. Give the .src file; the .dat beside it is read with it.",
+    ".sub": "a KRL submit program, which moves no robot. Give the .src file of the part.",
+    ".h": "conversational code of a Heidenhain control. Have the CAM system post-process the part as plain G-code.",
+    ".cls": "a cutter location file. Have the CAM system post-process the part as plain G-code.",
+    ".apt": "an APT source. Have the CAM system post-process the part as plain G-code.",
+    ".ls": "a FANUC program. Have the CAM system post-process the part as plain G-code.",
+}
+"""Extensions of files that are no programs to read: what they are, and what to do."""
+_NO_PROGRAMS |= dict.fromkeys((".cl", ".aptsource", ".cldata", ".clf"), _NO_PROGRAMS[".cls"])
+
+
+def by_name(name: str) -> Dialect:
+    """Return a dialect.
+
+    :raises InputError: there is none of that name, or the package that has it cannot be used.
+    """
+    if name in _OURS:
+        return _ours(name)
+    found = _others().get(name)
+    if found is None:
+        raise InputError(f"unknown dialect {name!r}", advice=f"There are {', '.join(names())}.")
+    if isinstance(found, str):
+        raise InputError(f"the dialect {name!r} cannot be used: {found}", advice="Mend or remove its package.")
+    return found
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all dialects that can be used: our own first."""
+    return (*_OURS, *(name for name, found in _others().items() if not isinstance(found, str)))
+
+
+def broken() -> dict[str, str]:
+    """Return the dialects of other packages that cannot be used, and why."""
+    return {name: found for name, found in _others().items() if isinstance(found, str)}
+
+
+def extensions() -> dict[str, str]:
+    """Return the extension of every kind of program (lower case) and the name of its dialect; ours win."""
+    dialects = [by_name(name) for name in reversed(names())]
+    found = {extension: dialect.name for dialect in dialects for extension in dialect.extensions}
+    return dict(reversed(found.items()))
+
+
+def of_file(path: Path) -> Dialect:
+    """Return the dialect that the extension of a file stands for.
+
+    :raises ProgramError: the extension is not known.
+    """
+    extension = path.suffix.lower()
+    for name in _OURS:
+        if extension in _ours(name).extensions:
+            return _ours(name)
+    known = extensions()
+    if extension in known:
+        return by_name(known[extension])
+    if extension in _NO_PROGRAMS:
+        what, _, advice = _NO_PROGRAMS[extension].partition(". ")
+        raise ProgramError(f"this is {what}", file=str(path), advice=advice)
+    advice = f"Known extensions: {' '.join(known)}. Otherwise say how to read it with --dialect {' or '.join(names())}."
+    advice += "".join(f" The dialect {name} cannot be used: {reason}." for name, reason in broken().items())
+    raise ProgramError(f"unknown kind of program {path.suffix!r}", file=str(path), advice=advice)
+
+
+def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
+    """Return in which dialect a program is written, and by what.
+
+    :param dialect: of the program.
+    :param to: in which it is wanted; None = its own if that is written, else KRL.
+    :raises InputError: it cannot be written so.
+    """
+    own = by_name(dialect).writer
+    if own is not None:
+        if to not in (None, dialect):
+            raise InputError(
+                f"a program in {dialect} is written in {dialect} again, not in {to}",
+                advice="Post-process the part as G-code for another controller.",
+            )
+        return dialect, own
+    name = _WRITTEN if to is None else to
+    writer = by_name(name).writer
+    if writer is None:
+        known = [other for other in names() if by_name(other).writer is not None]
+        raise InputError(f"{name} is only read, not written", advice=f"Written are {', '.join(known)}.")
+    return name, writer
+
+
+@cache
+def _ours(name: str) -> Dialect:
+    module, _, attribute = _OURS[name].partition(":")
+    found: Dialect = getattr(import_module(module), attribute)
+    return found
+
+
+@cache
+def _others() -> dict[str, Dialect | str]:
+    """Return the dialects of other packages by name, or why one of them cannot be used."""
+    return {entry.name: _other(entry) for entry in entry_points(group=GROUP) if entry.name not in _OURS}
+
+
+def _other(entry: EntryPoint) -> Dialect | str:
+    whose = f"of {entry.dist.name} {entry.dist.version}" if entry.dist else f"({entry.value})"
+    try:
+        found = entry.load()
+    except Exception as cause:  # whatever another package does wrong
+        return f"the import {whose} fails ({type(cause).__name__}: {cause})"
+    lacking = [name for name in _ASKED if not hasattr(found, name)]
+    if lacking:
+        return f"the entry point {whose} is no dialect, it has no {', '.join(lacking)}"
+    if found.name != entry.name:
+        return f"the entry point {whose} calls itself {found.name!r}"
+    dialect: Dialect = found
+    return dialect

@@ -1,0 +1,136 @@
+"""Dialects by name and by extension; those of other packages, also broken ones."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc import jobs
+from postproc.cli import main
+from postproc.dialects import registry
+from postproc.errors import InputError, ProgramError
+
+
+@pytest.fixture
+def others(monkeypatch):
+    """Return a function that pretends that other packages are installed."""
+
+    def pretend(**places: str) -> None:
+        found = [EntryPoint(name, place, registry.GROUP) for name, place in places.items()]
+        monkeypatch.setattr(registry, "entry_points", lambda group: [entry for entry in found if entry.group == group])
+        registry._others.cache_clear()
+
+    yield pretend
+    registry._others.cache_clear()
+
+
+FANUC = """
+from postproc.dialects.gcode.dialect import GCode
+
+class Fanuc(GCode):
+    name = "fanuc"
+    extensions = (".fan", ".nc")
+
+FANUC = Fanuc()
+NAMED_OTHERWISE = GCode()
+NONE = object()
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Put a module `somebodys_dialects` where it can be imported."""
+    (tmp_path / "somebodys_dialects.py").write_text(FANUC)
+    (tmp_path / "somebodys_broken.py").write_text("import no_such_module_at_all\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    sys.modules.pop("somebodys_dialects", None)
+
+
+def test_every_dialect_of_ours_is_what_it_is_called():
+    for name in registry.names():
+        assert registry.by_name(name).name == name
+        assert all(
+            extension[0] == "." and extension == extension.lower() for extension in registry.by_name(name).extensions
+        )
+
+
+def test_no_extension_means_two_dialects():
+    given = [extension for name in registry.names() for extension in registry.by_name(name).extensions]
+    assert sorted(given) == sorted(registry.extensions())
+
+
+def test_a_dialect_of_another_package_is_found_by_name_and_extension_and_does_not_replace_ours(package, others):
+    others(fanuc="somebodys_dialects:FANUC", gcode="somebodys_dialects:NONE")
+    assert registry.by_name("fanuc").name == "fanuc"
+    assert registry.of_file(Path("a.FAN")).name == "fanuc"
+    assert registry.of_file(Path("a.nc")).name == "gcode"
+    assert registry.extensions()[".nc"] == "gcode"
+    assert registry.by_name("gcode").extensions[0] == ".nc"
+    assert "fanuc" in registry.names()
+
+
+def test_a_program_of_another_packages_dialect_is_a_job(package, others, tmp_path):
+    others(fanuc="somebodys_dialects:FANUC")
+    (tmp_path / "part.fan").write_text("G1 X1\n")
+    (job,) = jobs.find_jobs([str(tmp_path)])
+    assert (job.dialect, job.writes("convert")[0]) == ("fanuc", "part.src")
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ("somebodys_broken:X", "No module named 'no_such_module_at_all'"),
+        ("somebodys_dialects:NO_SUCH", "AttributeError"),
+        ("somebodys_dialects:NONE", "it has no name, extensions"),
+        ("somebodys_dialects:NAMED_OTHERWISE", "calls itself 'gcode'"),
+    ],
+)
+def test_a_broken_one_says_why_and_stops_nothing(package, others, place, reason):
+    others(fanuc="somebodys_dialects:FANUC", broken=place)
+    assert registry.of_file(Path("a.fan")).name == "fanuc"
+    assert "broken" not in registry.names()
+    assert reason in registry.broken()["broken"]
+    with pytest.raises(InputError, match="'broken' cannot be used") as caught:
+        registry.by_name("broken")
+    assert reason in str(caught.value)
+    with pytest.raises(ProgramError, match="unknown kind of program") as unknown:
+        registry.of_file(Path("a.xyz"))
+    assert reason in str(unknown.value)
+
+
+def test_a_broken_one_asked_for_on_the_command_line_is_wrong_usage(package, others):
+    others(broken="somebodys_broken:X")
+    done = CliRunner().invoke(main, ["convert", "a.nc", "--cell", "cell.toml", "--dialect", "broken"])
+    assert done.exit_code == 2
+    assert "no_such_module_at_all" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("part.dat", "Give the .src"),
+        ("part.h", "Heidenhain"),
+        ("part.cls", "plain G-code"),
+        ("part.APT", "plain G-code"),
+    ],
+)
+def test_a_file_that_is_no_program_to_read_is_named_and_says_what_to_do(name, words):
+    with pytest.raises(ProgramError) as caught:
+        registry.of_file(Path(name))
+    assert words in str(caught.value)
+    assert name in str(caught.value)
+
+
+def test_what_is_written_in_which_dialect():
+    assert registry.written_in("gcode")[0] == "krl"
+    assert registry.written_in("krl")[0] == "krl"
+    assert registry.written_in("gcode", "krl")[0] == "krl"
+    with pytest.raises(InputError, match="gcode is only read"):
+        registry.written_in("gcode", "gcode")
+    with pytest.raises(InputError, match="written in krl again, not in gcode"):
+        registry.written_in("krl", "gcode")
