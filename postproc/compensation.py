@@ -5,7 +5,7 @@ g_actual(q + θ(q, F)). Off-line compensation (paper, Fig. 1) looks for the pose
 position and orientation, to convergence.
 
 Because the actual coordinates x = q + θ at the target are known from inverse kinematics of the ACTUAL geometry, the
-load on each spring is known too, and with it θ (`elastostatics.springs_under`): where the geometry is nominal and only
+load on each spring is known too, and with it θ (`elastostatics.springs_at`): where the geometry is nominal and only
 the joints give way, one evaluation solves the problem. Else Newton's steps move the joints to the target, and the
 coordinates between the joints to what their springs give way.
 """
@@ -67,7 +67,7 @@ def _solve(robot: RobotModel, target: Array, x: Array, tool: Array, wrench: Arra
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
         load = np.einsum("ikn,in->kn", jacobian, wrench)
-        theta = elastostatics.springs_under(robot, x, load, elastostatics.asked(robot, x, state))
+        theta = elastostatics.springs_at(robot, x, load, elastostatics.asked(robot, x, state))
         missed = kinematics.twist_between(state.pose, target)
         between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
         left = np.abs(missed) + np.abs(between)

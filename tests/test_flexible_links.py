@@ -59,9 +59,11 @@ def test_inverse_and_compensation_undo_the_deflection(in_gears, reference):
     model = flexible(gravity=Gravity(reference, in_gears))
     q, wrench = cases()
     found = elastostatics.deflect(model, q, TOOL, wrench)
-    x = elastostatics.coordinates(model, q) + found.theta
-    _, jacobian = kinematics.tcp(model.loaded, x, TOOL)
-    np.testing.assert_allclose(elastostatics.springs_at(model, x, jacobian, wrench), found.theta, atol=2e-8)
+    x = (elastostatics.coordinates(model, q) + found.theta).T
+    stands = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
+    load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
+    theta = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, stands))
+    np.testing.assert_allclose(theta, found.theta.T, atol=2e-8)
     target = kinematics.tcp(model.nominal, q, TOOL)[0]
     command = compensation.compensate(model, target, q, TOOL, wrench)
     reached = elastostatics.deflect(model, command.q, TOOL, wrench).pose

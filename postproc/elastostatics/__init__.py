@@ -19,11 +19,9 @@ from postproc.elastostatics.equilibrium import (
     softness,
     solve_equilibrium,
     springs_at,
-    springs_under,
 )
 from postproc.elastostatics.springs import (
     coordinates,
-    joint_stiffness,
     spread,
     spring_deflection,
 )
@@ -40,7 +38,6 @@ __all__ = [
     "deflect",
     "given_way_by",
     "held",
-    "joint_stiffness",
     "linear_deflection",
     "position_bound",
     "sensitivity",
@@ -49,6 +46,5 @@ __all__ = [
     "spread",
     "spring_deflection",
     "springs_at",
-    "springs_under",
     "tangent_compliance",
 ]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc import kinematics
-from postproc.elastostatics.balance import Balance, asked, beside, felt, held
+from postproc.elastostatics.balance import Balance, beside, felt, held
 from postproc.elastostatics.springs import A2, given_way, spread
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, norm, twist_between
@@ -124,25 +124,15 @@ def solve_equilibrium(
     raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
 
 
-def springs_at(robot: RobotModel, x: Array, jacobian: Array, wrench: Array) -> Array:
-    """Return θ (N, nv) that holds the equilibrium where the ACTUAL coordinates are known: the inverse problem.
+def springs_at(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
+    """Return θ (nv, n) that holds the equilibrium where the ACTUAL coordinates are known: the inverse problem.
 
-    :param x: (N, nv) actual coordinates [rad, m].
-    :param jacobian: (N, 6, nv) of the TCP at x.
-    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    With x = q + θ given, the torques are known, and only the reference state q = x − θ has to be found.
+
+    :param x: (nv, n) actual coordinates [rad, m].
+    :param load: (nv, n) JᵀF at x.
+    :param weights: (nv, n) of the loaded robot at x, `balance.asked`.
     :raises NotConvergedError: no reference state found, or the load is beyond what the springs hold.
-    """
-    weights = asked(robot, x.T, kinematics.posture(robot.loaded, x.T, weigh=robot.has_weight))
-    return springs_under(robot, x.T, np.einsum("nij,ni->jn", jacobian, wrench), weights).T
-
-
-def springs_under(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
-    """Return θ (nv, n) as `springs_at`, from the torques at the actual coordinates x (nv, n).
-
-    With x = q + θ given, they are known, and only the reference state q = x − θ has to be found.
-
-    :param load: (nv, n) JᵀF.
-    :param weights: (nv, n) of the loaded robot, `balance.asked`.
     """
     # the first reference is that at x itself: without payload it is what is asked for there anyway
     balanced = weights if robot.subtract_reference and robot.loaded is robot.actual else held(robot, x)

@@ -23,18 +23,6 @@ def spread(robot: RobotModel, q: Array) -> Array:
     return full
 
 
-def joint_stiffness(robot: RobotModel, q: Array) -> Array:
-    """Return K_θ(q) (N, nv, nv): the springs with the compensator in place 2, Eq. (4).
-
-    :param q: (N, nv) coordinates [rad].
-    """
-    stiffness = np.repeat(robot.stiffness[None], len(q), axis=0)
-    if robot.compensator is not None:
-        row = robot.actuated[A2]
-        stiffness[:, row, row] += robot.compensator.stiffness_about_joint(q[:, row])
-    return stiffness
-
-
 def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = None) -> tuple[Array, Array]:
     """Return θ (N, nv) of the virtual springs under torques, and its derivative, the tangent compliance (N, nv).
 
