@@ -23,7 +23,7 @@ def targets(model, count, seed):
     return q, kinematics.tcp(model.nominal, q, TOOL)[0], wrench
 
 
-@pytest.fixture(scope="module", params=("kuka_kr270", "kuka_kr16_2"))
+@pytest.fixture(scope="module", params=sorted(robot.shipped()))
 def pair(request):
     folder = robot.find(request.param)
     return robot.load(folder), Arm.load(folder)

@@ -10,7 +10,7 @@ from postproc.errors import NotConvergedError
 from tests.oracle.arm import Arm
 
 TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
-ROBOTS = ("kuka_kr270", "kuka_kr16_2")
+ROBOTS = sorted(robot.shipped())
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -73,7 +73,8 @@ def test_linear_model_is_the_limit_for_small_loads_and_differs_with_the_square_o
     q = rng.uniform(model.lower, model.upper, (50, 6))
     direction = loads(rng, len(q), 1.0, 0.1)
     gap = []
-    for size in (100.0, 200.0):
+    small = 100.0 * min(1.0, 2e-6 / float(model.compliance[0]))  # N; a load that hardly bends a small arm either
+    for size in (small, 2.0 * small):
         state = elastostatics.deflect(model, q, TOOL, size * direction)
         linear = elastostatics.linear_deflection(model, q, TOOL, size * direction)
         gap.append(np.linalg.norm((linear - state.twist)[:, :3], axis=1) / size**2)

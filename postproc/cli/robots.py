@@ -1,17 +1,42 @@
-"""`postproc robots`: which robots there are, and where each number of one comes from."""
+"""`postproc robots`: which robots there are, where each number of one comes from, and how to add one."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
+
+_PATH = click.Path(path_type=Path)
 
 
-@click.command()
-@click.argument("name", required=False)
+def robot_names(incomplete: str) -> list[CompletionItem]:
+    """Return the shipped robots whose names begin so, for shell completion."""
+    from postproc.robot import shipped
+
+    return [CompletionItem(name) for name in shipped() if name.startswith(incomplete)]
+
+
+class _Robots(click.Group):
+    """`robots NAME` is `robots show NAME`."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in self.commands:
+            args = ["show", *args]
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        return [*robot_names(incomplete), *super().shell_complete(ctx, incomplete)]
+
+
+@click.group(cls=_Robots, invoke_without_command=True, subcommand_metavar="[NAME] | COMMAND [ARGS]...")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def robots(name: str | None, as_json: bool) -> None:
-    """List the robot models, or show one with the source of each value.
+@click.pass_context
+def robots(ctx: click.Context, /, as_json: bool) -> None:
+    """List the robot models, show one with the source of each value, or add one.
 
     NAME is the name of a shipped robot or the path of a model folder.
 
@@ -21,30 +46,68 @@ def robots(name: str | None, as_json: bool) -> None:
       postproc robots kuka_kr270
       postproc robots my_robot/ --json
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc import robot
-
-    if name is None:
-        models = {known: robot.load(folder) for known, folder in robot.shipped().items()}
-        if as_json:
-            click.echo(json.dumps({known: model.title for known, model in models.items()}, indent=2))
-            return
-        width = max(len(known) for known in models)
-        for known, model in models.items():
-            assumed = sum(entry.assumed for entry in model.provenance)
-            click.echo(f"{known:<{width}}  {model.title} ({assumed} of {len(model.provenance)} values assumed)")
+    if ctx.invoked_subcommand is not None:
         return
+    from postproc import robot
+    from postproc.report import table
+
+    models = {known: robot.load(folder) for known, folder in robot.shipped().items()}
+    if as_json:
+        click.echo(json.dumps({known: model.title for known, model in models.items()}, indent=2))
+        return
+    rows = []
+    for known, model in models.items():
+        assumed = sum(entry.assumed for entry in model.provenance)
+        rows.append((known, model.title, f"{assumed} of {len(model.provenance)} assumed"))
+    click.echo(table(("name", "robot", "values"), rows))
+
+
+@robots.command()
+@click.argument("name", shell_complete=lambda _ctx, _param, incomplete: robot_names(incomplete))
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def show(name: str, as_json: bool) -> None:
+    """Show a robot model with the source of each value.
+
+    \b
+    Example:
+      postproc robots show kuka_kr270
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc import robot
+    from postproc.report import table
+
     model = robot.load(robot.find(name))
     if as_json:
         values = [
             {"name": entry.name, "value": entry.value, "source": entry.source, "assumed": entry.assumed}
             for entry in model.provenance
         ]
-        click.echo(
-            json.dumps({"name": model.name, "title": model.title, "values": values}, indent=2, ensure_ascii=False)
-        )
+        content = {"name": model.name, "title": model.title, "values": values}
+        click.echo(json.dumps(content, indent=2, ensure_ascii=False))
         return
     click.echo(f"{model.title} ({model.name})\n")
-    widths = [max(len(entry.name) for entry in model.provenance), max(len(entry.value) for entry in model.provenance)]
-    for entry in model.provenance:
-        mark = "ASSUMED  " if entry.assumed else "         "
-        click.echo(f"  {entry.name:<{widths[0]}}  {entry.value:<{widths[1]}}  {mark}{entry.source}")
+    rows = [(entry.name, entry.value, "ASSUMED" if entry.assumed else "", entry.source) for entry in model.provenance]
+    click.echo(table(("", "value", "", "source"), rows))
+
+
+@robots.command()
+@click.argument("urdf", type=_PATH)
+@click.option("--name", help="Name of the robot; default: that in the URDF.")
+@click.option("-o", "--output", type=_PATH, metavar="DIR", help="Model folder to write; default: NAME.")
+@click.option("--overwrite", is_flag=True, help="Replace a model that is there.")
+def add(urdf: Path, name: str | None, output: Path | None, overwrite: bool) -> None:
+    """Make a model folder from the URDF of a KUKA arm, as ROS-Industrial writes them.
+
+    Joints may have any names and signs (joint_1, joint_a1 …): they become A1 to A6 with KUKA's signs. `base` or
+    base_link is the root, tool0 or flange the flange. Geometry, limits, speeds and masses are taken over; compliances
+    are assumed by the size of the arm and marked as assumed. Expand a xacro first.
+
+    \b
+    Example:
+      postproc robots add kr120_r2700_2.urdf --name my_kr120
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.robot_files import add_robot
+
+    added = add_robot(urdf, name, output, overwrite=overwrite)
+    for note in added.notes:
+        click.echo(f"note: {note}", err=True)
+    click.echo(f'written: {added.folder}. In a cell: robot = "{added.folder.as_posix()}"')

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
+from postproc.report.tables import table
 
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
@@ -13,17 +14,16 @@ def of_one(content: Summary) -> str:
     """Return the summary of one program: the paper's Table 3, then what else there is to know."""
     lines = [f"{content['program']}  on {content['robot']}: {targets(content)}", ""]
     nothing = nothing_to_correct(content)
+    rows: list[tuple[str, ...]]
     if nothing is not None:
         lines.append(f"  {nothing}")
     elif content["mode"] == "predict":
-        lines.append(f"  {'deviation [mm]':<16}{'predicted':>12}")
-        lines += [f"  {label:<16}{millimetres(content['before'][key]):>12}" for label, key in _ROWS]  # type: ignore[literal-required]
+        rows = [(label, millimetres(content["before"][key])) for label, key in _ROWS]  # type: ignore[literal-required]
+        lines.append(table(("deviation [mm]", "predicted"), rows, (1,), "  "))
     else:
-        lines.append(f"  {'deviation [mm]':<16}{'before':>12}{'after':>12}{'improvement':>14}")
-        for label, key in _ROWS:
-            before, after = content["before"][key], content["after"][key]  # type: ignore[literal-required]
-            factor = times(before, after)
-            lines.append(f"  {label:<16}{millimetres(before):>12}{millimetres(after):>12}{factor:>14}")
+        pairs = [(label, content["before"][key], content["after"][key]) for label, key in _ROWS]  # type: ignore[literal-required]
+        rows = [(label, millimetres(old), millimetres(new), times(old, new)) for label, old, new in pairs]
+        lines.append(table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
     lines += ["", *_facts(content)]
     lines += [issue_line(issue, content["program"]) for issue in content["issues"]]
     return "\n".join(lines)
@@ -80,35 +80,16 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
     :param rows: name, summary (None where it failed) and one word on what came of it.
     """
     head = ("program", "targets", "max before", "max after", "rms before", "rms after", "compensated", "result")
-    body: list[tuple[str, ...]] = [head]
+    cells: list[tuple[str, ...]] = []
     for name, content, word in rows:
         if content is None:
-            body.append((name, *("-",) * 6, word))
+            cells.append((name, *("-",) * 6, word))
             continue
         before, after = content["before"], content["after"]
-        body.append(
-            (
-                name,
-                str(content["targets"]),
-                *(
-                    millimetres(value)
-                    for value in (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
-                ),
-                percent(content["compensated_percent"]),
-                word,
-            )
-        )
-    widths = [max(len(row[column]) for row in body) for column in range(len(head))]
-    lines = [_aligned(row, widths) for row in body]
-    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
-
-
-def _aligned(row: tuple[str, ...], widths: Sequence[int]) -> str:
-    cells = [
-        cell.ljust(width) if column in (0, len(row) - 1) else cell.rjust(width)
-        for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-    ]
-    return "  ".join(cells).rstrip()
+        lengths = (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
+        numbers = (str(content["targets"]), *map(millimetres, lengths), percent(content["compensated_percent"]))
+        cells.append((name, *numbers, word))
+    return table(head, cells, right=range(1, 7))
 
 
 def number(value: float | None, places: int) -> str:

@@ -1,11 +1,14 @@
-"""Strict reader of a URDF that holds a six-axis arm: revolute joints A1…A6 in series, the flange fixed to A6.
+"""Strict reader of a URDF that holds a six-axis arm: revolute joints in series, the flange fixed to the last.
 
 Fixed joints may stand anywhere; what they carry belongs to the link before them. Shapes are not looked at. Anything
-else is refused. Source: the URDF specification (wiki.ros.org/urdf/XML); rpy is R = Rz(yaw)·Ry(pitch)·Rx(roll).
+else is refused. In a robot.urdf of ours the joints are called A1…A6 and the flange `flange`; `read_any` takes other
+names. Source: the URDF specification (wiki.ros.org/urdf/XML); rpy is R = Rz(yaw)·Ry(pitch)·Rx(roll).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -19,13 +22,42 @@ _LARGEST = 1e9
 """A number beyond this is a mistake, whatever its unit."""
 
 
+_QUARTER = 1e-4
+"""In files of others, angles this close to a right angle [rad] are right ones: many are written with four decimals."""
+
+
 def read(text: str, file: str) -> Chain:
-    """Return the arm that a URDF describes.
+    """Return the arm that a URDF of ours describes.
 
     :raises ModelError: it is none, or a number is missing, no number or not finite; the message names the joint.
     """
     try:
-        return _Reader(text).chain()
+        return _Reader(text, 0.0).chain()
+    except _RefusedError as cause:
+        raise ModelError(cause.problem, file=file, advice=cause.advice) from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnyArm:
+    """A six-axis arm with the names and frames of whoever wrote its URDF.
+
+    :param name: of the robot.
+    :param chain: joints in series; its `flange` is the frame of the link that the last joint moves.
+    :param frames: link → the joint that carries it (−1: none) and its pose (4, 4) in the frame of that joint [m].
+    """
+
+    name: str
+    chain: Chain
+    frames: Mapping[str, tuple[int, Array]]
+
+
+def read_any(text: str, file: str) -> AnyArm:
+    """Return the arm that any URDF describes.
+
+    :raises ModelError: it is no chain of six revolute joints, or a number is missing, no number or not finite.
+    """
+    try:
+        return _Reader(text, _QUARTER).any_arm()
     except _RefusedError as cause:
         raise ModelError(cause.problem, file=file, advice=cause.advice) from None
 
@@ -42,13 +74,15 @@ _NO_TREE = _RefusedError("the links are not one tree", "Each link but the first 
 class _Reader:
     """Walks from link to link and puts down what each joint carries."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, quarter: float) -> None:
+        self.quarter = quarter
         try:
             robot = ET.fromstring(text)
         except ET.ParseError as cause:
             raise _RefusedError(f"not a URDF: {cause}", "The file must be XML with one <robot>.") from None
         if robot.tag != "robot":
             raise _RefusedError(f"not a URDF: its outermost element is <{robot.tag}>, not <robot>")
+        self.name = robot.get("name", "")
         self.links = {_attribute(link, "name"): link for link in robot.findall("link")}
         joints = {_attribute(joint, "name"): joint for joint in robot.findall("joint")}
         if len(self.links) < len(robot.findall("link")) or len(joints) < len(robot.findall("joint")):
@@ -70,21 +104,34 @@ class _Reader:
         self.joints: list[ET.Element] = []
         self.placement: list[Array] = []
         self.moments: list[tuple[float, Array]] = []
-        self.flange: Array | None = None
-
-    def chain(self) -> Chain:
-        """Return the chain."""
+        self.frames: dict[str, tuple[int, Array]] = {}
         self._visit(self.root, np.eye(4), -1)
         if self.visited < len(self.links):
             raise _NO_TREE
+
+    def chain(self) -> Chain:
+        """Return the chain of a file of ours."""
         names = tuple(str(joint.get("name")) for joint in self.joints)
         if names != JOINTS:
             raise _RefusedError(
                 f"joints are {', '.join(names) or 'none'}",
                 f"The robot must be a chain of six revolute joints named {', '.join(JOINTS)}.",
             )
-        if self.flange is None:
+        carrier, flange = self.frames.get(FLANGE, (-1, np.eye(4)))
+        if carrier != len(JOINTS) - 1:
             raise _RefusedError(f"no link named {FLANGE!r} on A6", "The last frame must be `flange`, fixed to A6.")
+        return self._chain(flange)
+
+    def any_arm(self) -> AnyArm:
+        """Return the arm, whatever its joints are called."""
+        if len(self.joints) != len(JOINTS):
+            names = ", ".join(str(joint.get("name")) for joint in self.joints) or "none"
+            raise _RefusedError(
+                f"{len(self.joints)} revolute joints in series ({names})", "The robot must be an arm with six axes."
+            )
+        return AnyArm(self.name, self._chain(np.eye(4)), self.frames)
+
+    def _chain(self, flange: Array) -> Chain:
         mass = np.array([mass for mass, _ in self.moments])
         moment = np.array([moment for _, moment in self.moments])
         limits = np.array([_limits(joint) for joint in self.joints]).T
@@ -92,7 +139,7 @@ class _Reader:
             placement=np.array(self.placement),
             axis=np.array([_axis(joint) for joint in self.joints]),
             turns=np.ones(len(self.joints), dtype=np.bool_),
-            flange=self.flange,
+            flange=flange,
             mass=mass,
             centre=np.divide(moment, mass[:, None], out=np.zeros_like(moment), where=mass[:, None] > 0.0),
             lower=limits[0],
@@ -110,19 +157,18 @@ class _Reader:
             if mass < 0.0:
                 raise _RefusedError(f"link {link} has a negative mass")
             before, moment = self.moments[carrier]
-            self.moments[carrier] = before + mass, moment + mass * (pose @ _origin(inertial))[:3, 3]
-        if link == FLANGE and carrier == len(JOINTS) - 1:
-            self.flange = pose
+            self.moments[carrier] = before + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
+        self.frames[link] = carrier, pose
         for joint in self.below[link]:
             name, kind = joint.get("name"), joint.get("type")
-            child, place = _attribute(_element(joint, "child"), "link"), pose @ _origin(joint)
+            child, place = _attribute(_element(joint, "child"), "link"), pose @ self._origin(joint)
             if kind == "fixed":
                 self._visit(child, place, carrier)
                 continue
             if kind != "revolute" or joint.find("mimic") is not None:
                 raise _RefusedError(
                     f"joint {name} is {kind if kind != 'revolute' else 'a mimic of another'}",
-                    f"Only revolute joints {', '.join(JOINTS)} and fixed ones are possible.",
+                    "Only six revolute joints and fixed ones are possible.",
                 )
             if carrier != len(self.joints) - 1:
                 raise _RefusedError(f"joint {name} stands beside {self.joints[carrier + 1].get('name')}, not behind it")
@@ -130,6 +176,15 @@ class _Reader:
             self.placement.append(place)
             self.moments.append((0.0, np.zeros(3)))
             self._visit(child, np.eye(4), len(self.joints) - 1)
+
+    def _origin(self, parent: ET.Element) -> Array:
+        pose, origin = np.eye(4), parent.find("origin")
+        if origin is not None:
+            angles = _numbers(origin, "rpy", 3, "0 0 0")[::-1]
+            right = np.round(angles / (np.pi / 2.0)) * (np.pi / 2.0)
+            pose[:3, :3] = rotation_from_angles(np.where(np.abs(angles - right) < self.quarter, right, angles))
+            pose[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
+        return pose
 
 
 def _attribute(element: ET.Element, name: str) -> str:
@@ -157,14 +212,6 @@ def _numbers(element: ET.Element, name: str, count: int, default: str | None = N
     if not (np.abs(values) <= _LARGEST).all():
         raise _RefusedError(f'<{element.tag} {name}="{text[:80]}">: a number is not finite, or beyond {_LARGEST:g}')
     return values
-
-
-def _origin(parent: ET.Element) -> Array:
-    pose, origin = np.eye(4), parent.find("origin")
-    if origin is not None:
-        pose[:3, :3] = rotation_from_angles(_numbers(origin, "rpy", 3, "0 0 0")[::-1])
-        pose[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
-    return pose
 
 
 def _axis(joint: ET.Element) -> Array:

@@ -4,6 +4,7 @@ import json
 
 from click.testing import CliRunner
 
+from postproc import robot
 from postproc.cli import main
 
 
@@ -14,7 +15,10 @@ def _run(*arguments: str):
 def test_robots_lists_the_shipped_ones():
     done = _run("robots")
     assert done.exit_code == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()] == ["kuka_kr16_2", "kuka_kr270"]
+    head, *lines = done.stdout.splitlines()
+    assert head.split() == ["name", "robot", "values"]
+    assert [line.split()[0] for line in lines] == list(robot.shipped())
+    assert {"kuka_kr16_2", "kuka_kr270"} <= set(robot.shipped())
 
 
 def test_a_robot_is_shown_with_source_and_what_is_assumed():
@@ -30,7 +34,8 @@ def test_robot_as_json_has_the_same_values():
     content = json.loads(_run("robots", "kuka_kr270", "--json").stdout)
     assert content["name"] == "kuka_kr270"
     assert all(set(value) == {"name", "value", "source", "assumed"} for value in content["values"])
-    assert set(json.loads(_run("robots", "--json").stdout)) == {"kuka_kr16_2", "kuka_kr270"}
+    assert list(json.loads(_run("robots", "--json").stdout)) == list(robot.shipped())
+    assert json.loads(_run("robots", "show", "kuka_kr270", "--json").stdout) == content
 
 
 def test_unknown_robot_names_the_known_ones():

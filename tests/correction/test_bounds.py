@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc import correction, jobs, kinematics, toolpath
+from postproc import correction, jobs, kinematics, robot, toolpath
 from postproc.correction import bounds
 from tests.programs import program
 
@@ -53,10 +53,10 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
         assert not [*bounds.ends(made, ROBOT), *bounds.between(made, ROBOT, path)]
 
 
-@pytest.mark.parametrize("name", ["kuka_kr270", "kuka_kr16_2"])
+@pytest.mark.parametrize("name", sorted(robot.shipped()))
 def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str) -> None:
-    robot = jobs.load_robot(name)
+    model = jobs.load_robot(name)
     rng = np.random.default_rng(3)
     q = rng.uniform(-np.pi, np.pi, (50_000, 6))
-    away = np.linalg.norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3], axis=1)
-    assert 0.8 < away.max() / bounds._reach(robot) < 1.0
+    away = np.linalg.norm(kinematics.tcp(model.nominal, q, np.eye(4))[0][:, :3, 3], axis=1)
+    assert 0.8 < away.max() / bounds._reach(model) < 1.0

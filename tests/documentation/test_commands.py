@@ -45,8 +45,8 @@ def test_every_option_has_help(ctx):
 @pytest.mark.parametrize(("source", "arguments"), SHOWN, ids=[f"{s}: {' '.join(a)}" for s, a in SHOWN])
 def test_every_command_shown_anywhere_can_be_given(source, arguments):
     ctx = main.make_context("postproc", list(arguments), resilient_parsing=False)
-    while isinstance(ctx.command, click.Group):
-        name, found, rest = ctx.command.resolve_command(ctx, [*ctx._protected_args, *ctx.args])
+    while isinstance(ctx.command, click.Group) and (given := [*ctx._protected_args, *ctx.args]):
+        name, found, rest = ctx.command.resolve_command(ctx, given)
         ctx = found.make_context(name, rest, parent=ctx)
     assert ctx.args == []
 

@@ -1,0 +1,159 @@
+"""`robots add`: an arm written by others becomes the same arm with KUKA's names and signs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from click.testing import CliRunner
+
+from postproc import kinematics, robot
+from postproc.cli import main
+from postproc.errors import InputError, ModelError
+from postproc.jobs.robot_files import add_robot
+from tests.robot_urdfs import PREFIXED, ROS, ROS_A, ros_urdf
+
+SIGNS = ((1, 1, 1, 1, 1, 1), (-1, 1, -1, 1, -1, 1), (-1, -1, -1, -1, -1, -1))
+TITLE = "KUKA KR 270-2 (2000 series)"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def written(text: str) -> Path:
+    Path("arm.urdf").write_text(text)
+    return Path("arm.urdf")
+
+
+KUKA = [name for name in robot.shipped() if name.startswith("kuka_")]
+
+
+@pytest.mark.parametrize("shipped", KUKA)
+@pytest.mark.parametrize("signs", SIGNS)
+@pytest.mark.parametrize("scrambled", [False, True])
+def test_the_arm_added_stands_where_pinocchio_says_that_the_urdf_stands(shipped, signs, scrambled):
+    rng = np.random.default_rng(5)
+    path = written(ros_urdf(robot.load(robot.find(shipped)), signs, rng if scrambled else None))
+    added = robot.load(add_robot(path, "mine").folder)
+    model = pin.buildModelFromUrdf(str(path))
+    data = model.createData()
+    q = rng.uniform(added.lower, added.upper, (10, 6))
+    poses, _ = kinematics.tcp(added.nominal, q, np.eye(4))
+    for row in range(len(q)):
+        pin.framesForwardKinematics(model, data, q[row] * signs)
+        base, tool0 = (data.oMf[model.getFrameId(name)] for name in ("base", "tool0"))
+        np.testing.assert_allclose(poses[row], (base.inverse() * tool0).homogeneous, atol=1e-6)  # lengths to 0.1 µm
+    for name, limit in (("lower", added.lower), ("upper", added.upper)):
+        np.testing.assert_allclose(limit, getattr(robot.load(robot.find(shipped)), name), atol=1e-9)
+
+
+def test_weights_turn_the_joints_as_in_the_urdf():
+    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[1], np.random.default_rng(1)))
+    added = robot.load(add_robot(path, "mine").folder)
+    model = pin.buildModelFromUrdf(str(path))
+    q = np.random.default_rng(2).uniform(added.lower, added.upper, (5, 6))
+    expected = [pin.computeGeneralizedGravity(model, model.createData(), row * SIGNS[1]) * SIGNS[1] for row in q]
+    torque = kinematics.gravity_torque(added.nominal, q)
+    np.testing.assert_allclose(torque, expected, atol=2.0)  # centres of mass are kept to 0.1 mm
+    assert np.abs(expected).max() > 2000.0
+
+
+@pytest.mark.parametrize("names", [ROS, ROS_A, PREFIXED])
+def test_names_of_joints_and_links_do_not_matter(names):
+    added = add_robot(written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0], names=names)), "mine")
+    own = robot.load(added.folder).nominal
+    np.testing.assert_allclose(own.placement, robot.load(robot.find("kuka_kr270")).nominal.placement, atol=1e-9)
+
+
+def test_angles_written_with_four_decimals_leave_no_tilt():
+    text = ros_urdf(robot.load(robot.find("kuka_kr16_2")), SIGNS[0]).replace("1.570796326795", "1.5708")
+    assert "1.5708" in text
+    added = robot.load(add_robot(written(text), "mine").folder)
+    shipped = robot.load(robot.find("kuka_kr16_2")).nominal
+    q = np.random.default_rng(3).uniform(-1, 1, (5, 6))
+    pose, expected = (kinematics.tcp(chain, q, np.eye(4))[0] for chain in (added.nominal, shipped))
+    np.testing.assert_allclose(pose, expected, atol=1e-9)
+
+
+def test_what_is_not_known_is_marked_as_assumed_and_told():
+    text = ros_urdf(robot.load(robot.find("kuka_kr16_2")), SIGNS[1])
+    masses = [line for line in text.splitlines() if "<mass" in line]
+    for line in masses:
+        text = text.replace(line, line.partition(">")[0] + "/>")
+    added = add_robot(written(text), "mine")
+    assert [note for note in added.notes if note.startswith("no link has a mass")]
+    assert [
+        note for note in added.notes if note.startswith("joints turn the other way") and note.endswith("A1, A3, A5")
+    ]
+    shown = {entry.name: entry for entry in robot.load(added.folder).provenance}
+    assert all(shown[f"compliance A{axis}"].assumed for axis in range(1, 7))
+    assert shown["link masses"].assumed
+    assert not shown["geometry, limits, speeds"].assumed
+
+
+def test_compliances_grow_as_the_cube_of_the_size_falls():
+    known = robot.load(robot.find("kuka_kr270"))
+    added = robot.load(add_robot(written(ros_urdf(robot.load(robot.find("kuka_kr16_2")), SIGNS[0])), "mine").folder)
+    reach = [0.35 + 1.25 + np.hypot(1.1, 0.055), 0.26 + 0.68 + np.hypot(0.67, 0.035)]
+    np.testing.assert_allclose(added.compliance / known.compliance, (reach[0] / reach[1]) ** 3, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<robot name="', '<xacro:include filename="x"/><robot name="', "Expand it first"),
+        ('<link name="tool0"/>', '<link name="hand"/>', "names link 'tool0'"),
+        ('"joint_6" type="revolute"', '"joint_6" type="fixed"', "5 revolute joints in series"),
+        ('"joint_2" type="revolute"', '"joint_2" type="prismatic"', "joint_2 is prismatic"),
+        ('<axis xyz="0.0 1.0 0.0"/>', '<axis xyz="0 0 1"/>', "at zero A2 does not lie as KUKA's does"),
+        ('rpy="0.000000000000 0.000000000000 0.000000000000"/>\n    <axis xyz="0.0 1.0 0.0"/>',
+         'rpy="0 -1.5707963 0"/>\n    <axis xyz="0 1 0"/>', "With all joints at zero a KUKA arm lies stretched out"),
+    ],
+)  # fmt: skip
+def test_an_arm_that_cannot_be_taken_over_is_told_and_nothing_is_written(old, new, message):
+    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    assert old in text
+    with pytest.raises(ModelError, match=message):
+        add_robot(written(text.replace(old, new, 1)), "mine")
+    assert not Path("mine").exists()
+
+
+def test_a_wrist_whose_axes_do_not_cross_is_refused():
+    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    shifted = text.replace('xyz="0.230000000000 0.000000000000', 'xyz="0.230000000000 0.100000000000')
+    assert shifted != text
+    with pytest.raises(ModelError, match="spherical wrist"):
+        add_robot(written(shifted), "mine")
+
+
+def test_a_model_that_is_there_is_replaced_with_overwrite_only():
+    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
+    add_robot(path, "mine")
+    Path("mine/model.toml").write_text("# my own numbers\n")
+    with pytest.raises(InputError, match="there is a robot already"):
+        add_robot(path, "mine")
+    assert Path("mine/model.toml").read_text() == "# my own numbers\n"
+    add_robot(path, "mine", overwrite=True)
+    assert robot.load("mine").title == TITLE
+
+
+@pytest.mark.parametrize("name", ["kuka_kr270", "../up", "1st", ""])
+def test_a_name_that_cannot_be_is_refused(name):
+    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
+    if name == "":
+        path.write_text(path.read_text().replace(TITLE, "270"))
+    with pytest.raises(InputError, match=r"Give (another )?--name"):
+        add_robot(path, name)
+
+
+def test_the_command_tells_what_is_assumed_and_what_to_write_into_the_cell():
+    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
+    done = CliRunner().invoke(main, ["robots", "add", str(path), "--name", "mine", "-o", "models/mine"])
+    assert done.exit_code == 0, done.output
+    assert "compliances are ASSUMED" in done.stderr
+    assert 'robot = "models/mine"' in done.stdout
+    assert CliRunner().invoke(main, ["robots", "models/mine"]).stdout.startswith(TITLE)
