@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from postproc.dialects.krl.write import replacements
-from postproc.dialects.krl.write.replacements import Edits
+from postproc.dialects.krl.write.replacements import Replacements
 
 
 @given(
@@ -22,7 +22,7 @@ def test_pieces_are_replaced_as_slicing_would(text, wishes, chunk):
             pieces.append((start, end, new))
             end = max(end, start + 1)
     expected, done = "", 0
-    edits = Edits()
+    edits = Replacements()
     for start, stop, new in pieces:
         expected += text[done:start] + new
         done = stop
@@ -34,7 +34,7 @@ def test_pieces_are_replaced_as_slicing_would(text, wishes, chunk):
 
 
 def test_insertions_at_one_place_stay_in_order():
-    edits = Edits()
+    edits = Replacements()
     for new in ("one ", "two ", "three "):
         edits.add(2, 2, new)
     edits.add(2, 3, "X")
@@ -42,10 +42,10 @@ def test_insertions_at_one_place_stay_in_order():
 
 
 def test_numbers_are_printed_with_the_decimals_asked_for():
-    edits = Edits()
+    edits = Replacements()
     starts = np.array([2, 8, 14])
     edits.add_numbers(starts, starts + 3, np.array([1.25, -0.00001, 1e5]), np.array([4, 3, 0]))
     edits.add(0, 1, "Ω")
     assert edits.applied("X 000,Y 000,Z 000}") == "Ω 1.2500,Y 0.000,Z 100000}"
-    assert not Edits()
-    assert Edits().applied("same") == "same"
+    assert not Replacements()
+    assert Replacements().applied("same") == "same"

@@ -24,7 +24,7 @@ class Layout:
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param missing: (M, 6) True where the text does not give the component.
     :param spans: (M, 8, 2) where the texts of X, Y, Z, A, B, C, S, T stand; −1 where missing, and throughout for
-        motions in `moves` (their numbers may stand elsewhere).
+        motions in `statements` (their numbers may stand elsewhere).
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
@@ -32,7 +32,7 @@ class Layout:
     :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
     :param resumed: (M,) True where the controller's previous position is an axis target or the start.
     :param constant: (M,) True where ``$ORI_TYPE=#CONSTANT`` makes the controller ignore A, B, C.
-    :param moves: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
+    :param statements: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
         axis targets.
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
@@ -50,7 +50,7 @@ class Layout:
     via_target: Ints
     resumed: Bools
     constant: Bools
-    moves: Mapping[int, MotionStatement]
+    statements: Mapping[int, MotionStatement]
     types: Mapping[str, str]
     public: frozenset[str]
     understood: frozenset[int]

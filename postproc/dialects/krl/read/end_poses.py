@@ -17,7 +17,7 @@ _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE o
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
+class EndPoses:
     """M targets, complete.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE` where each motion ends.
@@ -175,7 +175,7 @@ def arc_points(move: MotionStatement) -> tuple[Array, Array]:
     return via * M_PER_MM, np.array(move.end.position.values[:3]) * M_PER_MM
 
 
-def follow(
+def end_poses(
     source: Source,
     line: Ints,
     given: Array,
@@ -183,7 +183,7 @@ def follow(
     moves: Mapping[int, MotionStatement],
     start_joints: Array,
     forward: Callable[[Array], Array],
-) -> Sequence:
+) -> EndPoses:
     """Return the targets of M motions.
 
     :param line: (M,) 1-based lines, for messages.
@@ -207,4 +207,4 @@ def follow(
 
     pose = pose_from_xyzabc(follower.numbers)
     start = Starts.of(frames, pose.__getitem__, forward(start_joints))
-    return Sequence(follower.numbers, pose, follower.joints, start, follower.resumed)
+    return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed)

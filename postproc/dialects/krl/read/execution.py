@@ -207,7 +207,7 @@ class Execution:
         else:
             word, opened = self.level.open[-1]
             problem = f"what motions depend on is changed inside {word} (line {opened})"
-            self.settings.perhaps(self.line, state, at.error(problem, _SETTING_ADVICE))
+            self.settings.may_become(self.line, state, at.error(problem, _SETTING_ADVICE))
 
     def _assignment_or_call(self, at: Place, start: int, stop: int) -> None:
         found = assignment(at.source, start, stop)
@@ -322,7 +322,7 @@ class Execution:
         for _, reference in self._by_reference(at, call, routine):
             if reference.name in FIELDS:
                 problem = f"{reference.name} is given to {call.name}, which may change it"
-                self.settings.doubt(self.line, [FIELDS[reference.name]], at.error(problem, _SETTING_ADVICE))
+                self.settings.make_uncertain(self.line, [FIELDS[reference.name]], at.error(problem, _SETTING_ADVICE))
             elif reference.name[0] != "$":
                 self.variables.forget(self._stored(reference.name), str(at))
 
@@ -341,8 +341,8 @@ class Execution:
         for written, place in effects.writes.items():
             if written in RELEVANT:
                 problem = f"{name} may change {written} ({place})"
-                doubted = [FIELDS[written]] if written in FIELDS else ["base", "tool"]
-                self.settings.doubt(self.line, doubted, at.error(problem, _SETTING_ADVICE))
+                affected = [FIELDS[written]] if written in FIELDS else ["base", "tool"]
+                self.settings.make_uncertain(self.line, affected, at.error(problem, _SETTING_ADVICE))
             else:
                 self.variables.forget(written, str(place))
 

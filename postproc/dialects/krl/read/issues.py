@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.motion_columns import Rows
+from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.settings import State
 from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue
@@ -17,7 +17,9 @@ _MOST_NAMES = 10
 """So many names of points are told in one message."""
 
 
-def told(walker: Walker, states: Sequence[State], state: Ints, rows: Rows, layout: Layout) -> Iterator[Issue]:
+def issues_of(
+    walker: Walker, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
+) -> Iterator[Issue]:
     """Yield what was assumed of a program.
 
     :param states: all that is in force anywhere; `state` (M,) which of them at each motion.
@@ -58,11 +60,11 @@ def _uncalled(walker: Walker) -> Iterator[Issue]:
 
 
 def _initial_frames(
-    walker: Walker, states: Sequence[State], state: Ints, rows: Rows, layout: Layout
+    walker: Walker, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
     """Frames that are the cell's only because the program leaves them as BAS(#INITMOV,0) sets them."""
     axis = np.zeros(len(rows), dtype=np.bool_)
-    axis[[row for row, move in layout.moves.items() if move.end.position.axis]] = True
+    axis[[row for row, move in layout.statements.items() if move.end.position.axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
         assumed = np.array([name in walker.settings.assumed_frames(one, walker.source) for one in states])
         found = np.flatnonzero(assumed[state] & ~axis)

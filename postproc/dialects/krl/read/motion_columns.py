@@ -22,7 +22,7 @@ NUMBERS = len(COLUMNS) + 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class MotionColumns:
     """R motions.
 
     :param line: (R,) 1-based line.
@@ -53,15 +53,15 @@ class Rows:
     def __len__(self) -> int:
         return len(self.line)
 
-    def take(self, index: Ints | Bools) -> Rows:
+    def take(self, index: Ints | Bools) -> MotionColumns:
         """Return some rows."""
-        return Rows(*(values[index] for values in self.columns()))
+        return MotionColumns(*(values[index] for values in self.columns()))
 
     def columns(self) -> list[Any]:
         """Return all columns."""
         return [getattr(self, column.name) for column in fields(self)]
 
-    def shifted(self, lines: int, characters: int) -> Rows:
+    def shifted(self, lines: int, characters: int) -> MotionColumns:
         """Return the same motions further down in a text."""
         return replace(
             self,
@@ -75,7 +75,7 @@ class Rows:
         )
 
 
-class Collector:
+class MotionCollector:
     """Takes statements one by one; keeps the plain ones as rows only.
 
     :ivar states: what is in force at each.
@@ -86,7 +86,7 @@ class Collector:
         self.states: list[State] = []
         self.special: list[tuple[int, MotionStatement]] = []
         self._waiting: list[MotionStatement] = []
-        self._done: list[Rows] = []
+        self._done: list[MotionColumns] = []
 
     def __len__(self) -> int:
         return len(self.states)
@@ -104,8 +104,8 @@ class Collector:
         self._done.append(_of_moves(self._waiting))
         self._waiting = []
 
-    def rows(self) -> Rows:
-        """Return all statements as rows: for a plain line the same as the bulk path gives.
+    def rows(self) -> MotionColumns:
+        """Return all statements as rows: for a plain line the same as `plain_lines` gives.
 
         Numbers of axis and relative targets are left out, except E1…E6.
         """
@@ -113,7 +113,7 @@ class Collector:
         return merged(self._done, np.arange(len(self.states)))
 
 
-def _of_moves(moves: Sequence[MotionStatement]) -> Rows:
+def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
     numbers = np.full((len(moves), NUMBERS), np.nan)
     spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))
@@ -138,7 +138,7 @@ def _of_moves(moves: Sequence[MotionStatement]) -> Rows:
                 via_target[row] = move.via.start, move.via.stop
                 items = move.via.position.aggregate.items
                 via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
-    return Rows(
+    return MotionColumns(
         _ints([move.line for move in moves]),
         _ints([move.kind for move in moves]),
         numbers,
@@ -163,7 +163,7 @@ def _ints(values: Sequence[object]) -> Ints:
     return np.array(values, dtype=np.int64)
 
 
-def merged(parts: Sequence[Rows], place: Ints) -> Rows:
+def merged(parts: Sequence[MotionColumns], place: Ints) -> MotionColumns:
     """Return the motions of some parts (at least one) at the places (R,) that they have among all of them.
 
     :param place: for the motions of the first part, then for those of the next, …
@@ -175,9 +175,9 @@ def merged(parts: Sequence[Rows], place: Ints) -> Rows:
         for column, values in zip(columns, rows.columns(), strict=True):
             column[where] = values
         begin += len(rows)
-    return Rows(*columns)
+    return MotionColumns(*columns)
 
 
-def none() -> Rows:
+def none() -> MotionColumns:
     """Return no motions."""
     return _of_moves([])

@@ -1,4 +1,4 @@
-"""Motion statements one by one: what the bulk path does not read."""
+"""Motion statements one by one: what is not read as a plain line."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class MotionReader:
                 relative, behind, code = match[2].upper(), match.span(1), match.start(1)
         state, approximated = self._tail(at, kind, position, code)
         self._check(at, word, kind, end, via)
-        self.settings.refuse_doubts(state, doubtful(kind, axis=end.position.axis, approximated=approximated))
+        self.settings.refuse_uncertain(state, fields_used(kind, axis=end.position.axis, approximated=approximated))
         keyword = (start, start + len(word))
         return (
             MotionStatement(at.line, kind, keyword, end, relative, via, angle, position, code, approximated, behind),
@@ -143,7 +143,7 @@ class MotionReader:
         return state
 
 
-def doubtful(kind: int, *, axis: bool, approximated: bool) -> list[str]:
+def fields_used(kind: int, *, axis: bool, approximated: bool) -> list[str]:
     """Return on which fields of its state a motion depends."""
     fields = [] if axis else ["base", "tool"]
     if kind != PTP:

@@ -14,9 +14,9 @@ from postproc.dialects.krl.language.positions import EXTERNAL
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.end_poses import Sequence, follow
-from postproc.dialects.krl.read.motion_columns import Rows, merged
-from postproc.dialects.krl.read.motion_reader import doubtful
+from postproc.dialects.krl.read.end_poses import EndPoses, end_poses
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
+from postproc.dialects.krl.read.motion_reader import fields_used
 from postproc.dialects.krl.read.settings import DEFAULT_SPEED, Settings, State
 from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue
@@ -28,7 +28,7 @@ _SAME_EXTERNAL = 1e-4
 """External axes that vary by less than this [mm, deg] stand still."""
 
 
-class InOrder(NamedTuple):
+class OrderedMotions(NamedTuple):
     """All motions in order: what their lines say, and what is in force.
 
     :param rows: (R,) motions.
@@ -37,17 +37,17 @@ class InOrder(NamedTuple):
     :param moves: row → statement, of those that are not plain.
     """
 
-    rows: Rows
+    rows: MotionColumns
     states: list[State]
     state: Ints
     moves: dict[int, MotionStatement]
 
 
-def in_order(walker: Walker, plain: list[Rows]) -> InOrder:
+def ordered_motions(walker: Walker, plain: list[MotionColumns]) -> OrderedMotions:
     """Put plain lines and statements in order.
 
     :param walker: has followed all lines that are not plain.
-    :param plain: motions of the bulk path, in parts.
+    :param plain: plain motions, in parts.
     """
     statements = walker.moves
     line = np.concatenate([rows.line for rows in plain])
@@ -59,11 +59,11 @@ def in_order(walker: Walker, plain: list[Rows]) -> InOrder:
     state = np.empty(len(places), dtype=np.int64)
     state[places] = np.concatenate([state_plain, state_moves])
     moves = {int(place[index]): move for index, move in statements.special}
-    return InOrder(merged([*plain, others], places), states, state, moves)
+    return OrderedMotions(merged([*plain, others], places), states, state, moves)
 
 
-def assemble(
-    source: Source, walker: Walker, ordered: InOrder, start_joints: Array, forward: Callable[[Array], Array]
+def motions_and_layout(
+    source: Source, walker: Walker, ordered: OrderedMotions, start_joints: Array, forward: Callable[[Array], Array]
 ) -> tuple[Motions, Layout, list[Issue]]:
     """Return the motions of a program in order, where their text stands, and what had to be assumed.
 
@@ -83,10 +83,10 @@ def assemble(
     standing = _external(source, rows, moves)
     frames = base, tool, np.stack(settings.bases), np.stack(settings.tools)
     given = rows.numbers[:, :6]
-    chain = follow(source, rows.line, given, frames, moves, start_joints, forward)
+    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward)
     constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
-    _check_orientation(source, rows, states, state, chain)
-    centre, normal, sweep = _arcs(source, rows, chain, moves)
+    _check_orientation(source, rows, states, state, ends)
+    centre, normal, sweep = _arcs(source, rows, ends, moves)
 
     speed = _column(states, state, lambda s: s.speed)
     cdis = _column(states, state, lambda s: s.cdis)
@@ -94,8 +94,8 @@ def assemble(
         kind=rows.kind,
         rapid=rows.kind == PTP,
         line=rows.line,
-        target=chain.pose,
-        joints=chain.joints,
+        target=ends.pose,
+        joints=ends.joints,
         centre=centre,
         normal=normal,
         sweep=sweep,
@@ -110,7 +110,7 @@ def assemble(
     missing = np.isnan(given)
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
     layout = Layout(
-        numbers=chain.numbers,
+        numbers=ends.numbers,
         missing=missing,
         spans=rows.spans,
         keyword=rows.keyword,
@@ -118,13 +118,13 @@ def assemble(
         tail=rows.tail,
         via_spans=rows.via_spans,
         via_target=rows.via_target,
-        resumed=chain.resumed,
+        resumed=ends.resumed,
         constant=constant,
-        moves=moves,
+        statements=moves,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
         understood=frozenset(walker.understood),
-        triggers=_triggers(source, walker, motions, chain.start),
+        triggers=_triggers(source, walker, motions, ends.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     return motions, layout, [*standing, *_assumptions(rows.line, missing, assumed, moves), *_by_speed(source, rows)]
@@ -154,19 +154,19 @@ def _whole(numbers: Array) -> Ints:
 
 
 def _check_settings(
-    settings: Settings, rows: Rows, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
+    settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> None:
     """Refuse motions that depend on what is not known: frames, speeds, modes."""
     for index, used in enumerate(states):
-        if not used.doubts and used.base >= 0 and used.tool >= 0:
+        if not used.uncertain and used.base >= 0 and used.tool >= 0:
             continue
         for row in np.flatnonzero(state == index).tolist():
             axis = row in moves and moves[row].end.position.axis
-            fields = doubtful(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
-            settings.refuse_doubts(used, fields)
+            fields = fields_used(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
+            settings.refuse_uncertain(used, fields)
 
 
-def _external(source: Source, rows: Rows, moves: Mapping[int, MotionStatement]) -> list[Issue]:
+def _external(source: Source, rows: MotionColumns, moves: Mapping[int, MotionStatement]) -> list[Issue]:
     """Refuse programs that move external axes; tell where one stands elsewhere than at zero."""
     external = rows.numbers[:, 8:]
     if np.isnan(external).all():
@@ -193,7 +193,7 @@ def _external(source: Source, rows: Rows, moves: Mapping[int, MotionStatement]) 
     return issues
 
 
-def _check_orientation(source: Source, rows: Rows, states: list[State], state: Ints, chain: Sequence) -> None:
+def _check_orientation(source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses) -> None:
     """Refuse motions on which the controller would lead the orientation another way than modelled."""
     advice = "Use $ORI_TYPE=#VAR and $CIRC_TYPE=#BASE."
     along = np.flatnonzero(_column(states, state, lambda s: s.circle != "#BASE") & (rows.kind == CIRC))
@@ -201,14 +201,14 @@ def _check_orientation(source: Source, rows: Rows, states: list[State], state: I
         problem = f"$CIRC_TYPE={states[state[along[0]]].circle}: the tool turns with the path"
         raise source.line_error(problem, int(rows.line[along[0]]), advice)
     other = np.flatnonzero(_column(states, state, lambda s: s.orientation != "#VAR") & (rows.kind != PTP))
-    turned = other[~same_orientation(chain.start.at(other)[:, :3, :3], chain.pose[other, :3, :3])]
+    turned = other[~same_orientation(ends.start.at(other)[:, :3, :3], ends.pose[other, :3, :3])]
     if len(turned):
         problem = f"the orientation changes under $ORI_TYPE={states[state[turned[0]]].orientation}"
         raise source.line_error(problem, int(rows.line[turned[0]]), advice)
 
 
 def _arcs(
-    source: Source, rows: Rows, chain: Sequence, moves: Mapping[int, MotionStatement]
+    source: Source, rows: MotionColumns, ends: EndPoses, moves: Mapping[int, MotionStatement]
 ) -> tuple[Array, Array, Array]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
     nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
@@ -216,7 +216,7 @@ def _arcs(
     if not len(circular):
         return nothing, nothing, nothing[:, 0]
     centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
-    line, start = rows.line[circular], chain.start.at(circular)
+    line, start = rows.line[circular], ends.start.at(circular)
     via, end = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
     centre[circular], axis, angle = circles(source, line, start[:, :3, 3], via, end)
     own = np.full(len(rows), np.nan)
@@ -224,7 +224,7 @@ def _arcs(
         own[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
     own = own[circular]
     given = ~np.isnan(own)
-    turning = given & ~same_orientation(start[:, :3, :3], chain.pose[circular, :3, :3])
+    turning = given & ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
     if turning.any():
         raise source.line_error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
@@ -251,7 +251,7 @@ def _triggers(source: Source, walker: Walker, motions: Motions, start: Starts) -
     return tuple(triggers(source, list(zip(lines.tolist(), rows.tolist(), attached, strict=True)), length))
 
 
-def _by_speed(source: Source, rows: Rows) -> list[Issue]:
+def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
     """Tell where the path is approximated by something else than a distance."""
     capitals = source.text.upper()
     if "C_VEL" not in capitals and "C_ORI" not in capitals:  # told much faster than by the expression

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc.dialects.krl.language.positions import Position
-from postproc.dialects.krl.read.motion_columns import Rows
+from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.motions import InOrder, in_order
+from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue, ProgramError
@@ -23,24 +23,24 @@ _MOST_NAMES = 10
 """So many names are told in one message."""
 
 
-def told_of_next_run(
-    walker: Walker, first: InOrder, plain: list[Rows], start_joints: tuple[float, ...]
+def changed_data_issues(
+    walker: Walker, first: OrderedMotions, plain: list[MotionColumns], start_joints: tuple[float, ...]
 ) -> Iterator[Issue]:
     """Yield a warning if the next run, with the values that this one leaves, goes elsewhere or cannot be known.
 
     :param walker: has followed the program.
     :param first: its motions.
-    :param plain: those of the bulk path.
+    :param plain: its plain motions.
     :param start_joints: where the robot stands first [deg].
     """
     kept = walker.settings.variables.kept()
     if not kept:
         return
     settings = Settings(walker.settings.variables.next_run(), walker.settings.cell)
-    again = Walker(walker.library, walker.main, settings, MotionReader(settings, start_joints))
+    second_run = Walker(walker.library, walker.main, settings, MotionReader(settings, start_joints))
     try:
-        again.walk([])
-        second = in_order(again, plain)
+        second_run.walk([])
+        second = ordered_motions(second_run, plain)
         line = _first_difference(walker.settings, first, settings, second)
     except ProgramError as cause:
         line = cause.line or walker.main.first
@@ -56,7 +56,7 @@ def told_of_next_run(
     yield Issue("warning", "changed-data", message, line, subject=", ".join(list(kept)[:_MOST_NAMES]))
 
 
-def _first_difference(one: Settings, first: InOrder, other: Settings, second: InOrder) -> int | None:
+def _first_difference(one: Settings, first: OrderedMotions, other: Settings, second: OrderedMotions) -> int | None:
     """Return the first line whose motion is not the same in both runs."""
     if len(first.rows) != len(second.rows):
         return int(first.rows.line[0])
@@ -78,7 +78,7 @@ def _same(one: Position, other: Position) -> bool:
     return np.array_equal(a, b, equal_nan=True)
 
 
-def _in_force(settings: Settings, ordered: InOrder) -> Array:
+def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
     """Return (S, 36) what motions depend on in each state; NaN for what is not known."""
     return np.array(
         [

@@ -15,7 +15,7 @@ import numpy as np
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.motion_columns import NUMBERS, Rows, no_circles, none
+from postproc.dialects.krl.read.motion_columns import NUMBERS, MotionColumns, no_circles, none
 from postproc.dialects.text import line_spans
 from postproc.frames import Array
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
@@ -62,7 +62,7 @@ _BLANK = np.zeros(256, dtype=np.bool_)
 _BLANK[[9, 10, 13, 32]] = True
 
 
-def scan(source: Source) -> list[Rows]:
+def scan(source: Source) -> list[MotionColumns]:
     """Return the plain motions of a document, wherever they stand, in some parts one behind the other."""
     text, first = source.text, source.starts[::_LINES]
     last = [*first[1:].tolist(), len(text)]
@@ -72,7 +72,7 @@ def scan(source: Source) -> list[Rows]:
     ]
 
 
-def _plain(text: str, lines: int, characters: int) -> Rows:
+def _plain(text: str, lines: int, characters: int) -> MotionColumns:
     """Return the plain motions of a piece of text; so many lines and characters stand before it."""
     codes = text.encode("ascii", "replace")
     starts, _ = line_spans(text)
@@ -105,7 +105,7 @@ def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
     return np.asarray(np.searchsorted(starts, np.array(begins)[plain]))
 
 
-def _scan(codes: bytes, line_starts: Ints, index: Ints) -> Rows | None:
+def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
     """Return the motions of plain lines (P,); None if one of their numbers cannot be read."""
     if not len(index):
         return none()
@@ -154,7 +154,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints) -> Rows | None:
     ends = np.concatenate([begins[1:], [len(raw)]])
     stop = _skip_blanks(raw, ends - 1, -1) + 1
     ptp = letter == ord("p")
-    return Rows(
+    return MotionColumns(
         line=index + 1,
         kind=np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)),
         numbers=numbers,

@@ -18,12 +18,12 @@ from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source, comment_start
 from postproc.dialects.krl.read import plain_lines
-from postproc.dialects.krl.read.issues import told
+from postproc.dialects.krl.read.issues import issues_of
 from postproc.dialects.krl.read.library import Library
-from postproc.dialects.krl.read.motion_columns import Rows, merged, none
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged, none
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.motions import InOrder, assemble, in_order
-from postproc.dialects.krl.read.next_run import told_of_next_run
+from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions
+from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.settings import Settings, out_of_reach
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.read.walker import Walker
@@ -77,17 +77,17 @@ def read_program(
         plain = [merged(plain, np.arange(len(lines))).take(executed)]
     if not executed.any() and not len(walker.moves):
         raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
-    ordered = in_order(walker, plain)
-    changed = list(told_of_next_run(walker, ordered, plain, start))
+    ordered = ordered_motions(walker, plain)
+    changed = list(changed_data_issues(walker, ordered, plain, start))
     del plain  # what follows needs the memory
     _check_size(source, ordered.rows)
     _check_starts(walker, ordered)
-    motions, layout, assumptions = assemble(source, walker, ordered, cell.start_joints, forward)
+    motions, layout, assumptions = motions_and_layout(source, walker, ordered, cell.start_joints, forward)
     issues = [
         *walker.issues,
         *assumptions,
         *changed,
-        *told(walker, ordered.states, ordered.state, ordered.rows, layout),
+        *issues_of(walker, ordered.states, ordered.state, ordered.rows, layout),
     ]
     if moves.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
@@ -156,7 +156,7 @@ def _executed(walker: Walker, line: Ints) -> Bools:
     return inside
 
 
-def _check_size(source: Source, rows: Rows) -> None:
+def _check_size(source: Source, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
     farthest = largest(np.nan_to_num(np.concatenate([rows.numbers[:, :6], rows.via], axis=1)))
     beyond = np.flatnonzero(farthest > FARTHEST)
@@ -164,7 +164,7 @@ def _check_size(source: Source, rows: Rows) -> None:
         raise out_of_reach(Place(source, int(rows.line[beyond[0]])), float(farthest[beyond[0]]))
 
 
-def _check_starts(walker: Walker, ordered: InOrder) -> None:
+def _check_starts(walker: Walker, ordered: OrderedMotions) -> None:
     """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
     for line, reason in walker.moved:
         row = int(np.searchsorted(ordered.rows.line, line))

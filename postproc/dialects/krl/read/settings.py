@@ -68,7 +68,7 @@ class State(NamedTuple):
     :ivar orientation: `$ORI_TYPE`.
     :ivar circle: `$CIRC_TYPE`.
     :ivar initial: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
-    :ivar doubts: (field, index of its reason) of those that are not known; `base` and `tool` are never among them.
+    :ivar uncertain: (field, index of its reason) of those that are not known; `base` and `tool` are never among them.
     """
 
     base: int = 0
@@ -79,13 +79,13 @@ class State(NamedTuple):
     orientation: str = "#VAR"
     circle: str = "#BASE"
     initial: frozenset[str] = frozenset()
-    doubts: tuple[tuple[str, int], ...] = ()
+    uncertain: tuple[tuple[str, int], ...] = ()
 
     def with_known(self, **fields: object) -> State:
         """Return the state with other values, which are known."""
         initial = self.initial - {f"${name.upper()}" for name in fields}
-        doubts = tuple(doubt for doubt in self.doubts if doubt[0] not in fields)
-        return self._replace(initial=initial, doubts=doubts, **fields)  # type: ignore[arg-type]
+        uncertain = tuple(one for one in self.uncertain if one[0] not in fields)
+        return self._replace(initial=initial, uncertain=uncertain, **fields)  # type: ignore[arg-type]
 
 
 class Settings:
@@ -113,27 +113,27 @@ class Settings:
             self.state = state
             self.changes.append((line, state))
 
-    def perhaps(self, line: int, state: State, reason: ProgramError) -> None:
+    def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Put what is in force into doubt as far as another state differs, which may or may not come into force."""
         names = {name for name in FIELDS.values() if getattr(self.state, name) != getattr(state, name)}
-        self.doubt(line, sorted(names | {name for name, _ in state.doubts}), reason)
+        self.make_uncertain(line, sorted(names | {name for name, _ in state.uncertain}), reason)
 
-    def doubt(self, line: int, names: Iterable[str], reason: ProgramError) -> None:
+    def make_uncertain(self, line: int, names: Iterable[str], reason: ProgramError) -> None:
         """Note that fields of the state are not known from a line of the program on."""
         state = self.state
         for name in names:
-            state = self._doubtful(state, name, reason)
+            state = self._uncertain(state, name, reason)
         self.change(line, state)
 
-    def _doubtful(self, state: State, name: str, reason: ProgramError) -> State:
+    def _uncertain(self, state: State, name: str, reason: ProgramError) -> State:
         self.reasons.append(reason)
         if name in ("base", "tool"):
             return state.with_known(**{name: -len(self.reasons)})
         return state.with_known(**{name: getattr(state, name)})._replace(
-            doubts=(*(doubt for doubt in state.doubts if doubt[0] != name), (name, len(self.reasons) - 1))
+            uncertain=(*(one for one in state.uncertain if one[0] != name), (name, len(self.reasons) - 1))
         )
 
-    def refuse_doubts(self, state: State, names: Iterable[str]) -> None:
+    def refuse_uncertain(self, state: State, names: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state that are not known.
 
         :raises ProgramError: the reason why one is not.
@@ -142,8 +142,8 @@ class Settings:
             row = getattr(state, name) if name in ("base", "tool") else 0
             if row < 0:
                 raise self.reasons[-1 - row]
-            for doubted, reason in state.doubts:
-                if doubted == name:
+            for affected, reason in state.uncertain:
+                if affected == name:
                     raise self.reasons[reason]
 
     def assigned(self, state: State, at: Place, target: Reference, value: Value | Known) -> State:
@@ -174,7 +174,7 @@ class Settings:
                 problem = at.error(f"{name} is not known before the program runs", _RUN_TIME)
                 if name == "$IPO_MODE":
                     raise problem
-                return self._doubtful(state, FIELDS[name], problem)
+                return self._uncertain(state, FIELDS[name], problem)
             word = known.text
         if name == "$IPO_MODE":
             _check_frame_mode(word, at)
@@ -236,7 +236,7 @@ class Settings:
         return state.with_known(**{FIELDS[name]: row})
 
     def _unknown(self, state: State, name: str, at: Place, why: str) -> State:
-        return self._doubtful(state, FIELDS[name], at.error(f"{name} is not known: {why}", _FRAME_ADVICE))
+        return self._uncertain(state, FIELDS[name], at.error(f"{name} is not known: {why}", _FRAME_ADVICE))
 
     def numbered(self, state: State, at: Place, name: str, number: int) -> State:
         """Return the state behind ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``."""
@@ -270,7 +270,7 @@ class Settings:
         if number is None:
             why = self.variables.why_unknown(at.source, value)
             problem = at.error(f"the speed $VEL.CP is not known before the program runs: {why}", _RUN_TIME)
-            return self._doubtful(state, "speed", problem)
+            return self._uncertain(state, "speed", problem)
         if not 0.0 < number <= _FASTEST:
             raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {_FASTEST:g} m/s.")
         return state.with_known(speed=number, assumed=False)
@@ -294,7 +294,7 @@ class Settings:
         if number is None or number < 0.0:
             why = self.variables.why_unknown(at.source, value)
             problem = at.error(f"the approximation distance $APO.CDIS is not known: {why}", _RUN_TIME)
-            return self._doubtful(state, "cdis", problem)
+            return self._uncertain(state, "cdis", problem)
         return state.with_known(cdis=number * M_PER_MM)
 
     def _argument(self, at: Place, call: Call, field: str) -> Value | Known:

@@ -10,14 +10,14 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.statements import MOTION_WORDS, calls
 from postproc.dialects.krl.read.execution import LOOP_ADVICE, Execution
 from postproc.dialects.krl.read.library import Library
-from postproc.dialects.krl.read.motion_columns import Collector
+from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.settings import FIELDS, Settings
 from postproc.errors import MOST, ProgramError, together
 
 
 class Walker(Execution):
-    """Follows a program through the lines that the bulk path did not read.
+    """Follows a program through the lines that are not plain motions.
 
     :ivar moves: motions of the main routine, in order.
     :ivar still: lines of motions to where the robot is already.
@@ -26,7 +26,7 @@ class Walker(Execution):
     def __init__(self, library: Library, main: Routine, settings: Settings, reader: MotionReader) -> None:
         super().__init__(library, main, settings)
         self.reader = reader
-        self.moves = Collector()
+        self.moves = MotionCollector()
         self.still: list[int] = []
         self._refused: set[int] = set()
 

@@ -25,7 +25,7 @@ from postproc.dialects.krl.write import force_comments
 from postproc.dialects.krl.write.force_comments import where
 from postproc.dialects.krl.write.frame import LINE_END, axis_motion, head
 from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
-from postproc.dialects.krl.write.target_statements import written
+from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, TargetForces, Targets, Written
@@ -277,7 +277,7 @@ def _bits(prefix: bytes, values: Ints) -> list[Bytes]:
 
 def _frame(pose: Array) -> str:
     numbers = zip("XYZABC", xyzabc_from_pose(pose).tolist(), strict=True)
-    return written({name: printed(value, _FRAME_DECIMALS, 0) for name, value in numbers})
+    return aggregate_text({name: printed(value, _FRAME_DECIMALS, 0) for name, value in numbers})
 
 
 def _number(value: float) -> str:

@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.write.replacements import Edits
+from postproc.dialects.krl.write.replacements import Replacements
 from postproc.program import Ints
 
 
 @dataclass(slots=True, eq=False)
-class Lines:
+class InsertedLines:
     """Collects lines that come in, in order, and lines that go. Line numbers are 1-based and those of the input."""
 
     source: Source
-    edits: Edits
+    replacements: Replacements
     _at: list[int] = field(default_factory=list)
     _target: list[int] = field(default_factory=list)
     _removed: list[int] = field(default_factory=list)
@@ -27,13 +27,13 @@ class Lines:
         :param target: row of the target that stands on it; −1 if there is none.
         """
         offset = int(self.source.starts[at - 1])
-        self.edits.add(offset, offset, text)
+        self.replacements.add(offset, offset, text)
         self._at.append(at)
         self._target.append(target)
 
     def move(self, line: int, at: int, text: str) -> None:
         """Take a line away and put a text, in its place, before another."""
-        self.edits.add(int(self.source.starts[line - 1]), int(self.source.starts[line]), "")
+        self.replacements.add(int(self.source.starts[line - 1]), int(self.source.starts[line]), "")
         self._removed.append(line)
         self.add(at, text)
 

@@ -11,8 +11,8 @@ from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.names import NAME, unused
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.write.replacements import Edits
-from postproc.dialects.krl.write.target_statements import applied, edits, literal_of
+from postproc.dialects.krl.write.replacements import Replacements
+from postproc.dialects.krl.write.target_statements import applied, literal_of, replaced_numbers
 from postproc.errors import Issue
 
 
@@ -33,7 +33,7 @@ class Use:
 
 
 @dataclass(slots=True, eq=False)
-class Points:
+class NamedPoints:
     """Collects the uses of named points and decides where their numbers go.
 
     :ivar issues: what the user should know.
@@ -41,7 +41,7 @@ class Points:
 
     sources: Sequence[Source]
     layout: Layout
-    edits: Sequence[Edits]
+    replacements: Sequence[Replacements]
     mentions: Mapping[str, Sequence[int]]
     issues: list[Issue] = field(default_factory=list)
     _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
@@ -78,8 +78,8 @@ class Points:
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
         """Change the numbers of a point where they stand."""
-        for piece in edits(literal_of(aggregate), use.texts or {}):
-            self.edits[aggregate.source.index].add(*piece)
+        for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
+            self.replacements[aggregate.source.index].add(*piece)
 
     def _separate(self, uses: list[Use], aggregate: Aggregate) -> None:
         """Give each different correction a point of its own; the old one stays for those who use it as it is."""
@@ -89,10 +89,10 @@ class Points:
             if aggregate.source.index != 1 or len(self.sources) < 2 or not NAME.fullmatch(text):
                 self._replace(use)
                 continue
-            declared = applied(literal_of(aggregate), edits(literal_of(aggregate), use.texts or {}))
+            declared = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
             if declared not in names:
                 names[declared] = self._declare(text, declared, aggregate)
-            self.edits[0].add(use.operand.start, use.operand.stop, names[declared])
+            self.replacements[0].add(use.operand.start, use.operand.stop, names[declared])
             message = (
                 f"{text} is also used otherwise: this motion uses the new point {names[declared]} of the .dat. "
                 "The text of an inline form still names the old point."
@@ -111,14 +111,14 @@ class Points:
         old = source.text[start:stop]
         indent = old[: len(old) - len(old.lstrip())]
         kind = self.layout.types.get(name.upper(), "E6POS")
-        self.edits[source.index].add(
+        self.replacements[source.index].add(
             following, following, f"{indent}DECL {kind} {new}={literal}{source.text[stop:following]}"
         )
         return new
 
     def _replace(self, use: Use) -> None:
         """Write the target into the statement."""
-        self.edits[0].add(use.operand.start, use.operand.stop, use.whole)
+        self.replacements[0].add(use.operand.start, use.operand.stop, use.whole)
         message = "A point that is used more than once or computed is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 

@@ -15,7 +15,7 @@ _CHUNK = 1 << 21
 
 
 @dataclass(slots=True, eq=False)
-class Edits:
+class Replacements:
     """Pieces of a text to be replaced, in any order; they must not overlap.
 
     Insertions at one place stay in the order in which they were added.

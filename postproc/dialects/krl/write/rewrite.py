@@ -25,11 +25,16 @@ from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.write.force_comments import needed, texts
-from postproc.dialects.krl.write.inserted_lines import Lines
-from postproc.dialects.krl.write.named_points import Points, Use, mentions
-from postproc.dialects.krl.write.replacements import Edits
-from postproc.dialects.krl.write.target_numbers import DECIMALS, wanted
-from postproc.dialects.krl.write.target_statements import APPROXIMATION, Statements, edits, written
+from postproc.dialects.krl.write.inserted_lines import InsertedLines
+from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
+from postproc.dialects.krl.write.replacements import Replacements
+from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
+from postproc.dialects.krl.write.target_statements import (
+    APPROXIMATION,
+    TargetStatements,
+    aggregate_text,
+    replaced_numbers,
+)
 from postproc.dialects.krl.write.trigger_places import placed
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, TargetForces, Targets, Written
@@ -63,7 +68,7 @@ class _Rewriter:
         self.sources = [Source.of(document, index) for index, document in enumerate(program.documents)]
         self.source, self.text = self.sources[0], self.sources[0].text
         self.noted = {note.line for note in program.notes}
-        self.edits = [Edits() for _ in self.sources]
+        self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
         self.row = targets.motion
         self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
@@ -73,31 +78,31 @@ class _Rewriter:
         last, keep = self.last, self.targets.keep
         if (last & keep).all():
             return Written(self.program.documents, self.program.motions.line[self.row], "krl")
-        self.wanted = wanted(self.program.motions, self.layout, self.targets, self.text)
-        self.statements = Statements(self.source, self.layout, self.targets, self.wanted)
+        self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
+        self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
-        special[list(self.layout.moves)] = True
+        special[list(self.layout.statements)] = True
         plain = last & ~special[self.row]
         straight = plain & ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
         for k in np.flatnonzero(straight).tolist():
-            self.edits[0].add(*self.statements.rewritten(int(self.row[k]), k))
+            self.replacements[0].add(*self.statements.rewritten(int(self.row[k]), k))
         plain &= ~straight
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
-        if self.layout.moves:
+        if self.layout.statements:
             self._special()
         output_line = self._insert()
         self._check_orientation()
         documents = tuple(
             replace(document, text=changes.applied(document.text)) if changes else document
-            for document, changes in zip(self.program.documents, self.edits, strict=True)
+            for document, changes in zip(self.program.documents, self.replacements, strict=True)
         )
         return Written(documents, output_line, "krl", group_issues(self.issues))
 
     def _added(self) -> Bools:
         """Return which targets get components that their text lacks, (K,)."""
-        return np.asarray((self.wanted.written & self.layout.missing[self.row]).any(axis=1))
+        return np.asarray((self.commanded.written & self.layout.missing[self.row]).any(axis=1))
 
     def _bits(self) -> Bools:
         """Return which targets may get another S or T, (K,)."""
@@ -108,13 +113,16 @@ class _Rewriter:
         """Replace the numbers that stand in plain lines, all at once."""
         spans = self.layout.spans[self.row[k], :6].astype(np.int64)
         there = spans[:, :, 0] >= 0
-        self.edits[0].add_numbers(
-            spans[:, :, 0][there], spans[:, :, 1][there], self.wanted.numbers[k][there], self.wanted.decimals[k][there]
+        self.replacements[0].add_numbers(
+            spans[:, :, 0][there],
+            spans[:, :, 1][there],
+            self.commanded.numbers[k][there],
+            self.commanded.decimals[k][there],
         )
         circles = k[self.targets.kind[k] == CIRC]
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
-        self.edits[0].add_numbers(spans[:, 0], spans[:, 1], self.wanted.via[circles].reshape(-1), decimals)
+        self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], self.commanded.via[circles].reshape(-1), decimals)
 
     def _complete(self, row: int, k: int) -> None:
         """Add components to a plain line, and change its S and T; its other numbers are replaced already."""
@@ -122,15 +130,17 @@ class _Rewriter:
         if literal is not None:
             texts = self.statements.texts(k, literal)
             rest = {name: text for name, text in texts.items() if name in "ST" or name not in literal.places}
-            for piece in edits(literal, rest):
-                self.edits[0].add(*piece)
+            for piece in replaced_numbers(literal, rest):
+                self.replacements[0].add(*piece)
 
     def _special(self) -> None:
         """Change statements that are not plain lines."""
-        moves = self.layout.moves
+        moves = self.layout.statements
         named = any(move.end.name or (move.via and move.via.name) for move in moves.values())
         plain = np.delete(self.program.motions.line, list(moves)).tolist()
-        points = Points(self.sources, self.layout, self.edits, mentions(self.source, plain) if named else {})
+        points = NamedPoints(
+            self.sources, self.layout, self.replacements, mentions(self.source, plain) if named else {}
+        )
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if row in moves:
@@ -138,23 +148,23 @@ class _Rewriter:
         points.settle()
         self.issues += points.issues
 
-    def _statement(self, row: int, k: int, move: MotionStatement, points: Points) -> None:
+    def _statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
         """Change one statement, or note that it uses named points as they are."""
         split = k > 0 and bool(self.row[k - 1] == row)
         straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
         depends = bool(move.relative) or move.angle is not None
-        moved = bool(move.relative) and bool(self.wanted.moved[row])
+        moved = bool(move.relative) and bool(self.commanded.moved[row])
         forced = straight or (split and (depends or move.kind == CIRC)) or moved
-        changed = forced or bool(self.wanted.changed[k])
+        changed = forced or bool(self.commanded.changed[k])
         if changed and (move.relative or straight):
-            self.edits[0].add(*self.statements.rewritten(row, k))
+            self.replacements[0].add(*self.statements.rewritten(row, k))
             if move.relative:
                 if move.behind is not None:
-                    self.edits[0].add(*move.behind, "")
+                    self.replacements[0].add(*move.behind, "")
                 self._tell("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
         if changed and move.angle is not None:
-            self.edits[0].add(move.end.stop, move.tail, "")
+            self.replacements[0].add(move.end.stop, move.tail, "")
             self._tell("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         statements = self.statements
         whole = statements.whole(k, move.end)
@@ -162,22 +172,24 @@ class _Rewriter:
             move.line, move.end, statements.end_texts(k, move.end, copy=forced) if changed else None, whole, points
         )
         if move.via is not None:
-            via = self.wanted.via_texts(k)
-            self._point(move.line, move.via, (via or None) if changed else None, written(via), points)
+            via = self.commanded.via_texts(k)
+            self._point(move.line, move.via, (via or None) if changed else None, aggregate_text(via), points)
 
-    def _point(self, line: int, operand: Point, texts: Mapping[str, str] | None, whole: str, points: Points) -> None:
+    def _point(
+        self, line: int, operand: Point, texts: Mapping[str, str] | None, whole: str, points: NamedPoints
+    ) -> None:
         """Change the numbers of a point where they stand in the statement; note the use of any other point."""
         literal = self.statements.inline(operand)
         if literal is None:
             points.use(Use(line, operand, texts, whole))
         elif texts:
-            for piece in edits(literal, texts):
-                self.edits[0].add(*piece)
+            for piece in replaced_numbers(literal, texts):
+                self.replacements[0].add(*piece)
 
     def _insert(self) -> Ints:
         """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
         line = self.program.motions.line[self.row]
-        lines = Lines(self.source, self.edits[0])
+        lines = InsertedLines(self.source, self.replacements[0])
         at, moved = self._around_triggers()
         forces = self._forces(line, at)
         for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), [*moved, *forces])).tolist():
@@ -209,7 +221,7 @@ class _Rewriter:
         if not self.last[k] or line not in self.noted:
             return False
         start, stop = int(self.source.starts[line - 1]), int(self.source.stops[line - 1])
-        self.edits[0].add(comment_start(self.text, start, stop), stop, text)
+        self.replacements[0].add(comment_start(self.text, start, stop), stop, text)
         return True
 
     def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
@@ -231,7 +243,7 @@ class _Rewriter:
                     moved[k] = [(trigger, self._moved(trigger, places.paths.get(trigger))) for trigger in triggers]
             for trigger, path in places.paths.items():
                 if trigger not in away and trigger.path is not None:
-                    self.edits[0].add(*trigger.path, path)
+                    self.replacements[0].add(*trigger.path, path)
             for trigger in places.lost:
                 message = (
                     "Targets must be inserted into the motion that follows this TRIGGER, and it cannot be kept right. "

@@ -23,7 +23,7 @@ _EQUAL = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wanted:
+class TargetNumbers:
     """K targets as text will command them.
 
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as they stand.
@@ -55,7 +55,7 @@ class Wanted:
         return {} if np.isnan(via).any() else {name: f"{value:.4f}" for name, value in zip("XYZ", via, strict=True)}
 
 
-def wanted(motions: Motions, layout: Layout, targets: Targets, text: str) -> Wanted:
+def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str) -> TargetNumbers:
     """Return what has to be printed for the targets of a program.
 
     :param text: the `.src`.
@@ -81,7 +81,7 @@ def wanted(motions: Motions, layout: Layout, targets: Targets, text: str) -> Wan
     before[fresh] = layout.numbers[row[fresh]]
     added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
     written = np.where(keep[:, None], added, ~layout.missing[row] | added)
-    return Wanted(
+    return TargetNumbers(
         numbers,
         np.where(keep[:, None], MOST_DECIMALS, decimals),
         np.where(keep[:, None], DECIMALS, decimals),
@@ -135,7 +135,7 @@ def _decimals(layout: Layout, text: str) -> Ints:
     point = _next(codes == ord("."), start, len(codes))
     exponent = np.minimum(_next((codes | 32) == ord("e"), start, len(codes)), stop)
     decimals = np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
-    for row, move in layout.moves.items():
+    for row, move in layout.statements.items():
         aggregate = move.end.position.aggregate
         if aggregate is not None and not move.end.position.axis:
             for column, name in enumerate(CARTESIAN):

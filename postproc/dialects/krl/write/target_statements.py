@@ -12,7 +12,7 @@ from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNAL
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, Wanted, printed
+from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
 from postproc.program import CIRC, LIN, PTP, Targets
 
 _WORD = re.compile(r"[A-Za-z_]+")
@@ -21,7 +21,7 @@ APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
 _BINARY = re.compile(r"'[Bb]([01]+)'")
 
 
-class Piece(NamedTuple):
+class Replacement(NamedTuple):
     """A piece of a text to be replaced."""
 
     start: int
@@ -48,13 +48,13 @@ def literal_of(aggregate: Aggregate) -> Literal:
     return Literal(aggregate.source.text, aggregate.start, aggregate.stop, places)
 
 
-def edits(literal: Literal, texts: Mapping[str, str]) -> list[Piece]:
+def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replacement]:
     """Return the edits that give a literal other numbers; components that it lacks are added in its style.
 
     :param texts: component → number as printed.
     """
     places = literal.places
-    pieces = [Piece(*places[name], text) for name, text in texts.items() if name in places]
+    pieces = [Replacement(*places[name], text) for name, text in texts.items() if name in places]
     absent = [name for name in texts if name not in places]
     if absent:
         last = max(stop for name, (_, stop) in places.items() if name in CARTESIAN)
@@ -63,11 +63,11 @@ def edits(literal: Literal, texts: Mapping[str, str]) -> list[Piece]:
         blank = " " if comma >= 0 and inside[comma + 1] == " " else ""
         lower = inside.rpartition(":")[2].islower()
         new = "".join(f",{blank}{name.lower() if lower else name} {texts[name]}" for name in absent)
-        pieces.append(Piece(last, last, new))
+        pieces.append(Replacement(last, last, new))
     return pieces
 
 
-def applied(literal: Literal, pieces: list[Piece]) -> str:
+def applied(literal: Literal, pieces: list[Replacement]) -> str:
     """Return a literal with pieces replaced."""
     out, start = [], literal.start
     for piece in sorted(pieces):
@@ -76,24 +76,24 @@ def applied(literal: Literal, pieces: list[Piece]) -> str:
     return "".join([*out, literal.text[start : literal.stop]])
 
 
-def written(texts: Mapping[str, str]) -> str:
+def aggregate_text(texts: Mapping[str, str]) -> str:
     """Return a new literal with the given components."""
     return "{" + ",".join(f"{name} {text}" for name, text in texts.items()) + "}"
 
 
-class Statements:
+class TargetStatements:
     """The motion statements of one program and their targets.
 
     Methods take the row of a motion and the row `k` of one of its targets.
     """
 
-    def __init__(self, source: Source, layout: Layout, targets: Targets, wanted: Wanted) -> None:
-        self.source, self.layout, self.targets, self.wanted = source, layout, targets, wanted
+    def __init__(self, source: Source, layout: Layout, targets: Targets, commanded: TargetNumbers) -> None:
+        self.source, self.layout, self.targets, self.commanded = source, layout, targets, commanded
         self.text = source.text
 
     def literal(self, row: int) -> Literal | None:
         """Return the literal in which the end of a motion stands in its statement; None if it does not."""
-        move = self.layout.moves.get(row)
+        move = self.layout.statements.get(row)
         if move is not None:
             return None if move.relative else self.inline(move.end)
         spans = self.layout.spans[row].tolist()
@@ -108,7 +108,7 @@ class Statements:
 
     def via(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
         """Return where the auxiliary point of a circle stands, and its literal if its numbers stand there."""
-        move = self.layout.moves.get(row)
+        move = self.layout.statements.get(row)
         if move is not None:
             via = move.via
             return ((via.start, via.stop), self.inline(via)) if via is not None else (None, None)
@@ -122,9 +122,9 @@ class Statements:
 
     def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written into a literal; for a copy of it also those that stay."""
-        needed = self.wanted.written[k]
+        needed = self.commanded.written[k]
         columns = [c for c in range(6) if needed[c] or (copy and CARTESIAN[c] in literal.places)]
-        texts = self.wanted.texts(k, columns)
+        texts = self.commanded.texts(k, columns)
         if self.targets.kind[k] == PTP:
             for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
                 if value >= 0 and name in literal.places:
@@ -135,14 +135,14 @@ class Statements:
         """Return the numbers to be written for the end point of a statement, wherever its own stand."""
         aggregate = operand.position.aggregate
         if aggregate is None:
-            return self.wanted.texts(k, range(6))
+            return self.commanded.texts(k, range(6))
         return self.texts(k, literal_of(aggregate), copy=copy)
 
     def whole(self, k: int, operand: Point | None) -> str:
         """Return the whole target as a new literal, with the external axes and for a PTP the S and T that are known."""
-        texts = self.wanted.texts(k, range(6))
+        texts = self.commanded.texts(k, range(6))
         if operand is None:
-            return written(texts)
+            return aggregate_text(texts)
         own = operand.position
         if self.targets.kind[k] == PTP:
             for name, value, before in (("S", self.targets.status, own.status), ("T", self.targets.turn, own.turn)):
@@ -152,14 +152,14 @@ class Statements:
         for name, place in zip(EXTERNAL, own.external, strict=False):
             if not math.isnan(place):
                 texts[name] = printed(place, MOST_DECIMALS, 0)
-        return written(texts)
+        return aggregate_text(texts)
 
     def end(self, row: int, k: int) -> str:
         """Return the end point of a target as text: the literal of the statement with other numbers, or a new one."""
         literal = self.literal(row)
         if literal is not None:
-            return applied(literal, edits(literal, self.texts(k, literal, copy=True)))
-        move = self.layout.moves.get(row)
+            return applied(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
+        move = self.layout.statements.get(row)
         return self.whole(k, move.end if move else None)
 
     def keyword(self, row: int, k: int) -> str:
@@ -179,8 +179,8 @@ class Statements:
         end, (span, via) = self.end(row, k), self.via(row)
         if span is None or self.targets.kind[k] != CIRC:
             return end
-        texts = self.wanted.via_texts(k)
-        first = applied(via, edits(via, texts)) if via is not None else written(texts)
+        texts = self.commanded.via_texts(k)
+        first = applied(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
         return first + self.text[span[1] : int(self.layout.target[row, 0])] + end
 
     def statement(self, row: int, k: int) -> str:
@@ -210,9 +210,9 @@ class Statements:
         starts, stops = self.source.starts, self.source.stops
         return self.text[stops[line - 1] : starts[line]]  # a motion is never the last line: END follows
 
-    def rewritten(self, row: int, k: int) -> Piece:
+    def rewritten(self, row: int, k: int) -> Replacement:
         """Return the edit that replaces instruction and points of a statement by absolute literals."""
-        return Piece(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement(row, k))
+        return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement(row, k))
 
 
 def _bits(name: str, value: int, text: str) -> dict[str, str]:
