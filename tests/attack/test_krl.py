@@ -4,10 +4,11 @@ from collections import Counter
 
 import pytest
 
-from postproc.dialects.krl.read.execution import Execution
+from postproc.dialects.krl.read.calls import Calls
+from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.variables import NOTHING, Variables
-from postproc.dialects.krl.write.named_points import Points
+from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.write.named_points import NamedPoints
 from tests.attack.krl import Wrong, attack, damaged
 
 
@@ -24,12 +25,12 @@ def test_damaged_programs_are_refused_with_a_message_or_read():
 
 
 FAULTS = {
-    "calls are passed over": (Execution, "call", lambda self, at, call, certain: NOTHING),
-    "what may happen is taken not to": (Execution, "_perhaps", lambda self, at, name, effects: None),
-    "arguments keep their values": (Execution, "_forget_arguments", lambda self, at, call, routine: None),
+    "calls are passed over": (Calls, "call", lambda self, at, call, certain: NOTHING),
+    "what may happen is taken not to": (Calls, "_may_have_run", lambda self, at, name, effects: None),
+    "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),
-    "branches keep settings": (Settings, "perhaps", lambda self, line, state, reason: self.change(line, state)),
-    "points are corrected for all who read them": (Points, "_alone", lambda self, uses, aggregate: True),
+    "branches keep settings": (Settings, "may_become", lambda self, line, state, reason: self.change(line, state)),
+    "points are corrected for all who read them": (NamedPoints, "_alone", lambda self, uses, aggregate: True),
 }
 
 

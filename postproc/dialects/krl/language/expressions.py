@@ -1,18 +1,26 @@
-"""Values as KRL writes them: numbers, aggregates, names, chains of frames. Every value knows where it stands.
-
-Offsets count characters from the beginning of the document.
-"""
+"""From a piece of code to a value: the grammar of KRL's expressions."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
+from collections.abc import Callable
+from typing import NoReturn
 
+from postproc.dialects.krl.language.brackets import beyond, matching, skip_blanks, split
 from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import (
+    Aggregate,
+    Call,
+    Chain,
+    Number,
+    Opaque,
+    Operation,
+    Reference,
+    Value,
+    Word,
+)
 
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NUMBER = re.compile(NUMBER_PATTERN)
@@ -31,102 +39,6 @@ _ENDS = ",)]}cC"
 _LOGIC = re.compile(r"[<>=&|]|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 
 
-class Number(NamedTuple):
-    """A number.
-
-    `integer` is True where it may be an INT: KRL divides two of these without a remainder.
-    """
-
-    value: float
-    start: int
-    stop: int
-    integer: bool = False
-
-
-class Word(NamedTuple):
-    """An enumeration value (``#BASE``), a string with its quotes, TRUE or FALSE; upper case but for strings."""
-
-    text: str
-    start: int
-    stop: int
-
-
-class Reference(NamedTuple):
-    """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case.
-
-    `element` is its text between the brackets and `inside` where that stands; `field` is all that follows the first
-    point (``BLOCK[2].Z``).
-    """
-
-    name: str
-    element: str | None
-    field: str | None
-    start: int
-    stop: int
-    inside: tuple[int, int] = (0, 0)
-
-
-class Call(NamedTuple):
-    """A function with the texts of its arguments' spans."""
-
-    name: str
-    arguments: tuple[tuple[int, int], ...]
-    start: int
-    stop: int
-
-    def spelt(self, source: Source) -> str:
-        """Return the name as the text has it."""
-        return source.text[self.start : self.start + len(self.name)]
-
-
-class Chain(NamedTuple):
-    """Frames joined by the geometric operator ``:``."""
-
-    operands: tuple[Value, ...]
-    start: int
-    stop: int
-
-
-class Operation(NamedTuple):
-    """Two numbers joined by ``+ - * /``; `left` is None where the operator is a sign."""
-
-    operator: str
-    left: Value | None
-    right: Value
-    start: int
-    stop: int
-
-
-class Opaque(NamedTuple):
-    """What is computed while the program runs: comparisons, logic, text."""
-
-    start: int
-    stop: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Aggregate:
-    """``{TAG: NAME value, …}``.
-
-    :param source: the file it stands in.
-    :param start: offset of ``{``.
-    :param stop: offset behind ``}``.
-    :param tag: ``E6POS`` of ``{E6POS: …}``, upper case; empty if there is none.
-    :param items: component (upper case) → value.
-    :param computed: True when an assignment to a component changed it, so that no text holds its numbers.
-    """
-
-    source: Source
-    start: int
-    stop: int
-    tag: str
-    items: Mapping[str, Value]
-    computed: bool = False
-
-
-Value = Number | Word | Reference | Call | Chain | Operation | Opaque | Aggregate
-
-
 def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
     """Return the value that begins at `start`, and the offset behind it.
 
@@ -134,16 +46,16 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
 
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
-    begin = _skip(source.text, start, stop)
+    begin = skip_blanks(source.text, start, stop)
     if begin < stop and source.text[begin] not in "+-":
         value, end = operand(source, begin, stop)
-        after = _skip(source.text, end, stop)
+        after = skip_blanks(source.text, end, stop)
         if after == stop or source.text[after] in _ENDS:
             return value, end  # nothing is joined to it: so common that looking first is faster
     value, end = _sum(source, start, stop)
-    after = _skip(source.text, end, stop)
+    after = skip_blanks(source.text, end, stop)
     if after < stop and _LOGIC.match(source.text, after, stop):
-        end = _beyond(source, after, stop)
+        end = beyond(source, after, stop)
         return Opaque(value.start, end), end
     return value, end
 
@@ -166,59 +78,39 @@ def _joined(
     """Return parts joined by operators, from left to right."""
     text = source.text
     value, end = part(source, start, stop)
-    after = _skip(text, end, stop)
+    after = skip_blanks(text, end, stop)
     while after < stop and text[after] in operators:
         right, end = part(source, after + 1, stop)
         value = Operation(text[after], value, right, value.start, end)
-        after = _skip(text, end, stop)
+        after = skip_blanks(text, end, stop)
     return value, end
 
 
 def _factor(source: Source, start: int, stop: int) -> tuple[Value, int]:
     """Return a value with its sign, or frames joined by ``:``."""
     text = source.text
-    start = _skip(text, start, stop)
+    start = skip_blanks(text, start, stop)
     if text[start:stop][:1] in ("+", "-") and not _NUMBER.match(text, start, stop):
-        if text[_skip(text, start + 1, stop) : stop][:1] in ("+", "-"):
+        if text[skip_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
             raise source.error("two signs in a row", start)
         value, end = _factor(source, start + 1, stop)
         return Operation(text[start], None, value, start, end), end
     value, end = operand(source, start, stop)
-    after = _skip(text, end, stop)
+    after = skip_blanks(text, end, stop)
     if after < stop and text[after] == ":":
         operands: list[Value] = [value]
         while after < stop and text[after] == ":":
             value, end = operand(source, after + 1, stop)
             operands.append(value)
-            after = _skip(text, end, stop)
+            after = skip_blanks(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
     return value, end
-
-
-def _beyond(source: Source, start: int, stop: int) -> int:
-    """Return where a value that is not looked into ends: at a comma or a closing bracket that is not its own."""
-    text, offset = source.text, start
-    while offset < stop and text[offset] not in ",)]}":
-        if text[offset] in _PAIRS:
-            offset = matching(source, offset, stop)
-        elif text[offset] == '"':
-            offset = text.find('"', offset + 1, stop)
-            if offset < 0:
-                return stop
-        offset += 1
-    return offset
-
-
-def _skip(text: str, start: int, stop: int) -> int:
-    while start < stop and text[start] in " \t":
-        start += 1
-    return start
 
 
 def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
     """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind."""
     text = source.text
-    start = _skip(text, start, stop)
+    start = skip_blanks(text, start, stop)
     if start >= stop:
         raise source.error("a value is missing", min(start, len(text) - 1))
     first = text[start]
@@ -240,14 +132,14 @@ def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
         return Word(match[0], start, match.end()), match.end()
     if match := _ENUM.match(text, start, stop):
         return Word(match[0].upper(), start, match.end()), match.end()
-    end = _beyond(source, start, stop)
+    end = beyond(source, start, stop)
     return Opaque(start, end), end
 
 
 def _in_brackets(source: Source, start: int, stop: int) -> tuple[Value, int]:
     close = matching(source, start, stop)
     value, end = parse(source, start + 1, close)
-    if _skip(source.text, end, close) < close or not isinstance(value, Number | Reference | Operation):
+    if skip_blanks(source.text, end, close) < close or not isinstance(value, Number | Reference | Operation):
         return Opaque(start, close + 1), close + 1
     return value._replace(start=start, stop=close + 1), close + 1
 
@@ -256,7 +148,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, in
     text, start, end = source.text, name.start(), name.end()
     if name[0].upper() in ("TRUE", "FALSE"):
         return Word(name[0].upper(), start, end), end
-    after = _skip(text, end, stop)
+    after = skip_blanks(text, end, stop)
     if after < stop and text[after] == "(":
         close = matching(source, after, stop)
         inner = split(source, after + 1, close)
@@ -264,7 +156,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, in
     element, inside = None, (0, 0)
     path: list[str] = []
     while True:
-        after = _skip(text, end, stop)
+        after = skip_blanks(text, end, stop)
         if after < stop and text[after] == "[":
             close = matching(source, after, stop)
             if path:
@@ -308,7 +200,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         items[name] = value
         if not more:
             break
-    position = _skip(text, position, stop)
+    position = skip_blanks(text, position, stop)
     return Aggregate(source, start, position + 1, tag, items)
 
 
@@ -322,7 +214,7 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
     if match.end() >= stop or text[match.end()] in ",}":
         _not_closed_or(source, opening, match.end(), stop, f"component {name} has no value")
     value, end = parse(source, match.end(), stop)
-    end = _skip(text, end, stop)
+    end = skip_blanks(text, end, stop)
     if isinstance(value, Reference) and value.name in ("NAN", "INF", "INFINITY"):
         raise source.error(f"component {name} is not a finite number", value.start)
     if end >= stop or text[end] not in ",}":
@@ -331,7 +223,7 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
 
 
 def _not_closed_or(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
-    if _skip(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
+    if skip_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
         raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
     raise source.error(problem, position)
 
@@ -341,53 +233,3 @@ def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
     if not math.isfinite(value):
         raise source.error(f"{match[group][:40]} is not a finite number", match.start(group))
     return value
-
-
-_PAIRS = {"(": ")", "[": "]", "{": "}"}
-
-
-def matching(source: Source, start: int, stop: int) -> int:
-    """Return the offset of the bracket that closes the one at `start`.
-
-    :raises ProgramError: there is none before `stop`.
-    """
-    text = source.text
-    open_: list[str] = []
-    offset = start
-    while offset < stop:
-        char = text[offset]
-        if char == '"':
-            offset = text.find('"', offset + 1, stop)
-            if offset < 0:
-                break
-        elif char in _PAIRS:
-            open_.append(_PAIRS[char])
-        elif char in ")]}":
-            if open_.pop() != char:
-                break
-            if not open_:
-                return offset
-        offset += 1
-    raise source.error(f"{text[start]} is not closed", start, "Check that the line is complete.")
-
-
-def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
-    """Return the spans between the commas of a list, brackets and strings skipped; an empty list has none."""
-    text = source.text
-    spans: list[tuple[int, int]] = []
-    begin = offset = start
-    while offset < stop:
-        char = text[offset]
-        if char in _PAIRS:
-            offset = matching(source, offset, stop)
-        elif char == '"':
-            offset = text.find('"', offset + 1, stop)
-            if offset < 0:
-                raise source.error("a string is not closed", start)
-        elif char == ",":
-            spans.append((begin, offset))
-            begin = offset + 1
-        offset += 1
-    if spans or text[start:stop].strip():
-        spans.append((begin, stop))
-    return spans

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.dialects.krl.language.expressions import Aggregate, Number
+from postproc.dialects.krl.language.values import Aggregate, Number
 from postproc.errors import ProgramError
 from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 
-from postproc.dialects.krl.language.expressions import Call, Reference, Value, operand
+from postproc.dialects.krl.language.expressions import operand
 from postproc.dialects.krl.language.names import MOTIONS, NAME, PURE, RESERVED, TYPES
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Call, Reference, Value
 
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
 SPLINES = frozenset({"SPLINE", "PTP_SPLINE", "SPL", "SPL_REL"})

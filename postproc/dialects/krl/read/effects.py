@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from postproc.dialects.krl.language.expressions import Call
 from postproc.dialects.krl.language.names import DECLARING, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
@@ -24,9 +23,11 @@ from postproc.dialects.krl.language.statements import (
     reference_of,
     word_at,
 )
+from postproc.dialects.krl.language.values import Call
+from postproc.dialects.krl.read.bas import BAS_SETS
+from postproc.dialects.krl.read.known import Scope
 from postproc.dialects.krl.read.library import Library
-from postproc.dialects.krl.read.settings import BAS_SETS, RELEVANT
-from postproc.dialects.krl.read.variables import Scope
+from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import ProgramError
 
 ACTION = re.compile(r"\bDO\b[ \t]*", re.I)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from postproc.dialects.krl.language.expressions import Number
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import COLUMNS
+from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import Offsets
-from postproc.dialects.krl.read.settings import State
+from postproc.dialects.krl.read.state import State
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import re
 
-from postproc.dialects.krl.language.expressions import Reference, operand, parse, split
+from postproc.dialects.krl.language.brackets import split
+from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.positions import FARTHEST, Position
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.read.settings import RELEVANT, Settings, State, out_of_reach
-from postproc.dialects.krl.read.variables import NOTHING
+from postproc.dialects.krl.language.values import Reference
+from postproc.dialects.krl.read.explanations import why_unknown
+from postproc.dialects.krl.read.frames import out_of_reach
+from postproc.dialects.krl.read.known import NOTHING
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
 from postproc.program import CIRC, LIN, PTP
 
 KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC}
@@ -98,7 +103,7 @@ class MotionReader:
             self.home_used = self.home_used or at.line
             position = Position(self.home, axis=True)
         if position is None:
-            why = self.variables.why_unknown(source, value)
+            why = why_unknown(self.variables, source, value)
             raise at.error(f"the target is not known: {why}", RUN_TIME_ADVICE)
         if position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
@@ -141,11 +146,3 @@ class MotionReader:
             elif not _NO_EFFECT.match(target.name):
                 raise at.error(f"{target.name} in WITH is not understood")
         return state
-
-
-def fields_used(kind: int, *, axis: bool, approximated: bool) -> list[str]:
-    """Return on which fields of its state a motion depends."""
-    fields = [] if axis else ["base", "tool"]
-    if kind != PTP:
-        fields += ["speed", "orientation", *(["circle"] if kind == CIRC else [])]
-    return [*fields, "cdis"] if approximated else fields

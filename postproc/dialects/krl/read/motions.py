@@ -15,10 +15,10 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.end_poses import EndPoses, end_poses
+from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
-from postproc.dialects.krl.read.motion_reader import fields_used
-from postproc.dialects.krl.read.settings import DEFAULT_SPEED, Settings, State
-from postproc.dialects.krl.read.walker import Walker
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts
@@ -43,15 +43,15 @@ class OrderedMotions(NamedTuple):
     moves: dict[int, MotionStatement]
 
 
-def ordered_motions(walker: Walker, plain: list[MotionColumns]) -> OrderedMotions:
+def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMotions:
     """Put plain lines and statements in order.
 
-    :param walker: has followed all lines that are not plain.
+    :param main: has followed all lines that are not plain.
     :param plain: plain motions, in parts.
     """
-    statements = walker.moves
+    statements = main.motions
     line = np.concatenate([rows.line for rows in plain])
-    states, state_plain, state_moves = _states(walker.settings, line, statements.states)
+    states, state_plain, state_moves = _states(main.run.settings, line, statements.states)
     others = statements.rows()
     place = np.searchsorted(line, others.line) + np.arange(len(others))
     place_plain = np.delete(np.arange(len(line) + len(others)), place)
@@ -63,25 +63,29 @@ def ordered_motions(walker: Walker, plain: list[MotionColumns]) -> OrderedMotion
 
 
 def motions_and_layout(
-    source: Source, walker: Walker, ordered: OrderedMotions, start_joints: Array, forward: Callable[[Array], Array]
+    source: Source,
+    main: MainRoutine,
+    ordered: OrderedMotions,
+    start_joints: Array,
+    forward: Callable[[Array], Array],
 ) -> tuple[Motions, Layout, list[Issue]]:
     """Return the motions of a program in order, where their text stands, and what had to be assumed.
 
-    :param walker: has followed all lines that are not plain.
+    :param main: has followed all lines that are not plain.
     :param ordered: all motions.
     :param start_joints: (6,) where the robot stands first [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
-    settings = walker.settings
+    settings = main.run.settings
     rows, states, state, moves = ordered
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
     base[base < 0], tool[tool < 0] = 0, 0  # of axis targets
     standing = _external(source, rows, moves)
-    frames = base, tool, np.stack(settings.bases), np.stack(settings.tools)
+    frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     given = rows.numbers[:, :6]
     ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward)
     constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
@@ -123,8 +127,8 @@ def motions_and_layout(
         statements=moves,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
-        understood=frozenset(walker.understood),
-        triggers=_triggers(source, walker, motions, ends.start),
+        understood=frozenset(main.run.understood),
+        triggers=_triggers(source, main, motions, ends.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     return motions, layout, [*standing, *_assumptions(rows.line, missing, assumed, moves), *_by_speed(source, rows)]
@@ -236,15 +240,15 @@ def _arcs(
     return centre, normal, sweep
 
 
-def _triggers(source: Source, walker: Walker, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
+def _triggers(source: Source, main: MainRoutine, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
     """Return the TRIGGERs that a motion follows."""
-    lines = np.array(walker.triggers, dtype=np.int64)
+    lines = np.array(main.run.triggers, dtype=np.int64)
     rows = np.searchsorted(motions.line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
     if not len(rows):
         return ()
     following = motions.line[rows].tolist()
-    attached = [walker.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
+    attached = [main.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
     arc = motions.kind[rows] == CIRC
     length = np.where(arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc.dialects.krl.language.positions import Position
+from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.walker import Walker
 from postproc.errors import Issue, ProgramError
 from postproc.frames import Array
 
@@ -24,26 +24,26 @@ _MOST_NAMES = 10
 
 
 def changed_data_issues(
-    walker: Walker, first: OrderedMotions, plain: list[MotionColumns], start_joints: tuple[float, ...]
+    main: MainRoutine, first: OrderedMotions, plain: list[MotionColumns], start_joints: tuple[float, ...]
 ) -> Iterator[Issue]:
     """Yield a warning if the next run, with the values that this one leaves, goes elsewhere or cannot be known.
 
-    :param walker: has followed the program.
+    :param main: has followed the program.
     :param first: its motions.
     :param plain: its plain motions.
     :param start_joints: where the robot stands first [deg].
     """
-    kept = walker.settings.variables.kept()
+    kept = main.run.settings.variables.kept()
     if not kept:
         return
-    settings = Settings(walker.settings.variables.next_run(), walker.settings.cell)
-    second_run = Walker(walker.library, walker.main, settings, MotionReader(settings, start_joints))
+    settings = Settings(main.run.settings.variables.next_run(), main.run.settings.cell)
+    second_run = MainRoutine(main.run.library, main.run.routine, settings, MotionReader(settings, start_joints))
     try:
-        second_run.walk([])
+        second_run.follow([])
         second = ordered_motions(second_run, plain)
-        line = _first_difference(walker.settings, first, settings, second)
+        line = _first_difference(main.run.settings, first, settings, second)
     except ProgramError as cause:
-        line = cause.line or walker.main.first
+        line = cause.line or main.run.routine.first
     if line is None:
         return
     names = [f"{name} ({place})" for name, place in list(kept.items())[:_MOST_NAMES]]
@@ -84,8 +84,8 @@ def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
         [
             np.concatenate(
                 [
-                    _frame(settings.bases, state.base),
-                    _frame(settings.tools, state.tool),
+                    _frame(settings.frames.bases, state.base),
+                    _frame(settings.frames.tools, state.tool),
                     [state.speed, state.cdis, hash(state.orientation), hash(state.circle)],
                 ]
             )

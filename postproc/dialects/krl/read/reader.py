@@ -18,15 +18,17 @@ from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source, comment_start
 from postproc.dialects.krl.read import plain_lines
+from postproc.dialects.krl.read.data_lists import read_data
+from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.issues import issues_of
 from postproc.dialects.krl.read.library import Library
+from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged, none
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions
 from postproc.dialects.krl.read.next_run import changed_data_issues
-from postproc.dialects.krl.read.settings import Settings, out_of_reach
+from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
-from postproc.dialects.krl.read.walker import Walker
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, largest
@@ -58,36 +60,36 @@ def read_program(
     source = Source.of(documents[0], 0)
     variables = Variables(cell)
     for index, document in enumerate(documents[1:], 1):
-        variables.read_data(Source.of(document, index))
+        read_data(variables, Source.of(document, index))
     if cell.config_dat is not None:
-        variables.read_data(_config(cell, cell.config_dat), fill=True, shared=True)
+        read_data(variables, _config(cell, cell.config_dat), fill=True, shared=True)
     plain = plain_lines.scan(source) if _bulk else [none()]
     lines = np.concatenate([rows.line for rows in plain])
-    module, main, faults = _main(source, lines, name)
+    module, entry, faults = _main(source, lines, name)
     settings = Settings(variables, cell)
     start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
     moves = MotionReader(settings, start)
-    walker = Walker(Library(module, _folders(documents[0], cell)), main, settings, moves)
+    main = MainRoutine(Library(module, _folders(documents[0], cell)), entry, settings, moves)
     try:
-        walker.walk(faults)
+        main.follow(faults)
     except RecursionError:
-        raise source.line_error("brackets are nested too deeply", walker.line) from None
-    executed = _executed(walker, lines)
+        raise source.line_error("brackets are nested too deeply", main.run.line) from None
+    executed = _executed(main, lines)
     if not executed.all():
         plain = [merged(plain, np.arange(len(lines))).take(executed)]
-    if not executed.any() and not len(walker.moves):
+    if not executed.any() and not len(main.motions):
         raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
-    ordered = ordered_motions(walker, plain)
-    changed = list(changed_data_issues(walker, ordered, plain, start))
+    ordered = ordered_motions(main, plain)
+    changed = list(changed_data_issues(main, ordered, plain, start))
     del plain  # what follows needs the memory
     _check_size(source, ordered.rows)
-    _check_starts(walker, ordered)
-    motions, layout, assumptions = motions_and_layout(source, walker, ordered, cell.start_joints, forward)
+    _check_starts(main, ordered)
+    motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, forward)
     issues = [
-        *walker.issues,
+        *main.run.issues,
         *assumptions,
         *changed,
-        *issues_of(walker, ordered.states, ordered.state, ordered.rows, layout),
+        *issues_of(main, ordered.states, ordered.state, ordered.rows, layout),
     ]
     if moves.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
@@ -97,10 +99,10 @@ def read_program(
         "krl",
         tuple(documents),
         motions,
-        np.stack(settings.bases),
-        np.stack(settings.tools),
+        np.stack(settings.frames.bases),
+        np.stack(settings.frames.tools),
         notes=_notes(source),
-        still=np.array(walker.still, dtype=np.int64),
+        still=np.array(main.still, dtype=np.int64),
         issues=tuple(issues),
         layout=layout,
     )
@@ -139,20 +141,20 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
     return beside + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
-def _executed(walker: Walker, line: Ints) -> Bools:
+def _executed(main: MainRoutine, line: Ints) -> Bools:
     """Return which plain motions, by their lines, are those of the main routine; refuse those in control structures."""
-    first, last = walker.main.first, walker.main.last
+    first, last = main.run.routine.first, main.run.routine.last
     inside = np.asarray((line > first) & (line < last))
-    for opened, closed, word in walker.blocked:
+    for opened, closed, word in main.run.blocked:
         begin, end = np.searchsorted(line, [opened, closed]).tolist()
         if begin < end:
-            raise walker.misplaced(int(line[begin]), word, opened)
+            raise main.misplaced(int(line[begin]), word, opened)
     in_routines = np.zeros(len(inside), dtype=np.bool_)
-    for routine in walker.library.program.routines.values():
+    for routine in main.run.library.program.routines.values():
         in_routines |= (line > routine.first) & (line < routine.last)
     outside = np.flatnonzero(~in_routines)
     if len(outside):
-        raise walker.source.line_error("the motion stands outside of DEF … END", int(line[outside[0]]))
+        raise main.run.source.line_error("the motion stands outside of DEF … END", int(line[outside[0]]))
     return inside
 
 
@@ -164,9 +166,9 @@ def _check_size(source: Source, rows: MotionColumns) -> None:
         raise out_of_reach(Place(source, int(rows.line[beyond[0]])), float(farthest[beyond[0]]))
 
 
-def _check_starts(walker: Walker, ordered: OrderedMotions) -> None:
+def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
     """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
-    for line, reason in walker.moved:
+    for line, reason in main.run.moved:
         row = int(np.searchsorted(ordered.rows.line, line))
         if row < len(ordered.rows):
             move = ordered.moves.get(row)

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine
-from postproc.dialects.krl.read.variables import Scope, Variables
+from postproc.dialects.krl.read.data_lists import read_data
+from postproc.dialects.krl.read.known import Scope
+from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
 
 _OF_THE_CONTROLLER = frozenset({"BASE_DATA", "TOOL_DATA", "FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})
@@ -48,6 +50,6 @@ class Scopes:
         if data is not None:
             before, variables.scope = variables.scope, scope
             with suppress(ProgramError):  # its variables have no values then
-                variables.read_data(data, fill=True)
+                read_data(variables, data, fill=True)
             variables.scope = before
         return scope

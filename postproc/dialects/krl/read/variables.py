@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared
-from postproc.dialects.krl.language.expressions import (
+from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.names import MAX_LENGTH
+from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,
     Chain,
@@ -23,59 +25,11 @@ from postproc.dialects.krl.language.expressions import (
     Reference,
     Value,
     Word,
-    parse,
 )
-from postproc.dialects.krl.language.names import MAX_LENGTH
-from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
 
-_MORE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
 _INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
 _FIRST_FIELD = re.compile(r"\w+", re.ASCII)
-
-
-@dataclass(frozen=True, slots=True)
-class Unknown:
-    """A variable whose value is not known before the program runs.
-
-    :param where: what changes it, as text for a message; empty where it has no value at all.
-    """
-
-    where: str = ""
-
-
-NOTHING = Unknown()
-
-
-@dataclass(frozen=True, slots=True)
-class _Pending:
-    """A value that stands in a declaration and has not been parsed yet."""
-
-    source: Source
-    start: int
-    stop: int
-
-
-@dataclass(frozen=True, slots=True)
-class Scope:
-    """Which variable a name means.
-
-    :param local: names of the routine's own → how they are stored.
-    :param own: names of the routine's module, or those of the main program that it does not see.
-    :param prefix: what is put before these.
-    """
-
-    local: Mapping[str, str] = field(default_factory=dict)
-    own: frozenset[str] = frozenset()
-    prefix: str = ""
-
-    def stored(self, name: str) -> str:
-        """Return under which name a variable (upper case) is stored."""
-        local = self.local.get(name)
-        return local if local is not None else self.prefix + name if name in self.own else name
-
-
-Known = Number | Word | Aggregate | Position | Unknown
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _REAL = frozenset({*CARTESIAN, *AXES})
 _ZERO = Position((0.0,) * 6)
@@ -90,10 +44,11 @@ class Variables:
     :ivar changing: names that may change at any time, and what changes them.
     :ivar used: names that a motion, a frame or a speed depends on.
     :ivar changed: names that the program gives another value, and where first.
+    :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
     """
 
     def __init__(self, cell: Cell) -> None:
-        self._values: dict[str, Known | _Pending] = {}
+        self._values: dict[str, Known | Unread] = {}
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
         self.types: dict[str, str] = {}
         self.public: set[str] = set()
@@ -101,7 +56,7 @@ class Variables:
         self.changing: dict[str, Unknown] = {}
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
-        self._initial = {"BASE_DATA", "TOOL_DATA"}
+        self.initial = {"BASE_DATA", "TOOL_DATA"}
         for number, base in cell.base_data.items():
             self.put(f"BASE_DATA[{int(number)}]", from_pose(base.pose()))
         for number, tool in cell.tool_data.items():
@@ -109,71 +64,7 @@ class Variables:
         for name in ("$NULLFRAME", "$WORLD", "$ROBROOT", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, _ZERO)
 
-    def read_data(self, source: Source, *, fill: bool = False, shared: bool = False) -> None:
-        """Take the declarations of a `.dat`; with `fill` only those of names that have no value yet.
-
-        :param shared: all of them are GLOBAL, as those of the `$config.dat`.
-        :raises ProgramError: DEFDAT or ENDDAT is missing.
-        """
-        text = source.text
-        opened = closed = False
-        for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
-            while start < stop and text[start] in " \t\r":
-                start += 1
-            first = text[start : start + 1]
-            if first in ("", ";", "&", "\r"):
-                continue
-            word = text[start : start + 7].upper()
-            if word.startswith("DEFDAT"):
-                opened = True
-            elif word.startswith("ENDDAT"):
-                closed = True
-                break
-            else:
-                self._declare_data(source, line, start, stop, fill=fill, shared=shared)
-        if not opened or not closed:
-            raise source.line_error(
-                f"{'ENDDAT' if opened else 'DEFDAT'} is missing",
-                len(source.starts),
-                "Check that the file is complete and that it is the .dat of this program.",
-            )
-
-    def _declare_data(self, source: Source, line: int, start: int, stop: int, *, fill: bool, shared: bool) -> None:
-        """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
-        match = DECLARATION.match(source.text, start, stop)
-        if not match:
-            return
-        if match[4] and not _MORE.search(source.text, match.end(), stop):
-            names = [next(declared(source, start, match.end()))]
-        else:
-            start, stop = source.code_span(line)
-            names = list(declared(source, start, stop))
-        for one in names:
-            name = self._note(one._replace(public=one.public or shared), fill=fill)
-            if one.value >= 0 and not (fill and name in self._values):
-                self._initial.add(self.scope.stored(one.name))
-                self.put(name, _Pending(source, one.value, stop))
-
-    def declare(self, source: Source, start: int, stop: int) -> list[Declared]:
-        """Take one declaration of a `.src`, with initial values; return what it declares."""
-        names = list(declared(source, start, stop))
-        for one in names:
-            name = self._note(one)
-            if one.value >= 0:
-                self.put(name, _Pending(source, one.value, stop))
-        return names
-
-    def _note(self, one: Declared, *, fill: bool = False) -> str:
-        """Note type and scope of a declared name; return the key of its value."""
-        name = self.scope.stored(one.name)
-        if one.kind and not (fill and name in self.types):
-            self.types[name] = one.kind
-            if one.public:
-                self.public.add(name)
-        digits = (one.bounds or "").strip("[] \t")
-        return f"{name}[{int(digits)}]" if _INDEX.fullmatch(digits) else name
-
-    def put(self, key: str, value: Known | _Pending) -> None:
+    def put(self, key: str, value: Known | Unread) -> None:
         """Give a variable its first value."""
         if key not in self._values and key.endswith("]"):
             self._elements[key[: key.index("[")]].append(key)
@@ -243,7 +134,7 @@ class Variables:
     def kept(self) -> dict[str, str]:
         """Return the names that keep their values from run to run and that the program changes, and where it does."""
         changed = self.changed | {name: value.where for name, value in self.changing.items()}
-        return {name: changed[name] for name in sorted(self._initial & changed.keys())}
+        return {name: changed[name] for name in sorted(self.initial & changed.keys())}
 
     def next_run(self) -> Variables:
         """Return what the next run of the program begins with: data as this run leaves them, nothing else."""
@@ -251,20 +142,23 @@ class Variables:
         later._values = {key: value for key, value in self._values.items() if self._persists(key)}
         later._elements = self._elements.copy()
         later.scope, later.changing, later.used, later.changed = Scope(), {}, set(), {}
-        for name in self._initial & self.changing.keys():
+        for name in self.initial & self.changing.keys():
             later.forget(name, self.changing[name].where)
         later.changed = {}
         return later
 
     def _persists(self, key: str) -> bool:
-        return key[0] == "$" or key.partition("[")[0] in self._initial
+        return key[0] == "$" or key.partition("[")[0] in self.initial
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
 
     def value(self, key: str) -> Known | None:
         """Return the value of a variable or an element, None where it has none."""
         if self.changing and (name := key.partition("[")[0]) in self.changing:
             return self.changing[name]
         value = self._values.get(key)
-        if isinstance(value, _Pending):
+        if isinstance(value, Unread):
             parsed, _ = parse(value.source, value.start, value.stop)
             value = self.evaluate(value.source, parsed)
             if isinstance(value, Number):
@@ -279,7 +173,7 @@ class Variables:
         if isinstance(value, Aggregate):
             return self._resolved(value)
         if isinstance(value, Reference):
-            return self._lookup(source, value)
+            return self.looked_up(source, value)
         if isinstance(value, Operation):
             return self._computed(source, value)
         if isinstance(value, Chain):
@@ -336,7 +230,8 @@ class Variables:
             return None
         return f"{name}[{int(index)}]"
 
-    def _lookup(self, source: Source, reference: Reference) -> Known:
+    def looked_up(self, source: Source, reference: Reference) -> Known:
+        """Return what a variable, an element or a component of it is now."""
         key = self.key_of(source, reference)
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.element is not None:
@@ -382,36 +277,12 @@ class Variables:
             for item in value.items.values():
                 self.rely(value.source, item)
 
-    def why_unknown(self, source: Source, value: Value | Known) -> str:
-        """Return why a value is not known, for a message."""
-        if isinstance(value, Position | Unknown):
-            return "it is computed while the program runs"
-        if isinstance(value, Chain):
-            for operand in value.operands:
-                if self.position(source, operand) is None:
-                    return self.why_unknown(source, operand)
-        text = source.text[value.start : value.stop].strip()[:80]
-        if isinstance(value, Operation):
-            for side in (value.left, value.right):
-                if side is not None and isinstance(self.evaluate(source, side), Unknown):
-                    return self.why_unknown(source, side)
-        if isinstance(value, Opaque | Call | Operation) or (isinstance(value, Reference) and value.name[0] == "$"):
-            return f"{text} is computed while the program runs"
-        if isinstance(value, Reference):
-            if self.key_of(source, value) is None:
-                start, stop = value.inside
-                why = (
-                    f": {self.why_unknown(source, parse(source, start, stop)[0])}"
-                    if source.text[start:stop].strip()
-                    else ""
-                )
-                return f"the index of {text} is not known before the program runs{why}"
-            known = self._lookup(source, value)
-            if isinstance(known, Unknown) and known.where:
-                return f"{text} is changed while the program runs ({known.where})"
-            if isinstance(known, Unknown):
-                return f"{text} has no value in the program, its .dat or the $config.dat"
-        return f"{text} is not what is needed here"
+    def argument(self, at: Place, call: Call, field: str) -> Value | Known:
+        """Return the first argument of a call, of a structure the component in question."""
+        if not call.arguments:
+            return NOTHING
+        known = self.evaluate(at.source, parse(at.source, *call.arguments[0])[0])
+        return known.items.get(field, NOTHING) if isinstance(known, Aggregate) else known
 
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""

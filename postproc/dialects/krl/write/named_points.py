@@ -6,10 +6,10 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from postproc.dialects.krl.language.expressions import Aggregate
 from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.names import NAME, unused
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.write.replacements import Replacements
 from postproc.dialects.krl.write.target_statements import applied, literal_of, replaced_numbers

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from postproc.dialects.krl.language.expressions import Number
 from postproc.dialects.krl.language.positions import CARTESIAN
+from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import Layout
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import Bools, Ints, Motions, Targets

@@ -7,10 +7,10 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from postproc.dialects.krl.language.expressions import Aggregate
 from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNAL
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
 from postproc.program import CIRC, LIN, PTP, Targets

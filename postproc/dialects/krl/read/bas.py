@@ -1,0 +1,106 @@
+"""KUKA's `BAS`: what ``BAS(#COMMAND,value)`` sets. Source: `BAS.SRC` of the controller."""
+
+from __future__ import annotations
+
+from postproc.cell import Cell
+from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference, Word
+from postproc.dialects.krl.read.frames import Frames
+from postproc.dialects.krl.read.path_settings import PathSettings, check_frame_mode
+from postproc.dialects.krl.read.state import FIELDS, State
+from postproc.dialects.krl.read.variables import Variables
+from postproc.frames import M_PER_MM
+
+BAS_SETS = {
+    "#INITMOV": tuple(FIELDS),
+    "#VEL_CP": ("$VEL",),
+    "#BASE": ("$BASE",),
+    "#TOOL": ("$TOOL",),
+    "#CP_DAT": ("$APO", "$ORI_TYPE", "$CIRC_TYPE"),
+    "#FRAMES": ("$BASE", "$TOOL"),
+    "#PTP_PARAMS": ("$BASE", "$TOOL"),
+    "#CP_PARAMS": tuple(FIELDS),
+}
+"""Which variables a command of BAS sets."""
+_HARMLESS = frozenset({"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"})
+_KNOWN = "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
+
+
+class Bas:
+    """Follows calls of BAS."""
+
+    def __init__(self, variables: Variables, cell: Cell, frames: Frames, path: PathSettings) -> None:
+        self.variables, self.cell, self.frames, self.path = variables, cell, frames, path
+
+    def called(self, state: State, at: Place, call: Call) -> State:
+        """Return the state behind a call of ``BAS(#COMMAND, value)``.
+
+        :raises ProgramError: the command is not known.
+        """
+        source = at.source
+        command = source.text[slice(*call.arguments[0])].strip().upper() if call.arguments else ""
+        argument = parse(source, *call.arguments[1])[0] if len(call.arguments) > 1 else None
+        if argument is not None:
+            self.variables.rely(source, argument)
+        if command == "#INITMOV":
+            return self._initialised(state, at)
+        if command == "#VEL_CP" and argument is not None:
+            return self.path.speed(state, at, "CP", argument)
+        if command in ("#BASE", "#TOOL"):
+            number = self.variables.number(source, argument) if argument is not None else None
+            if number is None:
+                return self.frames.unknown(state, f"${command[1:]}", at, "its number is not known")
+            return self.frames.numbered(state, at, f"${command[1:]}", int(number))
+        if command == "#CP_DAT":
+            return self._path_data(state, at)
+        if command in ("#FRAMES", "#PTP_PARAMS"):
+            return self._frame_data(state, at)
+        if command == "#CP_PARAMS" and argument is not None:
+            return self.path.speed(self._frame_data(self._path_data(state, at), at), at, "CP", argument)
+        if command[1:] in _HARMLESS:
+            return state
+        raise at.error(f"BAS({command}) is not understood", f"Understood are {_KNOWN}.")
+
+    def _initialised(self, state: State, at: Place) -> State:
+        """#INITMOV also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames."""
+        fresh, meant = State(), self.cell.krl.initmov
+        if meant == "bas":
+            return self.frames.numbered(self.frames.numbered(fresh, at, "$BASE", 0), at, "$TOOL", 1)
+        if meant is None and (state.base != 0 or state.tool != 0):
+            return self._no_frames(fresh, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
+        return fresh._replace(initial=frozenset(("$BASE", "$TOOL")))
+
+    def _no_frames(self, state: State, at: Place, why: str) -> State:
+        return self.frames.unknown(self.frames.unknown(state, "$BASE", at, why), "$TOOL", at, why)
+
+    def _data(self, name: str, at: Place) -> Aggregate | None:
+        start, _ = at.source.code_span(at.line)
+        known = self.variables.evaluate(at.source, Reference(name, None, None, start, start))
+        return known if isinstance(known, Aggregate) else None
+
+    def _path_data(self, state: State, at: Place) -> State:
+        data = self._data("LDAT_ACT", at)
+        if data is None:
+            return state
+        distance, kind, circle = (data.items.get(name) for name in ("APO_DIST", "ORI_TYP", "CIRC_TYP"))
+        if isinstance(distance, Number):
+            state = state.with_known(cdis=distance.value * M_PER_MM)
+        if isinstance(kind, Word):
+            state = state.with_known(orientation=kind.text)
+        return state.with_known(circle=circle.text) if isinstance(circle, Word) else state
+
+    def _frame_data(self, state: State, at: Place) -> State:
+        data = self._data("FDAT_ACT", at)
+        if data is None:
+            return self._no_frames(state, at, "FDAT_ACT has no value in the program, its .dat or the $config.dat")
+        mode = data.items.get("IPO_FRAME")
+        if isinstance(mode, Word):
+            check_frame_mode(mode.text, at)
+        for name, field in (("$BASE", "BASE_NO"), ("$TOOL", "TOOL_NO")):
+            number = data.items.get(field)
+            if isinstance(number, Number):
+                state = self.frames.numbered(state, at, name, int(number.value))
+            else:
+                state = self.frames.unknown(state, name, at, f"FDAT_ACT has no {field}")
+        return state

@@ -1,0 +1,83 @@
+"""Declarations: those of a `.dat` or `$config.dat`, and those in a `.src`; what they give variables first."""
+
+from __future__ import annotations
+
+import re
+
+from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.read.known import Unread
+from postproc.dialects.krl.read.variables import Variables
+
+_MORE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
+_INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
+
+
+def read_data(variables: Variables, source: Source, *, fill: bool = False, shared: bool = False) -> None:
+    """Take the declarations of a `.dat`; with `fill` only those of names that have no value yet.
+
+    :param shared: all of them are GLOBAL, as those of the `$config.dat`.
+    :raises ProgramError: DEFDAT or ENDDAT is missing.
+    """
+    text = source.text
+    opened = closed = False
+    for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
+        while start < stop and text[start] in " \t\r":
+            start += 1
+        first = text[start : start + 1]
+        if first in ("", ";", "&", "\r"):
+            continue
+        word = text[start : start + 7].upper()
+        if word.startswith("DEFDAT"):
+            opened = True
+        elif word.startswith("ENDDAT"):
+            closed = True
+            break
+        else:
+            _declare(variables, source, line, start, stop, fill=fill, shared=shared)
+    if not opened or not closed:
+        raise source.line_error(
+            f"{'ENDDAT' if opened else 'DEFDAT'} is missing",
+            len(source.starts),
+            "Check that the file is complete and that it is the .dat of this program.",
+        )
+
+
+def _declare(
+    variables: Variables, source: Source, line: int, start: int, stop: int, *, fill: bool, shared: bool
+) -> None:
+    """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
+    match = DECLARATION.match(source.text, start, stop)
+    if not match:
+        return
+    if match[4] and not _MORE.search(source.text, match.end(), stop):
+        names = [next(declared(source, start, match.end()))]
+    else:
+        start, stop = source.code_span(line)
+        names = list(declared(source, start, stop))
+    for one in names:
+        name = _noted(variables, one._replace(public=one.public or shared), fill=fill)
+        if one.value >= 0 and not (fill and name in variables):
+            variables.initial.add(variables.scope.stored(one.name))
+            variables.put(name, Unread(source, one.value, stop))
+
+
+def declare(variables: Variables, source: Source, start: int, stop: int) -> list[Declared]:
+    """Take one declaration of a `.src`, with initial values; return what it declares."""
+    names = list(declared(source, start, stop))
+    for one in names:
+        name = _noted(variables, one)
+        if one.value >= 0:
+            variables.put(name, Unread(source, one.value, stop))
+    return names
+
+
+def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
+    """Note type and scope of a declared name; return the key of its value."""
+    name = variables.scope.stored(one.name)
+    if one.kind and not (fill and name in variables.types):
+        variables.types[name] = one.kind
+        if one.public:
+            variables.public.add(name)
+    digits = (one.bounds or "").strip("[] \t")
+    return f"{name}[{int(digits)}]" if _INDEX.fullmatch(digits) else name

@@ -1,0 +1,42 @@
+"""Why a value is not known, for messages."""
+
+from __future__ import annotations
+
+from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.positions import Position
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Call, Chain, Opaque, Operation, Reference, Value
+from postproc.dialects.krl.read.known import Known, Unknown
+from postproc.dialects.krl.read.variables import Variables
+
+
+def why_unknown(variables: Variables, source: Source, value: Value | Known) -> str:
+    """Return why a value is not known, for a message."""
+    if isinstance(value, Position | Unknown):
+        return "it is computed while the program runs"
+    if isinstance(value, Chain):
+        for operand in value.operands:
+            if variables.position(source, operand) is None:
+                return why_unknown(variables, source, operand)
+    text = source.text[value.start : value.stop].strip()[:80]
+    if isinstance(value, Operation):
+        for side in (value.left, value.right):
+            if side is not None and isinstance(variables.evaluate(source, side), Unknown):
+                return why_unknown(variables, source, side)
+    if isinstance(value, Opaque | Call | Operation) or (isinstance(value, Reference) and value.name[0] == "$"):
+        return f"{text} is computed while the program runs"
+    if isinstance(value, Reference):
+        if variables.key_of(source, value) is None:
+            start, stop = value.inside
+            why = (
+                f": {why_unknown(variables, source, parse(source, start, stop)[0])}"
+                if source.text[start:stop].strip()
+                else ""
+            )
+            return f"the index of {text} is not known before the program runs{why}"
+        known = variables.looked_up(source, value)
+        if isinstance(known, Unknown) and known.where:
+            return f"{text} is changed while the program runs ({known.where})"
+        if isinstance(known, Unknown):
+            return f"{text} has no value in the program, its .dat or the $config.dat"
+    return f"{text} is not what is needed here"

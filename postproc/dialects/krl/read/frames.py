@@ -1,0 +1,128 @@
+"""`$BASE` and `$TOOL`: from numbers, names, `BASE_DATA[n]`, components, chains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, Position, from_pose
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.values import Call, Number, Reference, Value
+from postproc.dialects.krl.read.explanations import why_unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.variables import Variables
+from postproc.errors import ProgramError
+from postproc.frames import Array
+
+_SAME = 1e-13
+"""Frames closer than this [m, rad] are one: rounding of their conversion."""
+_ADVICE = "Write $BASE and $TOOL as numbers, or add [base_data.n], [tool_data.n] or config_dat to the cell."
+
+
+class Frames:
+    """The frames that a program uses.
+
+    :ivar bases: `$BASE` in the robot root, row 0 that of the cell.
+    :ivar tools: `$TOOL` in the flange frame, row 0 that of the cell.
+    """
+
+    def __init__(self, variables: Variables, cell: Cell, reasons: Reasons) -> None:
+        self.variables, self.reasons = variables, reasons
+        self.bases: list[Array] = [cell.base.pose()]
+        self.tools: list[Array] = [cell.tool.pose()]
+        self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
+
+    def assigned(self, state: State, at: Place, target: Reference, value: Value | Known) -> State:
+        """Return the state behind ``$BASE = value`` or ``$TOOL = value``, or that of a component of it.
+
+        :raises ProgramError: the base is moved while the program runs.
+        """
+        name = target.name
+        if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
+            known = self.variables.argument(at, value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
+            if not isinstance(known, Number):
+                text = at.source.text[value.start : value.stop]
+                return self.unknown(state, name, at, f"{text}: the number is not known")
+            return self.numbered(state, at, name, int(known.value))
+        if isinstance(value, Call) and value.name == "EK":
+            raise at.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")
+        if target.element is not None or (target.field is not None and target.field not in CARTESIAN):
+            return self.unknown(state, name, at, "its component is not understood")
+        if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
+            key = self.variables.key_of(at.source, value)
+            return self._named(state, at, name, value, key or value.name)
+        self._show(state)
+        if target.field is not None:
+            position = self._with_field(state, at, target, value)
+        else:
+            position = self.variables.position(at.source, value)
+        if position is None or position.axis:
+            return self.unknown(state, name, at, why_unknown(self.variables, at.source, value))
+        if position.farthest > FARTHEST:
+            raise out_of_reach(at, position.farthest)
+        return self._put(state, name, position)
+
+    def numbered(self, state: State, at: Place, name: str, number: int) -> State:
+        """Return the state behind ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``."""
+        key = f"{name[1:]}_DATA[{number}]"
+        return self._named(state, at, name, Reference(f"{name[1:]}_DATA", str(number), None, 0, 0), key)
+
+    def unknown(self, state: State, name: str, at: Place, why: str) -> State:
+        """Return a state in which `$BASE` or `$TOOL` is not known."""
+        return self.reasons.unknown(state, FIELDS[name], at.error(f"{name} is not known: {why}", _ADVICE))
+
+    def assumed(self, state: State, source: Source) -> set[str]:
+        """Return which of `$BASE` and `$TOOL` are the cell's though #INITMOV as KUKA has it gives others."""
+        tool = self.variables.position(source, Reference("TOOL_DATA", "1", None, 0, 0))
+        real = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
+        return {name for name in state.initial if not self._is_cell(name, real[name])}
+
+    def _is_cell(self, name: str, position: Position | None) -> bool:
+        frame = self.bases[0] if name == "$BASE" else self.tools[0]
+        return position is not None and bool(np.abs(position.pose() - frame).max() < _SAME)
+
+    def _show(self, state: State) -> None:
+        """Let expressions see `$BASE` and `$TOOL`."""
+        for name in ("$BASE", "$TOOL"):
+            self.variables.put(name, self._current(state, name) or NOTHING)
+
+    def _current(self, state: State, name: str) -> Position | None:
+        row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
+        return from_pose(frames[row]) if row >= 0 else None
+
+    def _with_field(self, state: State, at: Place, target: Reference, value: Value | Known) -> Position | None:
+        current, number = self._current(state, target.name), self.variables.number(at.source, value)
+        if current is None or number is None:
+            return None
+        values = list(current.values)
+        values[CARTESIAN.index(target.field or "")] = number
+        return Position(tuple(values))
+
+    def _named(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
+        position = self.variables.position(at.source, reference)
+        if position is not None and position.farthest > FARTHEST:
+            raise out_of_reach(at, position.farthest)
+        if position is None:
+            known = self.variables.evaluate(at.source, reference)
+            why = "is neither in the cell nor in the $config.dat"
+            if isinstance(known, Unknown) and known.where:
+                why = f"is changed while the program runs ({known.where})"
+            return self.unknown(state, name, at, f"{key} {why}")
+        return self._put(state, name, position)
+
+    def _put(self, state: State, name: str, position: Position) -> State:
+        row = self._rows.get((name, position.values))
+        if row is None:
+            frames = self.bases if name == "$BASE" else self.tools
+            pose = position.pose()
+            row = next((row for row, known in enumerate(frames) if np.abs(known - pose).max() < _SAME), len(frames))
+            if row == len(frames):
+                frames.append(pose)
+            self._rows[name, position.values] = row
+        return state.with_known(**{FIELDS[name]: row})
+
+
+def out_of_reach(at: Place, number: float) -> ProgramError:
+    """Return the error for a coordinate beyond `FARTHEST`."""
+    return at.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")

@@ -1,0 +1,202 @@
+"""Statements in the order in which they run: what they set, and what is no longer known behind them.
+
+Where it is not certain that something runs, or how often (branches, loops, parts of expressions), all that it may write
+is no longer known; what interrupts, triggers and cyclic statements write may change at any time from their declaration
+on.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from postproc.dialects.krl.language.expressions import operand, parse
+from postproc.dialects.krl.language.names import DECLARING, OPENING, TYPES, WITHOUT_MOTION
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, assignment, calls, declares, word_at
+from postproc.dialects.krl.language.values import Call, Reference, Value
+from postproc.dialects.krl.read.calls import Calls
+from postproc.dialects.krl.read.data_lists import declare
+from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED
+from postproc.dialects.krl.read.known import NOTHING, Known
+from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
+from postproc.dialects.krl.read.state import RELEVANT, State
+
+_CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
+_ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
+_CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
+_FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
+_LABEL = re.compile(r"[ \t]*:[ \t]*$")
+LOOP_ADVICE = "Motions in loops, branches and interrupts cannot be corrected one by one; write them out in order."
+
+
+class Interpreter:
+    """Runs the statements of a program, and of what it calls.
+
+    :param run: the program as far as it has run.
+    :param motion: takes a motion of the main routine: where it stands, its instruction in upper case, offsets of the
+        instruction and behind the code of the line.
+    """
+
+    def __init__(self, run: Run, motion: Callable[[Place, str, int, int], None]) -> None:
+        self.run, self._motion = run, motion
+        self.calls = Calls(run, self.statement)
+
+    def statement(self, at: Place) -> None:
+        """Run one statement.
+
+        :raises ProgramError: it is not understood, or it changes motion in a way that is not modelled.
+        """
+        text = at.source.text
+        start, stop = at.source.code_span(at.line)
+        word = word_at(text, start, stop)
+        if word == "GLOBAL":
+            rest = text[start + len(word) : stop].lstrip()
+            start, word = stop - len(rest), word_at(rest, 0, len(rest))
+        if word in MOTION_WORDS:
+            if self.run.in_main:
+                self._motion(at, word, start, stop)
+        elif not self._control(at, word):
+            self._other(at, word, start, stop)
+
+    def _control(self, at: Place, word: str) -> bool:
+        """Follow control structures; return whether the statement was one."""
+        level = self.run.level
+        if word in OPENING or word == "REPEAT":
+            level.open.append((word, at.line))
+        elif word in _CLOSING:
+            if not level.open or level.open[-1][0] != _CLOSING[word]:
+                raise at.error(f"{word} without {_CLOSING[word]}")
+            opener, opened = level.open.pop()
+            if not level.open and self.run.in_main:
+                self.run.blocked.append((opened, at.line, opener))
+        elif word == "GOTO":
+            raise at.error("GOTO changes the order of motions", LOOP_ADVICE)
+        elif word == "RETURN":
+            self._return(at)
+        elif word in SPLINES and self.run.in_main:
+            raise at.error(f"{word}: spline blocks are not supported", "Write the path with LIN, CIRC, SLIN or SCIRC.")
+        elif word in _ASYNCHRONOUS:
+            raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
+        else:
+            return False
+        if word in _CONDITIONS:
+            self._condition(at, word)
+        return True
+
+    def _return(self, at: Place) -> None:
+        if not self.run.certain:
+            return
+        level = self.run.level
+        start, stop = at.source.code_span(at.line)
+        start += len("RETURN")
+        if at.source.text[start:stop].strip():
+            level.result = self.calls.value(at, start, stop)
+        level.returned = level.returned or at.line
+
+    def _condition(self, at: Place, word: str) -> None:
+        start, stop = at.source.code_span(at.line)
+        for call in calls(at.source, start, stop):
+            self.calls.call(at, call, certain=False)
+        if word == "FOR" and (match := _FOR.match(at.source.text, start, stop)):
+            self.run.variables.forget(self.run.stored(match[1]), str(at))
+
+    def _other(self, at: Place, word: str, start: int, stop: int) -> None:
+        """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
+        text = at.source.text
+        if word == "BAS":
+            self._bas(at, start, stop)
+        elif word in ("INTERRUPT", "TRIGGER"):
+            if word == "TRIGGER" and self.run.in_main:
+                self.run.triggers.append(at.line)
+            self._event(at, word, start, stop)
+        elif match := CYCLIC.match(text, start, stop):
+            self.run.changes_always(at, self.run.stored(match[1]))
+        elif match := IMPORTED.match(text, start, stop):
+            self.run.changes_always(at, self.run.stored(match[1]))
+            self.run.changes_always(at, match[2].upper())
+        elif word in DECLARING:
+            return
+        elif word == "DECL" or word in TYPES:
+            self._declare(at, start, stop)
+        elif word in WITHOUT_MOTION:
+            for call in calls(at.source, start, stop):
+                self.calls.call(at, call, certain=False)
+        else:
+            self._assignment_or_call(at, start, stop)
+
+    def _declare(self, at: Place, start: int, stop: int) -> None:
+        names = declare(self.run.variables, at.source, start, stop)
+        if self.run.in_main:
+            self.run.understood.update(one.at for one in names)
+
+    def _bas(self, at: Place, start: int, stop: int) -> None:
+        call, _ = operand(at.source, start, stop)
+        if not isinstance(call, Call) or not call.arguments:
+            raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
+        self._set(at, self.run.settings.bas(at, call))
+
+    def _set(self, at: Place, state: State) -> None:
+        """Put a state into force, or into doubt where it is not certain that it comes into force."""
+        if self.run.certain:
+            self.run.settings.change(self.run.line, state)
+        else:
+            word, opened = self.run.level.open[-1]
+            problem = f"what motions depend on is changed inside {word} (line {opened})"
+            self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
+
+    def _assignment_or_call(self, at: Place, start: int, stop: int) -> None:
+        found = assignment(at.source, start, stop)
+        if found is not None:
+            self._assign(at, *found, stop)
+            return
+        target, position = operand(at.source, start, stop)
+        if isinstance(target, Call) and position == stop:
+            for inner in calls(at.source, start + len(target.name), stop):
+                self.calls.call(at, inner, certain=False)
+            self.calls.call(at, target, certain=self.run.certain)
+        elif isinstance(target, Reference) and _LABEL.match(at.source.text, position, stop):
+            return
+        elif declares(at.source.text, start, stop):
+            self._declare(at, start, stop)
+        else:
+            raise at.error("the statement is not understood", "Check its spelling.")
+
+    def _assign(self, at: Place, target: Reference, start: int, stop: int) -> None:
+        for call in calls(at.source, target.start, target.stop):
+            self.calls.call(at, call, certain=False)
+        name = target.name
+        if name in RELEVANT:
+            self._set_to(at, target, start, stop)
+            return
+        value = self.calls.value(at, start, stop)
+        if name.startswith("$") and name != "$H_POS":
+            return
+        if target.field is None and self.run.in_main:
+            self.run.understood.add(target.start)
+        key = self.run.variables.key_of(at.source, target)
+        if not self.run.certain or key is None or target.element == "":
+            self.run.variables.forget(self.run.stored(name), str(at))
+        elif target.field is not None:
+            self.run.variables.set_field(key, target.field, value, str(at))
+        elif value != NOTHING or name != "$H_POS":
+            self.run.variables.set(key, value, str(at))
+
+    def _set_to(self, at: Place, target: Reference, start: int, stop: int) -> None:
+        """Follow an assignment to a variable of the controller that motions depend on."""
+        value: Value | Known
+        value, end = parse(at.source, start, stop)
+        if at.source.text[end:stop].strip():
+            raise at.error(f"{at.source.text[end:stop].strip()!r} is not understood")
+        if "(" in at.source.text[start:stop]:
+            known = self.calls.value(at, start, stop)
+            if isinstance(value, Call) and known != NOTHING:
+                value = known
+        self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
+
+    def _event(self, at: Place, word: str, start: int, stop: int) -> None:
+        """Note what an INTERRUPT or a TRIGGER may change from now on."""
+        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at.line, start, stop)
+        if effects.motion is not None:
+            raise at.error(f"{word} moves the robot ({effects.motion})", LOOP_ADVICE)
+        self.calls.notice(at, f"{word} in {at}", effects)

@@ -1,0 +1,102 @@
+"""How the path is driven: `$VEL`, `$APO`, `$ORI_TYPE`, `$CIRC_TYPE`, `$IPO_MODE`."""
+
+from __future__ import annotations
+
+from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
+from postproc.dialects.krl.read.explanations import why_unknown
+from postproc.dialects.krl.read.known import NOTHING, Known
+from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.variables import Variables
+from postproc.frames import M_PER_MM
+
+_FASTEST = 100.0
+"""A speed above this [m/s] is a slip of the unit."""
+_RUN_TIME = "Write it as a number or a constant name, so that it is known before the program runs."
+_MODES = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
+"""Modes, and what they are where a function that gives them says nothing."""
+
+
+class PathSettings:
+    """Follows what is assigned to these variables."""
+
+    def __init__(self, variables: Variables, reasons: Reasons) -> None:
+        self.variables, self.reasons = variables, reasons
+
+    def speed(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
+        """Return the state behind ``$VEL.CP = value``, or ``$VEL = {…}`` without a field; other fields do not matter.
+
+        :raises ProgramError: no path can be driven at that speed.
+        """
+        if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
+            value = parse(at.source, *value.arguments[0])[0]
+        wanted = self._component(at, field, "CP", value)
+        if wanted is None:
+            return state
+        number = self.variables.number(at.source, wanted)
+        if number is None:
+            return self._unknown(state, "speed", at, "the speed $VEL.CP is not known before the program runs", wanted)
+        if not 0.0 < number <= _FASTEST:
+            raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {_FASTEST:g} m/s.")
+        return state.with_known(speed=number, assumed=False)
+
+    def distance(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
+        """Return the state behind ``$APO.CDIS = value``, or ``$APO = {…}`` without a field; likewise."""
+        if isinstance(value, Call):
+            if value.name != "SAPO" or field not in (None, "CDIS"):
+                return state
+            field, value = "CDIS", self.variables.argument(at, value, "APO_DIST")
+            if value == NOTHING:
+                return state
+        wanted = self._component(at, field, "CDIS", value)
+        if wanted is None:
+            return state
+        number = self.variables.number(at.source, wanted)
+        if number is None or number < 0.0:
+            return self._unknown(state, "cdis", at, "the approximation distance $APO.CDIS is not known", wanted)
+        return state.with_known(cdis=number * M_PER_MM)
+
+    def mode(self, state: State, at: Place, name: str, value: Value | Known) -> State:
+        """Return the state behind ``$ORI_TYPE = value``, and so on.
+
+        :raises ProgramError: the robot moves the workpiece then.
+        """
+        if isinstance(value, Call) and value.name in ("SIPO_MODE", "SORI_TYP"):
+            data = self.variables.argument(at, value, "IPO_FRAME" if value.name == "SIPO_MODE" else "ORI_TYP")
+            word = data.text if isinstance(data, Word) else _MODES[name]
+        else:
+            known = self.variables.evaluate(at.source, value)
+            if not isinstance(known, Word):
+                problem = at.error(f"{name} is not known before the program runs", _RUN_TIME)
+                if name == "$IPO_MODE":
+                    raise problem
+                return self.reasons.unknown(state, FIELDS[name], problem)
+            word = known.text
+        if name == "$IPO_MODE":
+            check_frame_mode(word, at)
+            return state
+        return state.with_known(**{FIELDS[name]: word})
+
+    def _component(self, at: Place, field: str | None, own: str, value: Value | Known) -> Value | Known | None:
+        """Return what is assigned to one component of a structure; None if that is another one, or left out."""
+        if field is not None:
+            return value if field == own else None
+        known = self.variables.evaluate(at.source, value)
+        return known.items.get(own) if isinstance(known, Aggregate) else value
+
+    def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | Known) -> State:
+        why = why_unknown(self.variables, at.source, value)
+        return self.reasons.unknown(state, field, at.error(f"{problem}: {why}", _RUN_TIME))
+
+
+def check_frame_mode(word: str, at: Place) -> None:
+    """Refuse what is not ``#BASE``.
+
+    :raises ProgramError: the robot moves the workpiece.
+    """
+    if word != "#BASE":
+        raise at.error(
+            f"$IPO_MODE {word}: the workpiece is moved by the robot",
+            "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.",
+        )

@@ -1,0 +1,103 @@
+"""What is in force at a motion: `$BASE`, `$TOOL`, speed, approximation; and why some of it may not be known.
+
+Sources: KUKA's `BAS.SRC` (what #INITMOV, #CP_PARAMS, #FRAMES … set) and the system variables' descriptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from postproc.errors import ProgramError
+from postproc.frames import M_PER_MM
+from postproc.program import CIRC, PTP
+
+DEFAULT_SPEED = 2.0
+"""DEF_VEL_CP [m/s]: what `BAS(#INITMOV,0)` gives `$VEL.CP`."""
+DEFAULT_CDIS = 3.0
+"""What `BAS(#INITMOV,0)` gives `$APO.CDIS` [mm]."""
+
+RELEVANT = frozenset(
+    {"$BASE", "$TOOL", "$VEL", "$APO", "$ORI_TYPE", "$CIRC_TYPE", "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"}
+)
+"""System variables that a motion depends on."""
+
+FIELDS = {
+    "$BASE": "base",
+    "$TOOL": "tool",
+    "$VEL": "speed",
+    "$APO": "cdis",
+    "$ORI_TYPE": "orientation",
+    "$CIRC_TYPE": "circle",
+}
+"""What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
+
+
+class State(NamedTuple):
+    """What is in force between two statements.
+
+    :ivar base: row of `Frames.bases`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
+    :ivar tool: row of `Frames.tools`; likewise.
+    :ivar speed: `$VEL.CP` [m/s].
+    :ivar assumed: True while `$VEL.CP` is the controller's default.
+    :ivar cdis: `$APO.CDIS` [m].
+    :ivar orientation: `$ORI_TYPE`.
+    :ivar circle: `$CIRC_TYPE`.
+    :ivar initial: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
+    :ivar uncertain: (field, index of its reason) of those that are not known; `base` and `tool` are never among them.
+    """
+
+    base: int = 0
+    tool: int = 0
+    speed: float = DEFAULT_SPEED
+    assumed: bool = True
+    cdis: float = DEFAULT_CDIS * M_PER_MM
+    orientation: str = "#VAR"
+    circle: str = "#BASE"
+    initial: frozenset[str] = frozenset()
+    uncertain: tuple[tuple[str, int], ...] = ()
+
+    def with_known(self, **fields: object) -> State:
+        """Return the state with other values, which are known."""
+        initial = self.initial - {f"${name.upper()}" for name in fields}
+        uncertain = tuple(one for one in self.uncertain if one[0] not in fields)
+        return self._replace(initial=initial, uncertain=uncertain, **fields)  # type: ignore[arg-type]
+
+
+class Reasons:
+    """Why something in force is not known.
+
+    :ivar errors: what to raise for a motion that depends on it.
+    """
+
+    def __init__(self) -> None:
+        self.errors: list[ProgramError] = []
+
+    def unknown(self, state: State, field: str, reason: ProgramError) -> State:
+        """Return a state in which a field is not known."""
+        self.errors.append(reason)
+        if field in ("base", "tool"):
+            return state.with_known(**{field: -len(self.errors)})
+        known = state.with_known(**{field: getattr(state, field)})
+        return known._replace(uncertain=(*known.uncertain, (field, len(self.errors) - 1)))
+
+    def refuse(self, state: State, fields: Iterable[str]) -> None:
+        """Refuse a motion that depends on fields of its state that are not known.
+
+        :raises ProgramError: the reason why one is not.
+        """
+        for field in fields:
+            row = getattr(state, field) if field in ("base", "tool") else 0
+            if row < 0:
+                raise self.errors[-1 - row]
+            for uncertain, reason in state.uncertain:
+                if uncertain == field:
+                    raise self.errors[reason]
+
+
+def fields_used(kind: int, *, axis: bool, approximated: bool) -> list[str]:
+    """Return on which fields of its state a motion depends."""
+    fields = [] if axis else ["base", "tool"]
+    if kind != PTP:
+        fields += ["speed", "orientation", *(["circle"] if kind == CIRC else [])]
+    return [*fields, "cdis"] if approximated else fields
