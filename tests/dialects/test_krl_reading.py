@@ -54,9 +54,9 @@ def test_a_plain_program_gives_its_numbers_in_si_units():
     assert np.isnan(m.sweep).all()
 
 
-@SLOW
-@given(sources())
-def test_the_bulk_path_reads_what_the_general_path_reads(source):
+def assert_read_alike(source):
+    """Whether plain lines are read all at once or as statements, the program or its refusal is the same."""
+
     def outcome(bulk):
         try:
             return read(source, DATA, bulk=bulk)
@@ -67,7 +67,37 @@ def test_the_bulk_path_reads_what_the_general_path_reads(source):
     if isinstance(one, str):
         assert one == other
     else:
+        assert not isinstance(other, str), other
         assert_same(one, other)
+
+
+@SLOW
+@given(sources())
+def test_plain_lines_mean_what_they_mean_as_statements(source):
+    assert_read_alike(source)
+
+
+HEAD, TAIL = "DEF part( )\r\n", "END\r\n"
+_SLIPS = [*"{},;:.+-eE 019XZACST\t\"'[]()#_", "", "E1 ", "S 9", "NaN", "1e999", "\r", "\r\n", "ä", "C_DIS", "LIN", ", "]
+
+
+@SLOW
+@given(
+    sources(), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 2), st.sampled_from(_SLIPS)), min_size=1, max_size=3)
+)
+def test_plain_lines_with_slips_are_read_or_refused_as_statements_are(source, slips):
+    for place, removed, slip in slips:
+        at = len(HEAD) + round(place * (len(source) - len(HEAD) - len(TAIL)))
+        source = source[:at] + slip + source[at + removed :]
+    assert_read_alike(source)
+
+
+@pytest.mark.parametrize("line", ["LIN {X 100,Y 20,Z 30,A 10,B 20,C 170} C_DIS", "CIRC {X 9,Y 2,Z 3},{X 20,Y 9,Z 3}"])
+def test_every_single_slip_in_a_plain_line_is_read_or_refused_as_in_a_statement(line):
+    for at in range(len(line) + 1):
+        for slip in _SLIPS:
+            assert_read_alike(body("LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}", line[:at] + slip + line[at:], line))
+        assert_read_alike(body("LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}", line[:at] + line[at + 1 :], line))
 
 
 @pytest.mark.parametrize(
@@ -775,3 +805,35 @@ def test_blending_without_a_distance_is_told():
     program = read(body(others[0], "lin {X 2} c_vel", *others[1:], "LIN_REL {X 1} C_Ori"))
     (issue,) = (issue for issue in program.issues if issue.kind == "blending-by-speed")
     assert (issue.source_line, issue.count) == (5, 2)
+
+
+# --- arrays of two dimensions -------------------------------------------------------------------------------------
+
+
+GRID = (
+    "DEFDAT part\nDECL E6POS P[2,2]\nP[1,1]={X 1,Y 0,Z 9,A 0,B 0,C 0}\nP[1,2]={X 2,Y 0,Z 9,A 0,B 0,C 0}\n"
+    "P[ 2 , 1 ]={X 3,Y 0,Z 9,A 0,B 0,C 0}\nDECL INT I=2\nENDDAT\n"
+)
+
+
+def test_elements_of_an_array_of_two_dimensions_are_told_apart():
+    program = read(body("LIN P[1,2]", "LIN P[1, 1]", "LIN P[I,I-1]", "P[1,1].X=7", "LIN P[I-1,1]"), GRID)
+    assert numbers(program)[:, 0].tolist() == [2, 1, 3, 7]
+
+
+def test_an_index_of_two_that_is_not_known_is_refused():
+    with pytest.raises(ProgramError, match=r"the index of P\[1,\$OV_PRO\] is not known .*: \$OV_PRO is computed"):
+        read(body("LIN P[1,$OV_PRO]"), GRID)
+    with pytest.raises(ProgramError, match=r"P\[2,2\] has no value"):
+        read(body("LIN P[2,2]"), GRID)
+
+
+def test_a_loop_over_one_index_makes_all_elements_unknown():
+    with pytest.raises(ProgramError, match=r"P\[1,1\] is changed while the program runs"):
+        read(body("FOR J=1 TO 2", "P[1,J].X=5", "ENDFOR", "LIN P[1,1]"), GRID)
+
+
+def test_what_an_interrupt_changes_is_told_with_its_line_once():
+    with pytest.raises(ProgramError) as caught:
+        read(body("INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO XP1=XP2", "INTERRUPT ON 4", "LIN XP1"), DATA)
+    assert "(by INTERRUPT in line 4)" in str(caught.value)

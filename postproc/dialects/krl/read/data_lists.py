@@ -79,5 +79,7 @@ def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
         variables.types[name] = one.kind
         if one.public:
             variables.public.add(name)
-    digits = (one.bounds or "").strip("[] \t")
-    return f"{name}[{int(digits)}]" if _INDEX.fullmatch(digits) else name
+    indices = [part.strip() for part in (one.bounds or "").strip("[] \t").split(",")]
+    if not all(_INDEX.fullmatch(index) for index in indices):
+        return name
+    return f"{name}[{','.join(str(int(index)) for index in indices)}]"

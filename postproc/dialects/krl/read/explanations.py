@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
@@ -27,12 +28,9 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
         return f"{text} is computed while the program runs"
     if isinstance(value, Reference):
         if variables.key_of(source, value) is None:
-            start, stop = value.inside
-            why = (
-                f": {why_unknown(variables, source, parse(source, start, stop)[0])}"
-                if source.text[start:stop].strip()
-                else ""
-            )
+            indices = [span for span in split(source, *value.inside) if source.text[slice(*span)].strip()]
+            unknown = [span for span in indices if variables.index(source, span) is None]
+            why = f": {why_unknown(variables, source, parse(source, *unknown[0])[0])}" if unknown else ""
             return f"the index of {text} is not known before the program runs{why}"
         known = variables.looked_up(source, value)
         if isinstance(known, Unknown) and known.where:

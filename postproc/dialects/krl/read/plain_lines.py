@@ -1,8 +1,9 @@
 """Plain motion lines, all at once: ``LIN {X …,Y …,Z …,A …,B …,C …} C_DIS`` a hundred thousand times, and circles.
 
-One regular expression decides which lines are plain. Lines that differ in their numbers only are decided at once; the
-numbers are then found and converted by numpy. What it does
-not take (other orders of components, names, CA) is left to `moves`, which reads these lines too, with the same result.
+One regular expression decides which lines are plain: it is the fence. Lines that differ in their numbers only are
+decided at once; the numbers are then found and converted by numpy. What the fence leaves out (other orders of
+components, names, CA) is read statement by statement (`interpreter`, `motion_reader`), and so could plain lines be:
+tests read generated programs, and such with slips, both ways and compare.
 """
 
 from __future__ import annotations
@@ -81,7 +82,9 @@ def _plain(text: str, lines: int, characters: int) -> MotionColumns:
     if plain is None:  # something that looks like a number is none, such as 1.2.3
         strict = [index for index in alike.tolist() if _LINE_STRICT.match(text, int(starts[index]))]
         plain = _scan(codes, starts, np.array(strict, dtype=np.int64)) or none()
-    endless = np.flatnonzero(np.isinf(plain.numbers).any(axis=1))  # 1E999: refused where it is read with the statements
+    endless = np.flatnonzero(
+        np.isinf(plain.numbers).any(axis=1) | np.isinf(plain.via).any(axis=1)
+    )  # 1E999: refused where it is read with the statements
     if len(endless):
         plain = plain.take(np.delete(np.arange(len(plain)), endless))
     return plain.shifted(lines, characters)

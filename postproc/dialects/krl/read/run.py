@@ -88,7 +88,8 @@ class Run:
     def may_change(self, names: Mapping[str, Place], what: str) -> None:
         """Note that names may have another value at any time."""
         for name, place in names.items():
-            self.variables.changing.setdefault(name, Unknown(f"by {what}, {place}"))
+            where = what if what.endswith(f"in {place}") else f"{what}, {place}"
+            self.variables.changing.setdefault(name, Unknown(f"by {where}"))
 
     def changes_always(self, at: Place, name: str) -> None:
         """Note that a name, as it is stored, has another value again and again."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from postproc.cell import Cell
+from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
@@ -221,14 +222,19 @@ class Variables:
             return name
         if _INDEX.fullmatch(reference.element):
             return f"{name}[{int(reference.element)}]"
-        start, stop = reference.inside
+        indices = [self.index(source, span) for span in split(source, *reference.inside)]
+        if not indices or None in indices:
+            return None
+        return f"{name}[{','.join(map(str, indices))}]"
+
+    def index(self, source: Source, span: tuple[int, int]) -> int | None:
+        """Return one index of an array by the span of its text, None if it is not known."""
+        start, stop = span
         if not source.text[start:stop].strip():
             return None
         value, end = parse(source, start, stop)
         index = self.number(source, value)
-        if index is None or index != int(index) or source.text[end:stop].strip():
-            return None
-        return f"{name}[{int(index)}]"
+        return None if index is None or index != int(index) or source.text[end:stop].strip() else int(index)
 
     def looked_up(self, source: Source, reference: Reference) -> Known:
         """Return what a variable, an element or a component of it is now."""
@@ -264,8 +270,9 @@ class Variables:
         """Note which names a motion, a frame or a speed depends on."""
         if isinstance(value, Reference):
             self.used.add(self.scope.stored(value.name))
-            if value.element is not None and value.inside[0] < value.inside[1]:
-                self.rely(source, parse(source, *value.inside)[0])
+            for start, stop in split(source, *value.inside):
+                if source.text[start:stop].strip():
+                    self.rely(source, parse(source, start, stop)[0])
         elif isinstance(value, Chain):
             for operand in value.operands:
                 self.rely(source, operand)
