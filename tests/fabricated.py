@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from postproc import robot
 from postproc.correction import Mode, Result
 from postproc.errors import Issue
 from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import LIN, Document, Motions, Program
+from postproc.robot import RobotModel
 
 
 def program(count: int = 100) -> Program:
@@ -51,7 +54,8 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
     command[:, 2, 3] += before
     return Result(
         program=made,
-        robot="kuka_kr270",
+        robot=_robot(),
+        axis="+Z",
         mode=mode,
         documents=() if mode == "predict" else (Document("part.src", "DEF part()\nEND\n"),),
         motion=np.arange(count),
@@ -81,6 +85,11 @@ def with_changes(base: Result, **changes: object) -> Result:
     for name in {"before", "after"} & set(changes):
         changes[f"deviation_{name}"] = _down(changes.pop(name))
     return replace(base, **changes)  # type: ignore[arg-type]
+
+
+@cache
+def _robot() -> RobotModel:
+    return robot.load(robot.find("kuka_kr270"))
 
 
 def _down(distance: Array) -> Array:

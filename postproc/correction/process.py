@@ -97,7 +97,7 @@ def process(
     _, writer = registry.written_in(program.dialect, to)
     told = _of_origin(program, mode)
     if _blocked(told):
-        return _nothing(program, robot, mode, told[0])
+        return _nothing(program, robot, cell, mode, told[0])
     place = InRoot.of(robot, cell)
     arcs: Pieces | None = None
     also: tuple[Ints, Array] | None = None
@@ -108,7 +108,7 @@ def process(
                 arcs = _divided(program, place, sampled)
                 sampled = _sample(program, place, rows, mode, linearize_arcs, arcs, also)
         except _BlockedError as cause:
-            return _nothing(program, robot, mode, cause.issue)
+            return _nothing(program, robot, cell, mode, cause.issue)
         targets, row, arrive = _targets(program, place, sampled, linearize_arcs)
         issues = [*told, *program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
         text, simulated, carried = None, None, None
@@ -146,7 +146,7 @@ def process(
         uncorrected, deflection = _uncorrected(program, place, sampled, everywhere)
     except NotConvergedError as cause:
         motion = sampled.sample.motion[everywhere[list(cause.rows)]]
-        return _nothing(program, robot, mode, _at_rows("not-converged", _NO_BALANCE, program, motion))
+        return _nothing(program, robot, cell, mode, _at_rows("not-converged", _NO_BALANCE, program, motion))
     between = float(norm(uncorrected).max(initial=0.0))
     if mode == "predict":
         uncorrected, deflection = uncorrected[row], deflection[row]
@@ -170,7 +170,8 @@ def process(
     correction = targets.pose[:, :3, 3] - sampled.sample.pose[row, :3, 3]
     return Result(
         program=program,
-        robot=robot.name,
+        robot=robot,
+        axis=place.axis,
         mode=mode,
         documents=documents,
         motion=targets.motion,
@@ -429,13 +430,14 @@ def _tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array) 
     return elastostatics.solve_equilibrium(robot, x, kinematics.components(tool), wrench.T, guess.T).tip.T
 
 
-def _nothing(program: Program, robot: RobotModel, mode: Mode, issue: Issue) -> Result:
+def _nothing(program: Program, robot: RobotModel, cell: Cell, mode: Mode, issue: Issue) -> Result:
     """Return the result of a program that could not be computed at all."""
     none, frames = np.zeros(0), np.zeros((0, 4, 4))
     rows = np.zeros(0, dtype=np.int64)
     return Result(
         program=program,
-        robot=robot.name,
+        robot=robot,
+        axis=cell.tool.axis,
         mode=mode,
         documents=(),
         motion=rows,

@@ -10,6 +10,7 @@ import numpy as np
 from postproc.errors import Issue
 from postproc.frames import Array, norm
 from postproc.program import Bools, Document, Ints, Program, TargetForces
+from postproc.robot import RobotModel
 
 Mode = Literal["convert", "nominal", "predict"]
 
@@ -19,7 +20,8 @@ class Result:
     """Result of one program. Row i of every array is the same Cartesian target; SI units, `$BASE` axes.
 
     :param program: what was read.
-    :param robot: name of the robot model.
+    :param robot: the robot model.
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param mode: corrected ("convert"), written without correction ("nominal"), or predicted only ("predict").
     :param documents: files to write, the main one first; empty if there is an error, or nothing to write.
     :param motion: (K,) row of `program.motions`.
@@ -45,7 +47,8 @@ class Result:
     """
 
     program: Program
-    robot: str
+    robot: RobotModel
+    axis: str
     mode: Mode
     documents: tuple[Document, ...]
     motion: Ints

@@ -56,13 +56,13 @@ def identify_folder(
     method: Method = "enhanced",
     depth: Depth = "auto",
     progress: Callable[[str], None] = lambda _: None,
-    render: Callable[[dict[str, Any]], bytes] | None = None,
+    render: Callable[[dict[str, Any], str], bytes] | None = None,
     geometry: bool = False,
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
     :param geometry: calibrate the geometry too, with the springs found.
-    :param render: makes `report.html` from the content of `identification.json`.
+    :param render: makes `report.html` from the content of `identification.json` and the name of the model.
 
     :raises MeasurementError: the files are unusable.
     :raises InputError: the folder cannot be written.
@@ -92,7 +92,7 @@ def geometry_folder(
     experiment: Path,
     output: Path,
     model: Path | None = None,
-    render: Callable[[dict[str, Any]], bytes] | None = None,
+    render: Callable[[dict[str, Any], str], bytes] | None = None,
 ) -> IdentifiedFolder:
     """Calibrate the geometry from readings without load and write the model folder.
 

@@ -94,14 +94,14 @@ def write(
     content: ModelFile,
     data: dict[str, Any],
     prior_folder: Path,
-    render: Callable[[dict[str, Any]], bytes] | None = None,
+    render: Callable[[dict[str, Any], str], bytes] | None = None,
 ) -> list[Path]:
     """Write the model folder, whole or not at all.
 
     :param content: of `model.toml`.
     :param data: of `identification.json`; its ``files``, the files written with it, are added.
     :param prior_folder: where robot.urdf is.
-    :param render: makes `report.html` from `data`.
+    :param render: makes `report.html` from `data` and the name of the model.
     :raises InputError: the folder cannot be written, or is the prior's.
     """
     if folder.resolve() == prior_folder.resolve():
@@ -111,7 +111,7 @@ def write(
         "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
     }
     if render is not None:
-        contents["report.html"] = render(data)
+        contents["report.html"] = render(data, folder.resolve().name)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
         data["files"] = entries

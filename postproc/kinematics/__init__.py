@@ -5,7 +5,7 @@ from postproc.kinematics.components import components, displaced, matrices, twis
 from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
 from postproc.kinematics.hessian import gravity_stiffness, load_stiffness
 from postproc.kinematics.inverse import JointPath, UnreachableError, follow, on_branch, turn_of
-from postproc.kinematics.margins import joint_margin, smallest_singular_value
+from postproc.kinematics.margins import joint_margin, singular_values, smallest_singular_value
 
 __all__ = [
     "ClosedForm",
@@ -23,6 +23,7 @@ __all__ = [
     "matrices",
     "on_branch",
     "posture",
+    "singular_values",
     "smallest_singular_value",
     "status_of",
     "tcp",

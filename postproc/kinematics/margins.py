@@ -29,12 +29,21 @@ def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     if len(q) == 0:
         return float("nan")
     stride = len(q) // _LOOKED_AT + 1
-    coarse = _singular_values(robot, q, tool, slice(None, None, stride))
+
+    def of(rows: slice) -> Array:
+        return singular_values(robot, q[rows], tool if tool.ndim == 2 else tool[rows])
+
+    coarse = of(slice(None, None, stride))
     around = int(np.argmin(coarse)) * stride
-    fine = _singular_values(robot, q, tool, slice(max(0, around - stride), around + stride + 1))
+    fine = of(slice(max(0, around - stride), around + stride + 1))
     return float(min(coarse.min(), fine.min()))
 
 
-def _singular_values(robot: RobotModel, q: Array, tool: Array, rows: slice) -> Array:
-    _, jacobian = tcp(robot.nominal, q[rows], tool if tool.ndim == 2 else tool[rows])
+def singular_values(robot: RobotModel, q: Array, tool: Array) -> Array:
+    """Return the smallest singular value (N,) of the tool's Jacobian: metres and radians per radian.
+
+    :param q: (N, 6) joint angles [rad].
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    """
+    _, jacobian = tcp(robot.nominal, q, tool)
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1])

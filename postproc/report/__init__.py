@@ -1,8 +1,8 @@
 """Results as text, JSON, CSV and HTML: pure functions of a result; no file is read or written here."""
 
+from postproc.report.deviation import page
 from postproc.report.forces import COLUMNS as FORCE_COLUMNS
 from postproc.report.forces import forces_csv
-from postproc.report.html import page
 from postproc.report.summary import Summary, issue_entry, summary, to_json
 from postproc.report.tables import table
 from postproc.report.targets import COLUMNS, targets_csv

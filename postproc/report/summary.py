@@ -15,6 +15,7 @@ from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
+from postproc.report.verdict import State, verdict
 
 ROUNDING_MM = 1e-4
 """What rounding the written numbers (X, Y, Z to 1e-4 mm) may leave at a target: below it a factor says nothing."""
@@ -29,6 +30,20 @@ class Distances(TypedDict):
     rms_mm: float
     mean_mm: float
     p95_mm: float
+
+
+class Bound(TypedDict):
+    """95 % bound of what will remain on the part, over cutting targets."""
+
+    max_mm: float
+    rms_mm: float
+
+
+class Judged(TypedDict):
+    """The verdict, see `postproc.report.verdict`."""
+
+    state: State
+    reasons: list[str]
 
 
 class Ratios(TypedDict):
@@ -82,6 +97,7 @@ class Summary(TypedDict):
     inserted_targets: int
     before: Distances
     after: Distances
+    u95: Bound | None  # None where the model states no uncertainty
     improvement: Ratios
     compensated_percent: float | None
     between_max_mm: float | None
@@ -93,6 +109,7 @@ class Summary(TypedDict):
     max_force_N: float
     limits: Limits
     issues: list[IssueEntry]
+    verdict: Judged
     files: NotRequired[list[FileEntry]]  # written with this report
 
 
@@ -107,14 +124,16 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
     before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
     margin = result.joint_margin * DEG_PER_RAD
     force = norm(result.wrench[:, :3])
-    return Summary(
+    bound = None if result.bound is None else statistics(result.bound, result.rapid)
+    content = Summary(
         program=result.program.documents[0].name,
-        robot=result.robot,
+        robot=result.robot.name,
         mode=result.mode,
         targets=len(result),
         inserted_targets=result.inserted,
         before=_distances(before),
         after=_distances(after),
+        u95=None if bound is None else {"max_mm": bound.largest * MM_PER_M, "rms_mm": bound.rms * MM_PER_M},
         improvement={
             "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
             "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
@@ -133,7 +152,11 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
             "joint_margins_deg": [_finite(float(value)) for value in margin],
         },
         issues=[issue_entry(issue) for issue in result.issues],
+        verdict={"state": "ok", "reasons": []},
     )
+    judged = verdict(result, content)
+    content["verdict"] = {"state": judged.state, "reasons": list(judged.reasons)}
+    return content
 
 
 def _held(result: Result, after: Statistics, tolerance: float | None) -> bool | None:

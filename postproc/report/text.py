@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
 from postproc.report.tables import table
+from postproc.report.verdict import WORDS, State
 
+_REASONS = 8
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
 
-def of_one(content: Summary) -> str:
-    """Return the summary of one program: the paper's Table 3, then what else there is to know."""
-    lines = [f"{content['program']}  on {content['robot']}: {targets(content)}", ""]
+def of_one(content: Summary, styled: Callable[[str, State], str] = lambda text, _: text) -> str:
+    """Return the summary of one program on one screen: the verdict, the paper's Table 3, what else there is to know.
+
+    :param styled: the verdict as the terminal is to show it, for its state.
+    """
+    verdict = content["verdict"]
+    word = WORDS[content["mode"] != "predict", verdict["state"]]
+    lines = [f"{content['program']}  on {content['robot']}: {targets(content)}", styled(word, verdict["state"])]
+    lines += [f"  - {reason}" for reason in verdict["reasons"][:_REASONS]]
+    if len(verdict["reasons"]) > _REASONS:
+        lines.append(f"  - {len(verdict['reasons']) - _REASONS} more reasons: see the report")
+    lines.append("")
     nothing = nothing_to_correct(content)
     rows: list[tuple[str, ...]]
     if nothing is not None:
@@ -25,7 +36,7 @@ def of_one(content: Summary) -> str:
         rows = [(label, millimetres(old), millimetres(new), times(old, new)) for label, old, new in pairs]
         lines.append(table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
     lines += ["", *_facts(content)]
-    lines += [issue_line(issue, content["program"]) for issue in content["issues"]]
+    lines += [issue_line(issue, content["program"]) for issue in content["issues"] if issue["level"] == "info"]
     return "\n".join(lines)
 
 
@@ -39,6 +50,12 @@ def targets(content: Summary) -> str:
 
 def _facts(content: Summary) -> list[str]:
     facts = []
+    if nothing_to_correct(content) is None and content["targets"]:
+        bound = content["u95"]
+        told = (
+            "unknown, the model states no uncertainty" if bound is None else f"up to {millimetres(bound['max_mm'])} mm"
+        )
+        facts.append(f"to be expected on the part (95 %): {told}")
     if content["mode"] == "convert" and content["compensated_percent"] is not None:
         facts.append(f"compensated {percent(content['compensated_percent'])}")
         facts.append(f"largest correction {number(content['max_correction_mm'], 3)} mm")
@@ -98,12 +115,12 @@ def number(value: float | None, places: int) -> str:
 
 
 def millimetres(value: float) -> str:
-    """Return a distance in mm as text, with tenths of a micrometre, or nanometres where it is small.
+    """Return a distance in mm as text, with tenths of a micrometre; what is less is below what the text can say.
 
-    >>> millimetres(8.28), millimetres(0.00008)
-    ('8.2800', '0.000080')
+    >>> millimetres(8.28), millimetres(0.0), millimetres(0.00008)
+    ('8.2800', '0.0000', '<0.0001')
     """
-    return f"{value:.4f}" if value >= 0.001 or value == 0.0 else f"{value:.6f}"
+    return "<0.0001" if 0.0 < value < ROUNDING_MM else f"{value:.4f}"
 
 
 def times(before_mm: float, after_mm: float) -> str:

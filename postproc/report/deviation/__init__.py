@@ -1,0 +1,80 @@
+"""`report.html` of a program that was converted or predicted: one page, with views that are linked by place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from postproc.correction import Result
+from postproc.report.deviation.content import Deviation
+from postproc.report.deviation.sections import (
+    along,
+    histogram,
+    issues,
+    joints,
+    limits,
+    model,
+    numbers,
+    operations,
+    place,
+    verdict,
+    view3d,
+    worst,
+)
+from postproc.report.kit import Note, Page, Section
+from postproc.report.text import targets
+
+SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
+    verdict.section,
+    numbers.section,
+    view3d.section,
+    along.section,
+    histogram.section,
+    operations.section,
+    worst.section,
+    limits.section,
+    joints.section,
+    model.section,
+    issues.section,
+    place.section,
+)
+"""The sections of the page in order. One that has nothing to say returns None."""
+_MODES = {
+    "convert": "corrected program",
+    "nominal": "written without correction",
+    "predict": "predicted as it stands, nothing written",
+}
+_HOW = {
+    "convert": "“After” is a simulation of the program as written, with its rounded numbers.",
+    "nominal": "“After” is a simulation of the program as written: without correction.",
+    "predict": "Nothing was corrected or written.",
+}
+
+
+def page(result: Result, tolerance: float | None = None) -> Iterator[bytes]:
+    """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
+
+    :param result: of one program.
+    :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    """
+    told = Deviation(result, tolerance)
+    sections = tuple(found for make in SECTIONS if (found := make(told)) is not None)
+    views = len(result) > 0
+    content = told.content
+    yield from Page(
+        kind="Deviation report",
+        title=content["program"],
+        subtitle=f"{result.robot.title or result.robot.name} · {_MODES[result.mode]} · {targets(content)}",
+        sections=sections,
+        footer=(
+            Note(
+                "All deviations are predictions of the elastostatic model of the robot under the forces given, not "
+                f"measurements, in millimetres. Statistics are over cutting targets. {_HOW[result.mode]}"
+            ),
+        ),
+        facts=told.facts() if views else None,
+        columns={"places": told.places.columns, "drawn": told.places.drawn} if views else {},
+        scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if views else (),
+    ).render()
+
+
+_SCRIPTS = ("places", "robot", "view3d", "along", "histogram", "place")

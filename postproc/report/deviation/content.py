@@ -1,0 +1,132 @@
+"""What the sections of the page of a program are made from, and what its scripts are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import msgspec
+import numpy as np
+
+from postproc.correction import Result
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.report.deviation.operations import Operation, operations
+from postproc.report.deviation.places import Places, places
+from postproc.report.summary import Summary, nothing_to_correct, summary
+from postproc.report.verdict import Verdict, verdict
+
+_BINS = 60
+
+
+class Histogram(msgspec.Struct, frozen=True):
+    """How many cutting targets deviate by how much: counts between edges [mm]."""
+
+    edges: list[float]
+    counts: list[int]
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """What the scripts of the page are told beside the columns. Lengths mm, angles degrees.
+
+    :param mode: see `postproc.correction.Mode`.
+    :param frame: of the path drawn: "$BASE", or "robot root" where the program has several.
+    :param tolerance_mm: stated, or None.
+    :param worst: places of the largest deviation before and after.
+    :param lower: limits of the joints, `upper` too [deg].
+    :param bases: each `$BASE` in the root, tools each `$TOOL` in the flange: 4×4 by rows [mm].
+    :param placement: of each joint on the link before it, 4×4 by rows [mm]; `axis` about which it turns; `flange`.
+    :param histograms: by column name.
+    """
+
+    mode: str
+    frame: str
+    tolerance_mm: float | None
+    bounded: bool
+    worst: dict[str, int]
+    lower: list[float]
+    upper: list[float]
+    bases: list[list[float]]
+    tools: list[list[float]]
+    placement: list[list[float]]
+    axis: list[list[float]]
+    flange: list[float]
+    histograms: dict[str, Histogram]
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A result and what the sections of its page say of it.
+
+    :param result: of one program.
+    :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    """
+
+    result: Result
+    tolerance: float | None
+
+    @cached_property
+    def content(self) -> Summary:
+        """Content of `report.json`."""
+        return summary(self.result, self.tolerance)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What to think of it."""
+        return verdict(self.result, self.content)
+
+    @cached_property
+    def nothing(self) -> str | None:
+        """A sentence where there is nothing to correct, or None."""
+        return nothing_to_correct(self.content)
+
+    @property
+    def compared(self) -> bool:
+        """True if there is a program as written, to be compared with the one as programmed."""
+        return self.result.mode != "predict"
+
+    @cached_property
+    def places(self) -> Places:
+        """The places that the page shows; only where there are targets."""
+        return places(self.result)
+
+    @cached_property
+    def operations(self) -> list[Operation]:
+        """The operations of the program."""
+        return operations(self.result)
+
+    def facts(self) -> Facts:
+        """Return what the scripts are told."""
+        result = self.result
+        nominal, program = result.robot.nominal, result.program
+        measures = {"before": result.before, "after": result.after} if self.compared else {"before": result.before}
+        cutting = ~result.rapid
+        worst = {
+            name: self.places.of(int(np.argmax(np.where(cutting, values, -1.0)))) for name, values in measures.items()
+        }
+        return Facts(
+            mode=result.mode,
+            frame="$BASE" if len(program.bases) == 1 else "robot root",
+            tolerance_mm=self.content["tolerance_mm"],
+            bounded=result.bound is not None,
+            worst=worst,
+            lower=(result.robot.lower * DEG_PER_RAD).tolist(),
+            upper=(result.robot.upper * DEG_PER_RAD).tolist(),
+            bases=[_in_mm(base) for base in program.bases],
+            tools=[_in_mm(tool) for tool in program.tools],
+            placement=[_in_mm(joint) for joint in nominal.placement],
+            axis=nominal.axis.tolist(),
+            flange=_in_mm(nominal.flange),
+            histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
+        )
+
+
+def _histogram(values: Array) -> Histogram:
+    top = float(values.max(initial=0.0)) or 1.0
+    counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
+    return Histogram(edges.tolist(), counts.tolist())
+
+
+def _in_mm(pose: Array) -> list[float]:
+    scaled = pose.copy()
+    scaled[:3, 3] *= MM_PER_M
+    return [float(value) for value in scaled.ravel()]

@@ -1,0 +1,63 @@
+"use strict";
+// Details of the chosen place, or of the one pointed at, and ways to go to others.
+(() => {
+  const view = document.getElementById("place-view");
+  const { at, number, values } = places;
+  view.setAttribute("aria-live", "polite");
+  view.removeAttribute("tabindex");
+
+  const list = (i, names, decimals) => names.map((name) => number(at[name][i], decimals)).join(", ");
+  function rows(i) {
+    const margins = places.margins(i);
+    const axes = ["X", "Y", "Z"];
+    const moment = ["Mx", "My", "Mz"].some((name) => at[name][i]) ? [["Moment Mx, My, Mz", `${list(i, ["Mx", "My", "Mz"], 2)} N·m`]] : [];
+    const parts = (prefix) => (Number.isFinite(at[`${prefix}_along`][i])
+      ? [["– along, across, normal", `${list(i, ["along", "across", "normal"].map((name) => `${prefix}_${name}`), 4)} mm`]] : []);
+    return [
+      ["Source line", at.source_line[i]],
+      [places.compared ? "Output line" : "Line", at.output_line[i]],
+      ["On the move", `${number(at.t[i], 3)}${at.rapid[i] ? " (rapid)" : ""}`],
+      [values.before.title, `${number(at.before[i], 4)} mm`],
+      ["– X, Y, Z", `${list(i, axes.map((axis) => `b${axis}`), 4)} mm`],
+      ...parts("b"),
+      ...(places.compared ? [["Deviation after", `${number(at.after[i], 4)} mm`]] : []),
+      ["Expected on the part (95 %)", facts.bounded ? `${number(at.u95[i], 4)} mm` : "unknown"],
+      ...(places.compared ? [["Correction", `${number(at.correction[i], 4)} mm`], ["– X, Y, Z", `${list(i, axes.map((axis) => `c${axis}`), 4)} mm`]] : []),
+      ["Force", `${number(at.force[i], 1)} N`],
+      ["– Fx, Fy, Fz", `${list(i, ["Fx", "Fy", "Fz"], 1)} N`],
+      ...moment,
+      ["X, Y, Z", `${list(i, axes, 3)} mm`],
+      ["A, B, C", `${list(i, ["A", "B", "C"], 3)}°`],
+      ...places.joints.map((name, k) => [name, `${number(at[name][i], 2)}° (margin ${number(margins[k], 1)}°)`]),
+      ["Smallest singular value", `${number(at.singular[i], 3)} m/rad`],
+      ["Speed", `${number(at.speed[i], 1)} mm/s`],
+      ["Path, time", `${number(at.length[i], 1)} mm, ${number(at.time[i], 2)} s`],
+    ];
+  }
+
+  const details = document.createElement("dl");
+  details.className = "facts";
+  view.append(details);
+  const controls = document.getElementById("place-controls");
+  controls.innerHTML = `<button type="button" data-go="-1" aria-label="Previous place">◀</button><button type="button" data-go="1" aria-label="Next place">▶</button>
+    <button type="button" data-go="worst">worst</button>
+    <label>line <input type="number" id="place-line" min="1" style="width:6em"></label>`;
+  for (const button of controls.querySelectorAll("[data-go]"))
+    button.addEventListener("click", () => selection.choose(button.dataset.go === "worst" ? facts.worst.before
+      : places.step(selection.chosen, Number(button.dataset.go))));
+  document.getElementById("place-line").addEventListener("change", (event) => {
+    const found = places.ofLine(Number(event.target.value));
+    if (found === null) event.target.setCustomValidity("No target on this line");
+    else { event.target.setCustomValidity(""); selection.choose(found); }
+    event.target.reportValidity();
+  });
+
+  selection.subscribe((place) => {
+    details.replaceChildren(...(place === null ? [] : rows(place).map(([name, text]) => {
+      const row = document.createElement("div");
+      row.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: text }));
+      return row;
+    })));
+  });
+  selection.choose(facts.worst.before);
+})();

@@ -1,0 +1,66 @@
+"use strict";
+// What is known of each place of the path, in words and units. `places.at` are the columns of numbers.
+const places = (() => {
+  const at = columns.places;
+  const count = at.before.length;
+  const joints = ["A1", "A2", "A3", "A4", "A5", "A6"];
+
+  const margins = (i) => joints.map((name, k) => Math.min(at[name][i] - facts.lower[k], facts.upper[k] - at[name][i]));
+  at.margin = Float32Array.from({ length: count }, (_, i) => Math.min(...margins(i)));
+
+  const compared = facts.mode !== "predict";
+  // Values that paths and plots can be coloured by: title, unit and decimals.
+  const values = {
+    before: { title: compared ? "Deviation before" : "Predicted deviation", unit: "mm", decimals: 4 },
+    ...(compared && { after: { title: "Deviation after", unit: "mm", decimals: 4 } }),
+    ...(facts.bounded && { u95: { title: "Expected on the part (95 %)", unit: "mm", decimals: 4 } }),
+    force: { title: "Force", unit: "N", decimals: 0 },
+    ...(compared && { correction: { title: "Correction", unit: "mm", decimals: 4 } }),
+    margin: { title: "Smallest joint margin", unit: "°", decimals: 1, low: true },
+    singular: { title: "Smallest singular value", unit: "m/rad", decimals: 3, low: true },
+    speed: { title: "Speed", unit: "mm/s", decimals: 1 },
+  };
+
+  const matrix = (rows) => [0, 1, 2].map((r) => rows.slice(4 * r, 4 * r + 4));
+  const turned = (m, v) => m.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
+  const moved = (m, v) => turned(m, v).map((value, r) => value + m[r][3]);
+  const bases = facts.bases.map(matrix);
+  const inRoot = bases.length > 1; // several $BASE: what is drawn is drawn in the robot root
+
+  // Vector of columns (prefix + X, Y, Z) in the axes in which the path is drawn.
+  function vector(prefix, i) {
+    const v = ["X", "Y", "Z"].map((axis) => at[prefix + axis][i]);
+    return inRoot ? turned(bases[at.base[i]], v) : v;
+  }
+  function position(i) {
+    const v = ["X", "Y", "Z"].map((axis) => at[axis][i]);
+    return inRoot ? moved(bases[at.base[i]], v) : v;
+  }
+
+  // The next place in a direction that cuts, or the last one there is.
+  function step(from, by) {
+    if (from === null) return facts.worst.before;
+    let i = Math.min(Math.max(from + by, 0), count - 1);
+    while (at.rapid[i] && i + Math.sign(by) >= 0 && i + Math.sign(by) < count) i += Math.sign(by);
+    return i;
+  }
+
+  function ofLine(line) {
+    let best = null;
+    for (let i = 0; i < count; i++)
+      if (at.source_line[i] === line && (best === null || at.before[i] > at.before[best])) best = i;
+    return best;
+  }
+
+  // A number with fixed decimals; what is smaller than the text can say is told as that.
+  function number(value, decimals) {
+    if (!Number.isFinite(value)) return "–";
+    const least = 10 ** -decimals;
+    if (decimals >= 4 && value !== 0 && Math.abs(value) < least) return value > 0 ? `<${least.toFixed(decimals)}` : "0.0000";
+    const text = value.toFixed(decimals);
+    return Number(text) === 0 ? (0).toFixed(decimals) : text;
+  }
+
+  return { at, count, joints, margins, compared, values, matrix, turned, moved, bases, inRoot, vector, position, step,
+    ofLine, number };
+})();

@@ -1,0 +1,255 @@
+"use strict";
+// The path in space: coloured by a value, with enlarged deviations, the part frame and the robot.
+(() => {
+  const view = document.getElementById("view3d-view");
+  if (!view) return;
+  const { at, values, number } = places;
+  const drawn = columns.drawn;
+  const points = drawn.x.length;
+  const paths = {
+    b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before", dash: "solid" },
+    ...(places.compared && { a: { title: "tool with the program as written", colour: "after", dash: "solid" } }),
+    ...(places.compared && { c: { title: "commanded path", colour: "correction", dash: "dash" } }),
+  };
+  const extent = Math.max(...["x", "y", "z"].map((axis) => {
+    let [low, high] = [Infinity, -Infinity];
+    for (const value of drawn[axis]) { if (value < low) low = value; if (value > high) high = value; }
+    return high - low;
+  }), 1e-6);
+  const round = (value) => {
+    const power = 10 ** Math.floor(Math.log10(value));
+    return [1, 2, 5, 10].map((step) => step * power).reduce((a, b) => (Math.abs(b - value) < Math.abs(a - value) ? b : a));
+  };
+  const largest = Math.max(at.before[facts.worst.before], 1e-9);
+  const shown = { colour: "before", enlarged: Math.min(Math.max(round((0.06 * extent) / largest), 1), 10000),
+    paths: { b: true, a: false, c: places.compared }, robot: false };
+
+  // Pieces that cut and rapid ones, each a line with gaps, and the place that each of its points leads to.
+  const runs = (() => {
+    const line = () => ({ x: [], y: [], z: [], place: [] });
+    const out = { cut: line(), rapid: line() };
+    let last = null;
+    const push = (to, k, place) => {
+      to.x.push(k === null ? null : drawn.x[k]);
+      to.y.push(k === null ? null : drawn.y[k]);
+      to.z.push(k === null ? null : drawn.z[k]);
+      to.place.push(place);
+    };
+    for (let k = 0; k < points; k++) {
+      const place = drawn.place[k];
+      const to = at.rapid[place] ? out.rapid : out.cut;
+      if (to !== last) {
+        if (to.x.length) push(to, null, place);
+        if (k) push(to, k - 1, place);
+        last = to;
+      }
+      push(to, k, place);
+    }
+    return out;
+  })();
+
+  // Values at the gaps do not count.
+  function coloured() {
+    const column = at[shown.colour];
+    let [low, high] = [Infinity, -Infinity];
+    for (const place of runs.cut.place) {
+      const value = column[place];
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+    if (!values[shown.colour].low) low = Math.min(low, 0);
+    return { color: runs.cut.place.map((place) => column[place]), cmin: low, cmax: high > low ? high : low + 1e-9 };
+  }
+
+  // The path with deviations enlarged; between two places of an arc they change in proportion.
+  function displaced(prefix) {
+    const line = { x: [], y: [], z: [] };
+    const push = (p) => ["x", "y", "z"].forEach((axis, r) => line[axis].push(p ? p[r] : null));
+    for (let k = 0, first = 0; k < points; k++) {
+      const place = drawn.place[k];
+      if (k && drawn.place[k - 1] !== place) first = k;
+      if (at.rapid[place]) { push(null); continue; }
+      let end = k;
+      while (end + 1 < points && drawn.place[end + 1] === place) end++;
+      const share = end === first ? 1 : (k - first + 1) / (end - first + 1);
+      const to = places.vector(prefix, place);
+      const from = place > 0 && share < 1 ? places.vector(prefix, place - 1) : to;
+      push([drawn.x[k], drawn.y[k], drawn.z[k]].map((value, r) =>
+        value + shown.enlarged * ((1 - share) * from[r] + share * to[r])));
+    }
+    return line;
+  }
+
+  const axes = (m, length) => {
+    const line = { x: [], y: [], z: [] };
+    for (let axis = 0; axis < 3; axis++)
+      for (const reach of [0, length, null])
+        ["x", "y", "z"].forEach((name, r) => line[name].push(reach === null ? null : m[r][3] + reach * m[r][axis]));
+    return line;
+  };
+  const names = (m, length, name) => ({
+    x: [0, 1, 2].map((axis) => m[0][3] + length * m[0][axis]), y: [0, 1, 2].map((axis) => m[1][3] + length * m[1][axis]),
+    z: [0, 1, 2].map((axis) => m[2][3] + length * m[2][axis]), text: ["X", "Y", "Z"].map((axis) => `${axis} ${name}`),
+  });
+  const frame = places.inRoot ? places.bases[0] : [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]];
+
+  // The traces in a fixed order, so that single ones can be changed.
+  const CHOSEN = 1 + 1 + Object.keys(paths).length + 1;
+  function traces() {
+    const { title, unit } = values[shown.colour];
+    const colour = theme.colour;
+    const lines = { type: "scatter3d", mode: "lines", hoverinfo: "skip", connectgaps: false };
+    const out = [
+      { ...lines, ...runs.cut, hoverinfo: "none",
+        line: { width: 5, colorscale: "Cividis", showscale: true, ...coloured(),
+          colorbar: { title: { text: `${title}, ${unit}`, side: "right" }, thickness: 12, len: 0.8, exponentformat: "none",
+            tickfont: { color: colour("soft") }, outlinewidth: 0 } } },
+      { ...lines, ...runs.rapid, line: { width: 1, color: colour("soft") } },
+    ];
+    for (const [prefix, path] of Object.entries(paths))
+      out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
+        visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
+    const worst = Object.entries(facts.worst).filter(([, place]) => place !== null);
+    const where = worst.map(([, place]) => places.position(place));
+    out.push({ type: "scatter3d", mode: "markers", hoverinfo: "text", x: where.map((p) => p[0]), y: where.map((p) => p[1]),
+      z: where.map((p) => p[2]), text: worst.map(([name]) => `worst ${name}`),
+      marker: { size: 6, symbol: "diamond-open", color: colour("before") } });
+    out.push(marker(), arm());
+    const reach = 0.12 * extent;
+    for (const [m, name] of [[frame, "$BASE"], ...(shown.robot ? [[robot.root, "robot"]] : [])]) {
+      const length = name === "robot" ? 300 : reach;
+      out.push({ ...lines, ...axes(m, length), line: { width: 4, color: colour("ink") } });
+      out.push({ type: "scatter3d", mode: "text", hoverinfo: "skip", ...names(m, length, name),
+        textfont: { color: colour("ink"), size: 11 } });
+    }
+    return out;
+  }
+  function marker() {
+    const p = selection.place === null ? [null, null, null] : places.position(selection.place);
+    return { type: "scatter3d", mode: "markers", hoverinfo: "skip", x: [p[0]], y: [p[1]], z: [p[2]],
+      marker: { size: 8, color: theme.colour("chosen"), symbol: "circle" } };
+  }
+  function arm() {
+    const on = shown.robot && selection.place !== null;
+    const line = on ? robot.points(selection.place) : [[null, null, null]];
+    return { type: "scatter3d", mode: "lines+markers", hoverinfo: "skip", visible: shown.robot,
+      x: line.map((p) => p[0]), y: line.map((p) => p[1]), z: line.map((p) => p[2]),
+      line: { width: 8, color: theme.colour("soft") }, marker: { size: 4, color: theme.colour("ink") } };
+  }
+
+  const eye = { x: -1.1, y: -1.5, z: 1.1 };
+  let camera = { eye: { ...eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
+  function layout() {
+    const axis = (title) => theme.axis({ title: { text: title }, backgroundcolor: "rgba(0,0,0,0)", showspikes: false,
+      color: theme.colour("soft"), automargin: undefined });
+    const of = places.inRoot ? "root" : "$BASE";
+    return theme.layout({ margin: { l: 0, r: 0, t: 0, b: 0 }, hovermode: "closest", uirevision: 1,
+      scene: { aspectmode: "data", camera, xaxis: axis(`X ${of}, mm`), yaxis: axis(`Y ${of}, mm`), zaxis: axis(`Z ${of}, mm`),
+        dragmode: "turntable", uirevision: 1 } });
+  }
+  let picture = null;
+  let wanted = 0;
+  // A picture of the view stands in for it on paper: browsers do not print what the graphics card drew.
+  function photograph() {
+    clearTimeout(wanted);
+    wanted = setTimeout(async () => {
+      const url = await Plotly.toImage(view, { format: "png", width: 1200, height: 700 }).catch(() => null);
+      if (url) picture.src = url;
+    }, 400);
+  }
+  function draw() {
+    return Plotly.react(view, traces(), layout(), theme.config).then(photograph);
+  }
+
+  // Turning by degrees about the upright axis and in height, and coming nearer by a factor.
+  function look({ turn = 0, rise = 0, nearer = 1, to = null }) {
+    camera = view._fullLayout.scene.camera;
+    let { x, y, z } = to ?? camera.eye;
+    const radius = Math.hypot(x, y, z) / nearer;
+    const azimuth = Math.atan2(y, x) + (turn * Math.PI) / 180;
+    const height = Math.min(Math.max(Math.atan2(z, Math.hypot(x, y)) + (rise * Math.PI) / 180, -1.55), 1.55);
+    camera = { ...camera, eye: { x: radius * Math.cos(height) * Math.cos(azimuth),
+      y: radius * Math.cos(height) * Math.sin(azimuth), z: radius * Math.sin(height) } };
+    return Plotly.relayout(view, { "scene.camera": camera }).then(photograph);
+  }
+  const keys = {
+    ArrowLeft: () => look({ turn: -10 }), ArrowRight: () => look({ turn: 10 }),
+    ArrowUp: () => look({ rise: 10 }), ArrowDown: () => look({ rise: -10 }),
+    "+": () => look({ nearer: 1.2 }), "-": () => look({ nearer: 1 / 1.2 }),
+    n: () => selection.choose(places.step(selection.chosen, 1)),
+    p: () => selection.choose(places.step(selection.chosen, -1)),
+    w: () => selection.choose(facts.worst.before),
+  };
+  view.addEventListener("keydown", (event) => {
+    const act = keys[event.key] ?? keys[event.key.toLowerCase()];
+    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    act();
+  });
+
+  // Controls.
+  const controls = document.getElementById("view3d-controls");
+  const sides = { Oblique: eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 } };
+  const tick = (prefix) => `<label><input type="checkbox" data-path="${prefix}"${shown.paths[prefix] ? " checked" : ""}>
+    <span style="color:var(--${paths[prefix].colour})">${paths[prefix].title}</span></label>`;
+  controls.innerHTML = `
+    <label>Colour <select id="view3d-colour">${Object.entries(values).map(([name, { title }]) =>
+      `<option value="${name}">${title}</option>`).join("")}</select></label>
+    <fieldset><legend>Enlarged</legend>${Object.keys(paths).map(tick).join("")}</fieldset>
+    <label>by <input type="range" id="view3d-enlarged" min="0" max="4" step="0.05" value="${Math.log10(shown.enlarged)}">
+      <output id="view3d-factor">${shown.enlarged} ×</output></label>
+    <label><input type="checkbox" id="view3d-robot"> robot</label>
+    <fieldset><legend>View</legend>${Object.keys(sides).map((name) => `<button type="button">${name}</button>`).join("")}</fieldset>`;
+  document.getElementById("view3d-colour").addEventListener("change", (event) => {
+    shown.colour = event.target.value;
+    draw();
+  });
+  for (const box of controls.querySelectorAll("[data-path]"))
+    box.addEventListener("change", () => { shown.paths[box.dataset.path] = box.checked; draw(); });
+  document.getElementById("view3d-enlarged").addEventListener("input", (event) => {
+    shown.enlarged = Number((10 ** Number(event.target.value)).toPrecision(2));
+    document.getElementById("view3d-factor").textContent = `${shown.enlarged} ×`;
+    draw();
+  });
+  document.getElementById("view3d-robot").addEventListener("change", (event) => {
+    shown.robot = event.target.checked;
+    draw();
+  });
+  for (const button of controls.querySelectorAll("button"))
+    button.addEventListener("click", () => look({ to: sides[button.textContent] }));
+
+  view.style.height = "min(70vh, 640px)";
+  view.classList.add("not-print");
+  picture = new Image();
+  picture.alt = "The path in space, coloured by a value";
+  picture.className = "only-print";
+  view.after(picture);
+  try {
+    draw().then(() => {
+      view.on("plotly_hover", ({ points: [{ curveNumber, pointNumber }] }) => {
+        if (curveNumber === 0) selection.point(runs.cut.place[pointNumber]);
+      });
+      view.on("plotly_unhover", () => selection.point(null));
+      view.on("plotly_click", ({ points: [{ curveNumber, pointNumber }] }) => {
+        if (curveNumber === 0) selection.choose(runs.cut.place[pointNumber]);
+      });
+      view.on("plotly_relayout", photograph);
+    });
+  } catch (cause) {
+    view.textContent = `This browser cannot draw in three dimensions (${cause.message}). The plots below show the same numbers.`;
+    return;
+  }
+  theme.onChange(draw);
+
+  let asked = false;
+  selection.subscribe(() => {
+    if (asked) return;
+    asked = true;
+    requestAnimationFrame(() => {
+      asked = false;
+      const [dot, line] = [marker(), arm()];
+      const of = (key) => [dot[key], line[key]];
+      Plotly.restyle(view, { x: of("x"), y: of("y"), z: of("z") }, [CHOSEN, CHOSEN + 1]);
+    });
+  });
+})();

@@ -1,0 +1,103 @@
+"""The frame of a page: one file that loads nothing, with its styles, scripts and numbers in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from postproc.report.kit.columns import Columns
+from postproc.report.kit.parts import Note, Part, Section
+from postproc.report.kit.plots import encoded
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+_SHARED = ("columns", "theme", "selection", "tables", "plots")
+_LIBRARY = b"<!-- library -->"
+_COLUMNS = b"<!-- columns -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page.
+
+    :param kind: what kind of page it is.
+    :param title: what it is about.
+    :param subtitle: a line below the title.
+    :param sections: in order.
+    :param footer: sentences at the end.
+    :param facts: what scripts need to know beside the columns: a structure that msgspec can encode.
+    :param columns: numbers that views show, by name.
+    :param scripts: package and names of further scripts, in the order in which they need each other.
+    """
+
+    kind: str
+    title: str
+    subtitle: str
+    sections: tuple[Section, ...]
+    footer: tuple[Note, ...] = ()
+    facts: object = None
+    columns: Mapping[str, Columns] = field(default_factory=dict)
+    scripts: tuple[tuple[str, str], ...] = ()
+
+    drawn: ClassVar[frozenset[str]] = frozenset({"plot", "view"})
+
+    def render(self) -> Iterator[bytes]:
+        """Yield the page as HTML in UTF-8; what needs no plot is without the library that draws them."""
+        plots = any(_holds(section.parts, self.drawn) for section in self.sections)
+        names = [*(("postproc.report.kit", name) for name in _SHARED), *self.scripts]
+        text = (
+            _template()
+            .render(
+                page=self,
+                plots=plots,
+                style=_text("postproc.report.kit", "templates/style.css"),
+                scripts=[_text(package, f"scripts/{name}.js") for package, name in names] if plots else [],
+                told=encoded(self.facts),
+                columns={name: encoded(columns.described) for name, columns in self.columns.items()},
+            )
+            .encode(errors="replace")
+        )
+        head, _, rest = text.partition(_LIBRARY)
+        yield head
+        if plots:
+            yield from (b"<script>", library(), b"</script>")
+        for columns in self.columns.values():
+            before, _, rest = rest.partition(_COLUMNS)
+            yield from (before, columns.text.encode())
+        yield rest
+
+
+def library() -> bytes:
+    """Return the script of plotly from the installed package; its Python side, which is large, is not imported."""
+    spec = find_spec("plotly")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError("plotly is not installed: pip install plotly")
+    return (Path(spec.origin).parent / "package_data" / "plotly.min.js").read_bytes()
+
+
+def _holds(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
+    return any(part.template in templates or _holds(getattr(part, "parts", ()), templates) for part in parts)
+
+
+@cache
+def _text(package: str, name: str) -> str:
+    return (files(package) / name).read_text(encoding="utf-8")
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    def load(name: str) -> str:
+        return _text("postproc.report.kit", f"templates/{name}")
+
+    environment = Environment(
+        autoescape=True, loader=FunctionLoader(load), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("page.html")

@@ -1,0 +1,24 @@
+"use strict";
+// Colours of the style sheet for what the plot library draws, and a way to hear that they have changed.
+const theme = (() => {
+  const heard = [];
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const tell = () => heard.forEach((redraw) => redraw());
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", tell);
+  addEventListener("beforeprint", tell);
+  addEventListener("afterprint", tell);
+
+  // What all plots share: no paper of their own, the page's font and rules.
+  const axis = (more = {}) => ({
+    gridcolor: colour("rule"), linecolor: colour("rule"), zerolinecolor: colour("rule"), automargin: true,
+    exponentformat: "none", ...more,
+  });
+  const layout = (more = {}) => ({
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false,
+    font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: colour("soft") },
+    hoverlabel: { bgcolor: colour("card"), bordercolor: colour("rule"), font: { color: colour("ink") } },
+    margin: { l: 56, r: 16, t: 10, b: 40 }, ...more,
+  });
+  const config = { responsive: true, displaylogo: false, displayModeBar: false };
+  return { colour, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
+})();

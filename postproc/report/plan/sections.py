@@ -1,0 +1,164 @@
+"""Sections of the page of a plan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import DEG_PER_RAD, MM_PER_M
+from postproc.plan import PlanResult
+from postproc.report.kit import (
+    Axis,
+    Cell,
+    Counts,
+    Curve,
+    Mark,
+    Note,
+    Notes,
+    Plot,
+    Points,
+    Row,
+    Section,
+    Table,
+    Tile,
+    Tiles,
+)
+from postproc.robot import JOINTS
+
+_SMALL_MM = 0.01
+_GOOD = 0.1
+_BINS = 60
+
+
+def _unit(result: PlanResult) -> tuple[str, float]:
+    """Return mm, or µm where everything would be hundredths of a millimetre; and its factor."""
+    return ("mm", MM_PER_M) if result.accuracy.rms * MM_PER_M >= _SMALL_MM else ("µm", 1e6)
+
+
+def expected(result: PlanResult) -> Section:
+    """Return what to expect of the plan."""
+    unit, factor = _unit(result)
+    low, high = (value * factor for value in result.accuracy.interval)
+    uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2))
+    tiles = [
+        Tile(
+            "After compensation, RMS",
+            f"{result.accuracy.rms * factor:.3g}",
+            unit,
+            f"95 %: {low:.3g} … {high:.3g} {unit}",
+        ),
+        Tile("Without compensation, RMS", f"{uncompensated * MM_PER_M:.3g}", "mm"),
+    ]
+    if len(result.random):
+        gain = np.sqrt(np.median(result.random) / result.plan.value)
+        tiles.append(Tile("Better than the median of random plans", f"{gain:.2f}", "×"))
+    tiles.append(Tile("Least travel, joints at full speed", f"{result.seconds:.0f}", "s"))
+    return Section("expected", "What to expect", (Tiles(tuple(tiles)),))
+
+
+def warnings(result: PlanResult) -> Section | None:
+    """Return what to know before measuring."""
+    if not result.warnings:
+        return None
+    notes = tuple(Note(f"{text}.", "warning") for text in result.warnings)
+    return Section("warnings", "Before you measure", (Notes(notes, marked=True),))
+
+
+def comparison(result: PlanResult) -> Section | None:
+    """Return the plan among random ones."""
+    if not len(result.random):
+        return None
+    unit, factor = _unit(result)
+    random = np.sqrt(result.random) * factor
+    own = float(np.sqrt(result.plan.value)) * factor
+    serial = None if result.serial is None else float(np.sqrt(result.serial.value)) * factor
+    # some random plans are hopeless: the picture ends where 97 % of them are in
+    top = max(float(np.quantile(random, 0.97)), serial or 0.0, own) * 1.05
+    counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
+    median = float(np.median(random))
+    marks = [Mark(own, f"this plan {own:.3g}", "after"), Mark(median, f"median of random plans {median:.3g}", "before")]
+    marks += [] if serial is None else [Mark(serial, f"semi-intuitive plan {serial:.3g}", "before")]
+    best = f"The best of {len(random)} random plans has {random.min():.3g} {unit}, this one {own:.3g} {unit}"
+    intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} {unit}"
+    plot = Plot(
+        label="Histogram of the criterion of random plans; this plan is marked",
+        traces=[Counts(edges.tolist(), counts.tolist(), "random plans")],
+        x=Axis(title=f"criterion (root: RMS distance that remains), {unit}", range=(0.0, top)),
+        y=Axis(title="plans"),
+        marks=marks,
+        note=f"{best}{intuitive}. Random plans: levels, poses and loads at random among those that can be measured. "
+        "Semi-intuitive: well-conditioned poses, far apart, on evenly spaced levels.",
+    )
+    return Section("comparison", "Among other plans of the same size", (plot,))
+
+
+def sizes(result: PlanResult) -> Section | None:
+    """Return the criterion against the number of poses."""
+    if len(result.sizes) < 2:
+        return None
+    unit, factor = _unit(result)
+    number = [float(size.configurations) for size in result.sizes]
+    own = (np.sqrt([size.value for size in result.sizes]) * factor).tolist()
+    random = (np.sqrt([size.random for size in result.sizes]) * factor).tolist()
+    chosen = [(n, value) for n, value in zip(number, own, strict=True) if n == len(result.plan)]
+    high = min(max(random), 4.0 * max(own)) * 1.05
+    plot = Plot(
+        label="Criterion against the number of poses, for the best plans found and for random ones",
+        traces=[
+            Curve(number, random, "random plans, median", "before", dots=True, dashed=True),
+            Curve(number, own, "best plan found", "after", dots=True),
+            Points([n for n, _ in chosen], [v for _, v in chosen], "this plan", "ink", hollow=True),
+        ],
+        x=Axis(title="number of poses"),
+        y=Axis(title=unit, range=(0.0, high)),
+        note="Other sizes by a shorter search, good to some per cent. Once the curve falls with the root of the number "
+        "only, further poses merely average out noise.",
+    )
+    return Section("sizes", "How many poses pay", (plot,))
+
+
+def angles(result: PlanResult) -> Section:
+    """Return angles and loads of the poses."""
+    head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
+    rows = tuple(
+        Row((str(row), *(f"{angle + 0.0:.3f}" for angle in q), *(f"{value + 0.0:.1f}" for value in force)))
+        for row, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1)
+    )
+    note = "In the order of least travel. Loads act on the load point, root axes."
+    return Section("angles", "Angles and loads", (Table(head, rows, "Angles and loads of each pose", note=note),))
+
+
+def tests(result: PlanResult) -> Section:
+    """Return the test poses."""
+    unit, factor = _unit(result)
+    order = np.argsort(-result.tests.weight, kind="stable")
+    rows = tuple(
+        Row(
+            (
+                str(place),
+                f"{100 * result.tests.weight[row]:.1f}",
+                f"{np.linalg.norm(result.tests.wrench[row, :3]):.0f}",
+                f"{result.tests.deflection[row] * MM_PER_M:.3f}",
+                f"{result.accuracy.poses[row] * factor:.3g}",
+            )
+        )
+        for place, row in enumerate(order, 1)
+    )
+    head = ("Test pose", "Share, %", "Force, N", "Deflection, mm", f"Expected to remain, {unit}")
+    note = f"They stand for all cutting moves (Σ w A₀ᵀA₀ agrees to {100 * result.represented:.2g} %)."
+    table = Table(head, rows, "Test poses", sortable=True, note=note)
+    return Section("tests", "Test poses: where it will be milled", (table,), "half")
+
+
+def parameters(result: PlanResult) -> Section:
+    """Return how well each parameter will be known."""
+    rows = tuple(
+        Row((parameter.symbol, Cell(f"± {_percent(float(half))}", "good" if half <= _GOOD else "warning")))
+        for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
+    )
+    note = "Of the robot's present value. A plan made for the work at hand may leave wide what the work does not need."
+    table = Table(("Parameter", "95 % interval"), rows, "Expected intervals of the parameters", note=note)
+    return Section("parameters", "Parameters", (table,), "half")
+
+
+def _percent(half: float) -> str:
+    return f"{100 * half:.2g} %" if half < 10.0 else "unbounded"

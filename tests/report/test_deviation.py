@@ -1,0 +1,199 @@
+"""The page of a program, as text: what a browser makes of it is tested in `tests/pages`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postproc.program import CIRC, Event
+from postproc.report import page, summary
+from postproc.report.deviation import places
+from postproc.report.deviation.drawn import drawn_path
+from postproc.report.deviation.operations import operations
+from tests import fabricated
+from tests.html_page import ReadPage, read_page
+
+_SECTIONS = {"verdict", "numbers", "view3d", "along", "histogram", "worst", "place", "issues", "operations", "model"}
+
+
+def _read(result, tolerance=1e-5) -> ReadPage:
+    return read_page(b"".join(page(result, tolerance)))
+
+
+@pytest.mark.parametrize("mode", ["convert", "nominal", "predict"])
+@pytest.mark.parametrize("count", [0, 1, 2, 30])
+def test_page_is_well_formed_and_loads_nothing(mode, count):
+    read = _read(fabricated.result(count, mode))
+    assert {"verdict", "issues", "model"} <= set(read.ids)
+    assert count < 2 or set(read.ids) >= _SECTIONS
+
+
+def test_a_page_that_loads_something_would_be_noticed():
+    content = b"".join(page(fabricated.result(3), 1e-5))
+    for more in (b'<img src="https://example.com/a.png">', b'<link href="a.css">', b"<p>"):
+        with pytest.raises(AssertionError):
+            read_page(content.replace(b"<main", more + b"<main"))
+
+
+def test_program_and_messages_are_escaped():
+    read = _read(fabricated.result())
+    assert "cutting moves <without> a force" in read.text("issues")
+    base = fabricated.result(5)
+    named = replace(base.program, documents=(replace(base.program.documents[0], name="</script><b>.nc"),))
+    assert "</script><b>.nc" in _read(fabricated.with_changes(base, program=named)).text()
+
+
+def test_the_table_says_what_the_report_says():
+    result = fabricated.result()
+    text = _read(result).text("numbers")
+    assert "Maximum 1.5000 0.0002 7500" in text
+    content = summary(result, 1e-5)
+    assert f"RMS {content['before']['rms_mm']:.4f} {content['after']['rms_mm']:.4f}" in text
+
+
+def test_what_the_model_leaves_and_what_is_to_be_expected_stand_apart():
+    base = fabricated.result()
+    assert "To be expected on the part unknown" in _read(base).text("numbers")
+    bounded = fabricated.with_changes(base, bound=np.where(base.rapid, 9.0, 1.23e-4))
+    text = _read(bounded).text("numbers")
+    assert "What the model leaves, largest 0.0002 mm" in text
+    assert "To be expected on the part, up to 0.1230 mm" in text
+
+
+def test_every_place_has_the_numbers_of_its_target():
+    result = fabricated.result(50)
+    at = _read(result).columns()
+    assert at["source_line"].tolist() == result.source_line.tolist()
+    assert at["output_line"].tolist() == result.output_line.tolist()
+    for name, exact in (
+        ("before", result.before * 1e3),
+        ("after", result.after * 1e3),
+        ("bZ", result.deviation_before[:, 2] * 1e3),
+        ("cZ", result.printed[:, 2] - result.nominal[:, 2, 3] * 1e3),
+        ("X", result.nominal[:, 0, 3] * 1e3),
+        ("Fz", result.wrench[:, 2]),
+        ("A2", np.degrees(result.q[:, 1])),
+    ):
+        np.testing.assert_allclose(at[name], exact, rtol=2e-7, atol=1e-6, err_msg=name)
+
+
+def test_axes_of_the_feed_lie_along_across_and_normal():
+    base = fabricated.result(30)
+    off = np.tile([1e-4, 2e-4, -3e-4], (30, 1))
+    at = _read(fabricated.with_changes(base, deviation_before=off)).columns()
+    way = np.diff(base.nominal[:, :3, 3], axis=0)
+    for row in (5, 22, 25):  # to +X, to −X: the tool points down, so that the spindle is along +Z
+        sign = np.sign(way[row - 1, 0])
+        assert at["b_along"][row] == pytest.approx(0.1 * sign)
+        assert at["b_across"][row] == pytest.approx(0.2 * sign)
+        assert at["b_normal"][row] == pytest.approx(-0.3)
+
+
+def test_length_and_time_run_along_the_path():
+    result = fabricated.result(30)
+    at = _read(result).columns()
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(result.nominal[:, :3, 3], axis=0), axis=1))])
+    np.testing.assert_allclose(at["length"], length * 1e3, rtol=1e-6)
+    np.testing.assert_allclose(at["time"], length / 0.02, rtol=1e-6)
+
+
+@pytest.mark.parametrize("worst", [31_234, 199_999, 1])
+def test_thinning_never_hides_the_worst_and_bounds_the_size(worst):
+    base = fabricated.result(200_000)
+    noise = np.abs(1.0 + 0.5 * np.random.default_rng(1).standard_normal(200_000))
+    before, after = np.minimum(base.before * noise, 4e-3), np.where(base.rapid, 0.0, 2e-7 * noise)
+    before[worst], after[worst + (worst == 1) - 1] = 5e-3, 5e-6
+    result = fabricated.with_changes(base, before=before, after=after)
+    content = b"".join(page(result, 1e-5))
+    assert len(content) < 20_000_000
+    read = read_page(content)
+    at = read.columns()
+    assert len(at["before"]) <= places.MOST
+    assert at["before"].max() == np.float32(5.0)
+    assert at["source_line"][at["before"].argmax()] == result.source_line[worst]
+    assert at["after"].max() == np.float32(5e-3)
+    assert read.facts["worst"]["before"] == at["before"].argmax()
+    assert sum(read.facts["histograms"]["before"]["counts"]) == np.count_nonzero(~result.rapid)
+    assert len(read.columns("drawn")["x"]) <= 2 * places.MOST
+
+
+def test_the_worst_lines_are_listed_once_each_the_worst_first():
+    result = fabricated.result(300)
+    rows = [row for row in _read(result).rows if row["in"] == "worst"]
+    lines = [int(row["data-source-line"]) for row in rows]
+    assert len(set(lines)) == len(lines) >= 12
+    assert lines[0] == result.source_line[np.argmax(result.before)]
+    at = _read(result).columns()
+    assert [at["source_line"][int(row["data-place"])] for row in rows] == lines
+
+
+def test_values_of_the_model_are_told_with_their_sources_assumed_ones_flagged():
+    text = _read(fabricated.result()).text("model")
+    assert "compliance A2 0.302 µrad/(N·m) assumed" in text
+    assert "compliance A1 0.623 µrad/(N·m) stated" in text
+
+
+def test_joint_near_its_limit_is_marked_and_doubtful():
+    near = fabricated.with_changes(fabricated.result(), joint_margin=np.radians([100.0, 3.2, 50, 50, 50, 50]))
+    assert b'<span class="warning">3.2</span>' in b"".join(page(near))
+    assert "A2 comes within 3.2° of a limit" in _read(near).text("verdict")
+
+
+def test_two_bases_are_shown_in_the_robot_root():
+    base = fabricated.result(10)
+    two = replace(base.program, bases=np.stack([np.eye(4), np.eye(4)]))
+    assert _read(fabricated.with_changes(base, program=two)).facts["frame"] == "robot root"
+
+
+def test_arcs_are_drawn_as_arcs_and_counted_by_their_length():
+    base = fabricated.result(3)
+    end = base.nominal.copy()
+    end[0, :3, 3], end[1, :3, 3], end[2, :3, 3] = [0.01, 0, 0], [-0.01, 0, 0.002], [0.01, 0, 0.004]
+    motions = replace(
+        base.program.motions,
+        kind=np.array([0, CIRC, CIRC]),
+        centre=np.zeros((3, 3)),
+        normal=np.tile([0.0, 0.0, 1.0], (3, 1)),
+        sweep=np.array([np.nan, np.pi, np.pi]),
+    )
+    result = fabricated.with_changes(base, nominal=end, program=replace(base.program, motions=motions))
+    position, row = drawn_path(result)
+    assert np.hypot(position[:, 0], position[:, 1]) == pytest.approx(0.01)
+    assert np.all(np.diff(position[:, 2]) > 0.0)
+    assert position[np.flatnonzero(np.diff(row, append=3))] == pytest.approx(end[:, :3, 3])
+    length = np.linalg.norm(np.diff(position, axis=0), axis=1).sum()
+    assert length == pytest.approx(2.0 * np.hypot(np.pi * 0.01, 0.002), rel=2e-3)
+    read = _read(result)
+    assert read.columns()["length"][-1] == pytest.approx(length * 1e3)
+    assert len(read.columns("drawn")["x"]) == len(position)
+
+
+def test_no_noise_is_plotted_where_there_was_nothing_to_correct():
+    noise = np.random.default_rng(1).uniform(0.0, 1e-13, 100)
+    quiet = fabricated.with_changes(fabricated.result(), before=noise, after=noise, wrench=np.zeros((100, 6)))
+    read = _read(quiet)
+    assert "Nothing to correct" in read.text("numbers")
+    assert not {"view3d", "along", "histogram", "worst"} & set(read.ids)
+
+
+def test_operations_begin_at_comments_and_at_changes_of_the_tool():
+    base = fabricated.result(100)
+    events = (
+        Event(0, "comment", 1, text="FACING"),
+        Event(30, "tool_change", 32, value=4.0),
+        Event(30, "comment", 32, text="POCKET"),
+        Event(60, "comment", 62, text="FINISH"),
+        Event(100, "comment", 102, text="END"),
+    )
+    result = fabricated.with_changes(base, program=replace(base.program, events=events))
+    found = operations(result)
+    assert [(each.name, each.tool, each.first, each.last) for each in found] == [
+        ("FACING", 0, 0, 29),  # no tool is named yet
+        ("POCKET", 4, 30, 59),
+        ("FINISH", 4, 60, 99),
+    ]
+    assert sum(each.cutting for each in found) == np.count_nonzero(~result.rapid)
+    assert max(each.before.largest for each in found) == pytest.approx(1.5e-3, rel=1e-3)
+    assert "POCKET T4" in _read(result).text("operations")
