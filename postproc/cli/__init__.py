@@ -16,9 +16,11 @@ import click
 _COMMANDS = {
     "convert": "postproc.cli.convert:convert",
     "identify": "postproc.cli.identify:identify",
+    "init": "postproc.cli.first_steps:init",
     "plan": "postproc.cli.plan:plan",
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",
+    "samples": "postproc.cli.first_steps:samples",
 }
 """Command → where it is."""
 _DEBUG = "--debug"

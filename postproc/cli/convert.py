@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from postproc.cli.completion import complete_files
 from postproc.cli.outcomes import work
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 
 
 @click.command()
-@click.argument("programs", nargs=-1, required=True, metavar="PROGRAM...")
+@click.argument("programs", nargs=-1, required=True, metavar="PROGRAM...", shell_complete=complete_files)
 @_shared
 @click.option("--nominal", is_flag=True, help="Write the KRL without correction, to compare against.")
 @click.option(
@@ -142,7 +143,7 @@ def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | Non
 
 
 @click.command()
-@click.argument("program")
+@click.argument("program", shell_complete=complete_files)
 @_shared
 @click.pass_context
 def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> None:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from postproc.cli.completion import complete_files
+
 if TYPE_CHECKING:
     from postproc.plan.planning import Progress
 
@@ -21,9 +23,14 @@ _PATH = click.Path(path_type=Path)
 @click.option("--experiment", type=_PATH, required=True, help="How it is measured: experiment.toml with [rig].")
 @click.option("--cell", type=_PATH, required=True, help="Cell file of the programs.")
 @click.option(
-    "--program", "programs", multiple=True, metavar="PROGRAM...", help="What will be milled: files, folders, patterns."
+    "--program",
+    "programs",
+    multiple=True,
+    metavar="PROGRAM...",
+    shell_complete=complete_files,
+    help="What will be milled: files, folders, patterns.",
 )
-@click.argument("more", nargs=-1, metavar="[PROGRAM]...")
+@click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
 @click.option("--forces", type=_PATH, help="CSV file of cutting forces, or a folder with NAME.csv for each program.")
 @click.option(
     "--poses", type=_PATH, help="Test poses by hand instead: CSV A1…A6,Fx,Fy,Fz[,weight] (deg; N, root axes)."

@@ -8,14 +8,9 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
+from postproc.cli.completion import complete_robots
+
 _PATH = click.Path(path_type=Path)
-
-
-def robot_names(incomplete: str) -> list[CompletionItem]:
-    """Return the shipped robots whose names begin so, for shell completion."""
-    from postproc.robot import shipped
-
-    return [CompletionItem(name) for name in shipped() if name.startswith(incomplete)]
 
 
 class _Robots(click.Group):
@@ -29,7 +24,7 @@ class _Robots(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        return [*robot_names(incomplete), *super().shell_complete(ctx, incomplete)]
+        return [*complete_robots(ctx, None, incomplete), *super().shell_complete(ctx, incomplete)]
 
 
 @click.group(cls=_Robots, invoke_without_command=True, subcommand_metavar="[NAME] | COMMAND [ARGS]...")
@@ -63,7 +58,7 @@ def robots(ctx: click.Context, /, as_json: bool) -> None:
 
 
 @robots.command()
-@click.argument("name", shell_complete=lambda _ctx, _param, incomplete: robot_names(incomplete))
+@click.argument("name", shell_complete=complete_robots)
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def show(name: str, as_json: bool) -> None:
     """Show a robot model with the source of each value.

@@ -1,0 +1,119 @@
+"""`postproc init` and `postproc samples`: what to begin with."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from postproc.cli.completion import complete_robots
+
+if TYPE_CHECKING:
+    from postproc.jobs.cell_file import Numbers
+
+_PATH = click.Path(path_type=Path)
+_START = "0,-70,110,0,50,0"
+
+
+def _numbers(text: str) -> Numbers:
+    try:
+        return tuple(float(word) for word in text.replace(";", ",").split(",") if word.strip())
+    except ValueError:
+        raise click.BadParameter(f"{text!r}: give numbers with commas between, such as 1500,-200,700") from None
+
+
+def _frame(text: str) -> Numbers | int:
+    return int(text) if text.strip().isdecimal() else _numbers(text)
+
+
+def _parsed(kind: Any) -> Any:
+    return lambda _ctx, _param, text: None if text is None else kind(text)
+
+
+@click.command()
+@click.argument("cell", type=_PATH, default="cell.toml")
+@click.option("--robot", shell_complete=complete_robots, help="Robot: a name of `postproc robots`, or a model folder.")
+@click.option("--base", callback=_parsed(_frame), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number.")
+@click.option(
+    "--tool", callback=_parsed(_frame), metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame, or a number."
+)
+@click.option(
+    "--axis",
+    type=click.Choice(["+Z", "-Z", "+X", "-X"]),
+    default="+Z",
+    show_default=True,
+    help="Axis of the tool frame that points from the spindle to the tip.",
+)
+@click.option(
+    "--start", callback=_parsed(_numbers), metavar="A1,…,A6", help=f"Where programs start, in deg; default: {_START}."
+)
+@click.option("--config-dat", type=_PATH, help="$config.dat of the controller: --base and --tool may be numbers then.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+def init(cell: Path, **given: Any) -> None:
+    """Write a cell file with comments, by options or by questions.
+
+    CELL is the file to write, cell.toml by default. On a terminal it asks for what no option says. Lengths are mm,
+    angles degrees. With --config-dat, --base 3 takes BASE_DATA[3] and --tool 2 takes TOOL_DATA[2].
+
+    \b
+    Examples:
+      postproc init
+      postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350 --start 0,-70,110,0,50,0
+      postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.cell_file import CellRequest, write_cell
+
+    remarks = write_cell(CellRequest(output=cell, **_asked(given)))
+    click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {cell}")
+    for remark in remarks:
+        click.echo(f"warning: {remark}", err=True)
+
+
+def _asked(given: dict[str, Any]) -> dict[str, Any]:
+    """Ask for what no option says; without a terminal that is an error."""
+    missing = [name for name in ("robot", "base", "tool") if given[name] is None]
+    if missing and not _terminal():
+        raise click.UsageError(f"Give {', '.join(f'--{name}' for name in missing)} (there is no terminal to ask on).")
+    if missing:
+        click.echo("Lengths in mm, angles in degrees. Enter takes what stands in brackets.")
+    if given["robot"] is None:
+        from postproc.robot import shipped
+
+        click.echo(f"Robots that come along: {', '.join(shipped())}")
+        given["robot"] = click.prompt("Robot, or the path of a model folder", default="kuka_kr270")
+    for name, text, usual in (
+        ("base", "$BASE in the robot root: X,Y,Z,A,B,C", "1500,0,700,0,0,0"),
+        ("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z,A,B,C", "0,0,350,0,0,0"),
+    ):
+        if given[name] is None:
+            given[name] = click.prompt(text, default=usual, value_proc=_frame)
+    if given["start"] is None:
+        given["start"] = _numbers(_START)
+        if missing:
+            given["start"] = click.prompt("Joints where programs start: A1,…,A6", default=_START, value_proc=_numbers)
+    return given
+
+
+def _terminal() -> bool:
+    return sys.stdin.isatty()
+
+
+@click.command()
+@click.argument("folder", type=_PATH, default="samples")
+@click.option("--overwrite", is_flag=True, help="Replace files that are there and differ.")
+def samples(folder: Path, overwrite: bool) -> None:
+    """Write the samples into a folder: programs, forces, cells, and the study of the paper.
+
+    FOLDER is made if it is not there; samples by default.
+
+    \b
+    Example:
+      postproc samples my_samples
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.sample_files import copy_samples
+
+    written = copy_samples(folder, overwrite=overwrite)
+    click.echo(f"written: {len(written)} files in {folder}. To try them:")
+    click.echo(f"  postproc convert {folder / 'pocket.nc'} --cell {folder / 'cell_kr270.toml'} -o out")

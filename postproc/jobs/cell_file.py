@@ -1,0 +1,187 @@
+"""`postproc init`: a cell file to begin with, commented, from a few facts or from the controller's `$config.dat`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from os.path import relpath
+from pathlib import Path
+
+import numpy as np
+
+from postproc import correction, files, kinematics
+from postproc import robot as robots
+from postproc.cell import Cell, Frame, Start, Tool, ToolAxis, load
+from postproc.dialects.text import decode
+from postproc.errors import InputError, PostprocError, ProgramError
+from postproc.frames import DEG_PER_RAD, Array, inverse, xyzabc_from_pose
+from postproc.jobs.setup import load_robot
+from postproc.robot import JOINTS, RobotModel
+
+Numbers = tuple[float, ...]
+_ZERO = (0.0,) * 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellRequest:
+    """What a cell is made from.
+
+    :param output: cell file to write.
+    :param robot: name of a shipped robot, or path of a model folder (relative to the working folder).
+    :param base: `$BASE` in the robot root: X, Y, Z[, A, B, C] in mm and degrees, or the number of a BASE_DATA.
+    :param tool: `$TOOL` in the flange frame, likewise, or the number of a TOOL_DATA.
+    :param axis: of the tool frame that points from the spindle to the tip.
+    :param start: A1…A6 where programs start [deg].
+    :param config_dat: `$config.dat` of the controller, for frames by number.
+    :param overwrite: replace a file that is there.
+    """
+
+    output: Path
+    robot: str
+    base: Numbers | int
+    tool: Numbers | int
+    start: Numbers
+    axis: ToolAxis = "+Z"
+    config_dat: Path | None = None
+    overwrite: bool = False
+
+
+def write_cell(request: CellRequest) -> tuple[str, ...]:
+    """Write a cell file, and read it back.
+
+    :returns: what the user should look at.
+    :raises InputError: a file is there, or something given cannot be.
+    """
+    if request.output.exists() and not request.overwrite:
+        raise InputError("this file is there", file=str(request.output), advice="Name another, or give --overwrite.")
+    folder = request.output.parent
+    known = request.robot in robots.shipped()
+    place = request.robot if known else Path(relpath(request.robot, folder)).as_posix()
+    robot = load_robot(request.robot)
+    start = _six("start joints", request.start, 6)
+    beyond = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
+    if beyond.any():
+        joint = int(np.argmax(beyond))
+        low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
+        raise InputError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
+    base = _frame("BASE_DATA", request.base, request, robot)
+    tool = _frame("TOOL_DATA", request.tool, request, robot)
+    config = None if request.config_dat is None else Path(relpath(request.config_dat, folder)).as_posix()
+    text = _text(place, robot.title, (base, tool, start), request.axis, config)
+    files.write_whole(folder, {request.output.name: text.encode()})
+    return tuple(_remarks(load(request.output), robot))
+
+
+def _six(what: str, values: Numbers, least: int) -> Numbers:
+    if not least <= len(values) <= 6 or not np.isfinite(values).all():
+        raise InputError(f"{what}: {len(values)} numbers", advice=f"Give {least if least == 6 else f'{least} to 6'}.")
+    return (*values, *_ZERO[len(values) :])
+
+
+def _frame(array: str, given: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
+    """Return X…C of a frame, mm and degrees."""
+    if not isinstance(given, int):
+        return _six("$BASE" if array == "BASE_DATA" else "$TOOL", given, 3)
+    if request.config_dat is None:
+        raise InputError(
+            f"{array}[{given}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
+        )
+    return _frame_of(request.config_dat, array, given, robot)
+
+
+def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbers:
+    """Return a frame of a `$config.dat`: asked of the reader of KRL by a program that uses it."""
+    variable = "$BASE" if array == "BASE_DATA" else "$TOOL"
+    other = "$TOOL" if variable == "$BASE" else "$BASE"
+    lines = [
+        "DEF ASK()",
+        f"{variable}={array}[{number}]",
+        f"{other}=$NULLFRAME",
+        "LIN {X 0,Y 0,Z 0,A 0,B 0,C 0}",
+        "END",
+    ]
+    cell = Cell(
+        robot=robot.name,
+        base=Frame(),
+        tool=Tool(),
+        start=Start((0.0, -90.0, 90.0, 0.0, 0.0, 0.0)),
+        config_dat=config.name,
+        folder=str(config.parent),
+    )
+    try:
+        document = decode("ASK.SRC", "\r\n".join(lines).encode())
+        program = correction.read([document], robot, cell, "ASK", "krl")
+    except ProgramError as cause:
+        if cause.file != "ASK.SRC":
+            raise
+        raise InputError(f"no {array}[{number}]", file=str(config), advice="Give a number that it has.") from None
+    poses = program.bases if variable == "$BASE" else program.tools
+    found: Array = xyzabc_from_pose(poses[[program.motions.base, program.motions.tool][variable == "$TOOL"][-1]])
+    return tuple(float(value) for value in np.round(found.ravel(), 6) + 0.0)
+
+
+def _remarks(cell: Cell, robot: RobotModel) -> list[str]:
+    """Say what looks wrong of a cell that can be read."""
+    pose = cell.base.pose()
+    pose[:3, :3] = pose[:3, :3] @ cell.tool_pose_in_program()
+    flange = pose @ inverse(cell.tool.pose())
+    try:
+        form = kinematics.closed_form(robot)
+    except PostprocError as cause:
+        return [str(cause)]
+    found = form.branches(flange[None])[0]
+    if not np.isfinite(found).all(axis=1).any():
+        return ["out of reach: the origin of $BASE, with the tool standing on it. Check [base], [tool] and axis."]
+    return []
+
+
+def _text(robot: str, title: str, frames: tuple[Numbers, Numbers, Numbers], axis: str, config: str | None) -> str:
+    base, tool, start = frames
+    config_line = (
+        '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
+        if config is None
+        else f"config_dat = {json.dumps(config)}    # KRL: frames that programs name by number"
+    )
+    return f"""\
+# Cell file of postproc: mm, degrees, N. Every key is described in FORMATS.md; what stands behind # is optional.
+robot = {json.dumps(robot)}    # {title}
+{config_line}
+
+[base]                           # $BASE in the robot root: where the part lies
+{_keys(base)}
+
+[tool]                           # $TOOL: the tool tip in the flange frame
+{_keys(tool)}
+axis = "{axis}"                      # axis of the tool frame that points from the spindle to the tip
+
+[start]
+joints = [{", ".join(_number(value) for value in start)}]    # A1 to A6 where programs start: fixes how the arm stands
+
+[output]
+tolerance_mm = 0.01              # what the predicted path may leave the nominal one by
+max_correction_mm = 8.0          # a larger correction is an error
+
+[gcode]                          # how G-code becomes KRL
+redundancy_deg = 0.0             # turn of the tool about its axis: choose it so that A6 stays near 0
+rapid_m_per_s = 0.5              # speed of G0
+approximation_mm = 0.5           # $APO.CDIS; 0: exact stops
+# spindle_on = ["$ANOUT[1]={{S}}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {{S}}: speed in rpm
+# spindle_off = ["$OUT[1]=FALSE"]
+# coolant_on = ["$OUT[2]=TRUE"]
+# coolant_off = ["$OUT[2]=FALSE"]
+# tool_change = ["; tool {{T}} by hand", "HALT"]
+
+# [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
+# X = 0.0
+
+# [payload]                      # carried in addition to the state that the robot model was calibrated in
+# mass_kg = 0.0
+"""
+
+
+def _keys(frame: Numbers) -> str:
+    return "\n".join(f"{key} = {_number(value)}" for key, value in zip("XYZABC", frame, strict=True))
+
+
+def _number(value: float) -> str:
+    return repr(float(f"{value:.10g}") + 0.0)

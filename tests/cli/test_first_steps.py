@@ -1,0 +1,191 @@
+"""`init`, `samples`, shell completion, `python -m postproc`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc import cell as cells
+from postproc import robot
+from postproc.cli import main
+from tests.documentation.pages import ROOT
+
+CONFIG = """&ACCESS RVO
+DEFDAT  $CONFIG
+DECL FRAME BASE_DATA[32]
+BASE_DATA[1]={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}
+BASE_DATA[3]={X 1200.0,Y 10.5,Z 650.25,A 30.0,B 0.0,C -1.5}
+TOOL_DATA[2]={X 10,Y 0.0,Z 412.125,A 0.0,B 0.0,C 0.0}
+ENDDAT
+"""
+FRAMES = ("--base", "1500,-200,700", "--tool", "0,0,350")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments, **options):
+    return CliRunner().invoke(main, arguments, **options)
+
+
+def keys(frame):
+    return [frame.X, frame.Y, frame.Z, frame.A, frame.B, frame.C]
+
+
+@pytest.mark.parametrize("name", [name for name in robot.shipped() if name.startswith("kuka_")])
+def test_a_cell_by_options_holds_what_was_given(name):
+    done = run(
+        "init", "my.toml", "--robot", name, "--base", "-600.5,-20,400,10,-20,30", "--tool", "1,2,150", "--axis=-Z",
+        "--start", "1,-71,101,3,51,5",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    cell = cells.load("my.toml")
+    assert cell.robot == name
+    assert keys(cell.base) == [-600.5, -20, 400, 10, -20, 30]
+    assert keys(cell.tool) == [1, 2, 150, 0, 0, 0]
+    assert cell.tool.axis == "-Z"
+    assert cell.start.joints == (1, -71, 101, 3, 51, 5)
+
+
+def test_the_cell_of_the_samples_made_by_options_converts_a_sample():
+    assert run("init", "--robot", "kuka_kr270", *FRAMES).exit_code == 0
+    done = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "cell.toml", "-o", "out")
+    assert done.exit_code == 0, done.output
+
+
+def test_what_is_optional_can_be_used_by_taking_the_comment_sign_away():
+    run("init", "--robot", "kuka_kr270", *FRAMES)
+    text = Path("cell.toml").read_text()
+    lines = [line.removeprefix("# ") if "=" in line or line.startswith("# [") else line for line in text.splitlines()]
+    Path("more.toml").write_text("\n".join(lines))
+    cell = cells.load("more.toml")
+    assert cell.gcode.spindle_on == ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE"]
+    assert list(cell.work_offsets) == ["G55"]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_frames_by_number_are_those_of_the_config_dat(end):
+    Path("R1").mkdir()
+    Path("R1/$config.dat").write_bytes(CONFIG.replace("\n", end).encode())
+    Path("cells").mkdir()
+    done = run(
+        "init", "cells/c.toml", "--robot", "kuka_kr270", "--config-dat", "R1/$config.dat", "--base", "3", "--tool", "2"
+    )
+    assert done.exit_code == 0, done.output
+    cell = cells.load("cells/c.toml")
+    np.testing.assert_allclose(keys(cell.base), [1200, 10.5, 650.25, 30, 0, -1.5], atol=1e-6)
+    np.testing.assert_allclose(keys(cell.tool), [10, 0, 412.125, 0, 0, 0], atol=1e-6)
+    assert (Path("cells") / cell.config_dat).resolve() == Path("R1/$config.dat").resolve()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--config-dat", "c.dat", "--base", "7", "--tool", "2"), "c.dat: no BASE_DATA[7]"),
+        (("--config-dat", "c.dat", "--base", "3", "--tool", "9"), "c.dat: no TOOL_DATA[9]"),
+        (("--config-dat", "none.dat", "--base", "3", "--tool", "2"), "none.dat"),
+        (("--base", "3", "--tool", "0,0,1"), "Name it with --config-dat"),
+        (("--base", "1,2", "--tool", "0,0,1"), "$BASE: 2 numbers"),
+        (("--base", "1,2,nan", "--tool", "0,0,1"), "$BASE: 3 numbers"),
+        ((*FRAMES, "--start", "0,-70,110"), "start joints: 3 numbers"),
+        ((*FRAMES, "--start", "0,90,110,0,50,0"), "A2 = 90° is beyond its limits, -146° to 0°"),
+        ((*FRAMES, "--robot", "kuka_kr999"), "no robot 'kuka_kr999'"),
+    ],
+)
+def test_what_cannot_be_is_told_and_nothing_is_written(options, message):
+    Path("c.dat").write_text(CONFIG)
+    done = run("init", "--robot", "kuka_kr270", *options)
+    assert done.exit_code == 1
+    assert message in done.stderr
+    assert not Path("cell.toml").exists()
+
+
+def test_a_base_out_of_reach_is_written_and_told():
+    done = run("init", "--robot", "kuka_kr270", "--base", "5000,0,700", "--tool", "0,0,350")
+    assert done.exit_code == 0
+    assert "out of reach: the origin of $BASE" in done.stderr
+
+
+def test_a_cell_that_is_there_is_replaced_with_overwrite_only():
+    Path("cell.toml").write_text("mine")
+    arguments = ("init", "--robot", "kuka_kr270", *FRAMES)
+    assert "this file is there" in run(*arguments).stderr
+    assert Path("cell.toml").read_text() == "mine"
+    assert run(*arguments, "--overwrite").exit_code == 0
+    assert cells.load("cell.toml").robot == "kuka_kr270"
+
+
+def test_a_model_folder_is_named_by_its_way_from_the_cell():
+    source = robot.find("kuka_kr16_2")
+    Path("models/mine").mkdir(parents=True)
+    for name in ("robot.urdf", "model.toml"):
+        (Path("models/mine") / name).write_bytes((source / name).read_bytes())
+    Path("cells").mkdir()
+    assert run("init", "cells/c.toml", "--robot", "models/mine", *FRAMES).exit_code == 0
+    assert cells.load("cells/c.toml").robot == "../models/mine"
+
+
+def test_without_a_terminal_what_is_missing_is_wrong_usage():
+    done = run("init", "--base", "0,0,0")
+    assert done.exit_code == 2
+    assert "Give --robot, --tool" in done.stderr
+    assert run("init", "--base", "a,b,c").exit_code == 2
+
+
+def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
+    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    done = run("init", input="\nnonsense\n900,0,600\n\n\n")
+    assert done.exit_code == 0, done.output
+    cell = cells.load("cell.toml")
+    assert (cell.robot, keys(cell.base)[:3], cell.tool.Z) == ("kuka_kr270", [900, 0, 600], 350)
+    assert cell.start.joints == (0, -70, 110, 0, 50, 0)
+
+
+def test_samples_are_copied_and_not_over_changed_ones():
+    done = run("samples", "mine")
+    assert done.exit_code == 0, done.output
+    for name in ("pocket.nc", "cell_kr270.toml", "paper_study/study.py", "paper_study/README.md"):
+        assert (Path("mine") / name).read_bytes() == (ROOT / "samples" / name).read_bytes()
+    assert run("samples", "mine").exit_code == 0
+    Path("mine/pocket.nc").write_text("G0 X0\n")
+    changed = run("samples", "mine")
+    assert changed.exit_code == 1
+    assert str(Path("mine/pocket.nc")) in changed.stderr
+    assert Path("mine/pocket.nc").read_text() == "G0 X0\n"
+    assert run("samples", "mine", "--overwrite").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("postproc robots kuka_kr27", "plain,kuka_kr270"),
+        ("postproc robots show kuka_kr1", "plain,kuka_kr16_2"),
+        ("postproc init --robot kuka_kr27", "plain,kuka_kr270"),
+        ("postproc con", "plain,convert"),
+        ("postproc convert part.nc --cell ", "file,"),
+        ("postproc convert ", "file,"),
+    ],
+)
+def test_the_shell_completes_commands_robots_and_files(words, expected):
+    given = words.split(" ")
+    environment = os.environ | {
+        "_POSTPROC_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(len(given) - 1)
+    }  # fmt: skip
+    command = [sys.executable, "-c", "from postproc.__main__ import main; main()"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert expected in done.stdout.splitlines(), done.stdout + done.stderr
+
+
+def test_python_m_postproc_is_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "postproc", "robots", "--json"], capture_output=True, text=True, check=True
+    )
+    assert "kuka_kr270" in done.stdout
