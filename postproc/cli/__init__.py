@@ -17,6 +17,7 @@ _COMMANDS = {
     "convert": "postproc.cli.convert:convert",
     "identify": "postproc.cli.identify:identify",
     "init": "postproc.cli.first_steps:init",
+    "install-post": "postproc.cli.install_post:install_post",
     "plan": "postproc.cli.plan:plan",
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",

@@ -1,0 +1,33 @@
+"""`postproc install-post`: put the post of a CAM host where the host looks for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("install-post")
+@click.argument("host", type=click.Choice(["freecad", "robodk"]))
+@click.option("--dir", "folder", type=click.Path(path_type=Path), help="Folder of posts; default: the usual one.")
+@click.option("--remove", is_flag=True, help="Remove the post instead.")
+def install_post(host: str, folder: Path | None, remove: bool) -> None:
+    """Put the post for HOST where HOST looks for posts, and tell where.
+
+    The post runs the postproc that installed it, whatever Python the host brings. Installed from WSL into a folder of
+    Windows, it runs it by way of wsl.
+
+    \b
+    Examples:
+      postproc install-post freecad
+      postproc install-post robodk --dir C:/RoboDK/Posts
+      postproc install-post freecad --remove
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc import hosts
+
+    if remove:
+        removed = hosts.remove_post(host, folder)
+        click.echo("\n".join(f"removed {path}" for path in removed) or f"there is no post of postproc for {host}")
+        return
+    click.echo("\n".join(f"written {path}" for path in hosts.install_post(host, folder)))
+    click.echo(hosts.HOSTS[host].use)

@@ -1,0 +1,295 @@
+"""RoboDK post: KUKA KRL for KRC4, corrected for the deflection of the robot under cutting forces, by way of `postproc`.
+
+Put where RoboDK looks for posts by ``postproc install-post robodk``. RoboDK calls the methods of `RobotPost` one by one
+and `ProgSave` at the end. What they say is written as plain KRL, which `ProgSave` hands to ``postproc convert``;
+nothing is computed here. Frames, tools and joint angles are RoboDK's own; robot model and tolerances are those of a
+cell file: the one that POSTPROC_CELL names, else cell.toml beside the programs, or in the folder above.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from postproc_host import Block, Converted, HostError, convert
+
+del sys.path[0]
+
+_AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2", "E3", "E4", "E5", "E6")
+
+
+class RobotPost:
+    """What RoboDK calls while it generates programs.
+
+    Poses are matrices of `robodk.robomath` in mm; joints are in degrees, then external axes in mm or degrees.
+    """
+
+    PROG_EXT = "src"
+    INCLUDE_SUB_PROGRAMS = True
+
+    def __init__(self, robotpost: str = "", robotname: str = "", robot_axes: int = 6, **kwargs: Any) -> None:
+        self.robot = robotname
+        self.axes = robot_axes
+        self.programs: dict[str, list[Block]] = {}
+        self.joints: dict[str, dict[int, list[float]]] = {}
+        self.name = ""
+        self.blended = False
+        self.PROG_FILES: list[str] = []
+        self.LOG = ""
+
+    def ProgStart(self, progname: str) -> None:
+        """Begin a program; RoboDK may begin several before it saves."""
+        self.name = _name(progname)
+        self.programs[self.name] = []
+        self.joints[self.name] = {}
+        self._line(f"DEF {self.name}()")
+
+    def ProgFinish(self, progname: str) -> None:
+        """End the program."""
+        self._line("END")
+
+    def ProgSave(self, folder: str, progname: str, ask_user: bool = False, show_result: Any = False) -> None:
+        """Have all programs corrected, and write them: those without motion as they are.
+
+        :raises HostError: nothing of the program that it names is written.
+        """
+        target = Path(_ask(folder, progname) if ask_user or not Path(folder).is_dir() else folder)
+        cell = _cell(target)
+        flags = [("--cell", str(cell))]
+        written: list[Path] = []
+        try:
+            for name, blocks in self.programs.items():
+                if any(re.match("(PTP|LIN|CIRC) ", block.text) for block in blocks):
+                    done = convert(blocks, target, name, "src", flags)
+                    _compare_postures(done, self.joints[name])
+                    written += [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
+                    self.addlog("\n".join(done.warnings))
+                else:
+                    path = target / f"{name}.src"
+                    path.write_text("".join(f"{block.text}\r\n" for block in blocks), encoding="utf-8", newline="")
+                    written.append(path)
+        except HostError as cause:
+            _show(f"{name}: nothing is written.\n{cause}")
+            raise
+        self.PROG_FILES = [str(path) for path in written]
+        for path in written:
+            print(f"SAVED: {path}\n")
+        if show_result and written:
+            _open(written[0], show_result)
+
+    def ProgSendRobot(self, robot_ip: str, remote_path: str, ftp_user: str, ftp_pass: str) -> None:
+        """Send the saved programs to the controller, by RoboDK's own means."""
+        from robodk.robofileio import UploadFTP
+
+        UploadFTP(self.PROG_FILES, robot_ip, remote_path, ftp_user, ftp_pass)
+
+    def MoveJ(self, pose: Any, joints: Sequence[float], conf_RLF: Any = None) -> None:
+        """Move the joints to a target."""
+        self._line(f"PTP {{{','.join(_axes(joints))}}}", "MoveJ")
+
+    def MoveL(self, pose: Any, joints: Sequence[float], conf_RLF: Any = None) -> None:
+        """Move in a straight line."""
+        self._line(f"LIN {{{_pose(pose, joints)}}}{self._end()}", "MoveL", joints)
+
+    def MoveC(
+        self,
+        pose1: Any,
+        joints1: Sequence[float],
+        pose2: Any,
+        joints2: Sequence[float],
+        conf_RLF_1: Any = None,
+        conf_RLF_2: Any = None,
+    ) -> None:
+        """Move along the arc through two targets."""
+        self._line(f"CIRC {{{_pose(pose1, joints1)}}},{{{_pose(pose2, joints2)}}}{self._end()}", "MoveC", joints2)
+
+    def setFrame(self, pose: Any, frame_id: int | None = None, frame_name: str | None = None) -> None:
+        """Give the frame that targets are in, in the robot's."""
+        self._line(f"; frame {frame_name or frame_id}")
+        self._line(f"$BASE={{{_pose(pose)}}}", "setFrame")
+
+    def setTool(self, pose: Any, tool_id: int | None = None, tool_name: str | None = None) -> None:
+        """Give the tool's frame in the flange's."""
+        self._line(f"; tool {tool_name or tool_id}")
+        self._line(f"$TOOL={{{_pose(pose)}}}", "setTool")
+
+    def Pause(self, time_ms: float) -> None:
+        """Wait; a negative time waits for the operator."""
+        self._line("HALT" if time_ms < 0 else f"WAIT SEC {time_ms / 1000.0:.3f}")
+
+    def setSpeed(self, speed_mms: float) -> None:
+        """Set the speed of the tool, in mm/s."""
+        self._line(f"$VEL.CP={speed_mms / 1000.0:.6f}", "setSpeed")
+
+    def setAcceleration(self, accel_mmss: float) -> None:
+        """Set the acceleration of the tool, in mm/s²."""
+        self._line(f"$ACC.CP={accel_mmss / 1000.0:.6f}")
+
+    def setSpeedJoints(self, speed_degs: float) -> None:
+        """Set the speed of the joints, in deg/s: KRL knows shares of the largest, which RoboDK does not tell."""
+        self.addlog(f"Speed of the joints ({speed_degs:g} deg/s) is left to the controller.")
+
+    def setAccelerationJoints(self, accel_degss: float) -> None:
+        """Set the acceleration of the joints, see `setSpeedJoints`."""
+        self.addlog(f"Acceleration of the joints ({accel_degss:g} deg/s2) is left to the controller.")
+
+    def setZoneData(self, zone_mm: float) -> None:
+        """Set how far corners may be rounded, in mm; negative: exact stops."""
+        self.blended = zone_mm >= 0.0
+        if self.blended:
+            self._line(f"$APO.CDIS={zone_mm:.3f}", "setZoneData")
+
+    def setDO(self, io_var: str | int, io_value: Any) -> None:
+        """Set a digital output."""
+        self._line(f"{_signal('OUT', io_var)}={_truth(io_value)}")
+
+    def setAO(self, io_var: str | int, io_value: float) -> None:
+        """Set an analogue output."""
+        self._line(f"{_signal('ANOUT', io_var)}={io_value}")
+
+    def waitDI(self, io_var: str | int, io_value: Any, timeout_ms: float = -1) -> None:
+        """Wait for a digital input."""
+        if timeout_ms >= 0:
+            self.addlog("waitDI: KRL waits without a time limit.")
+        self._line(f"WAIT FOR {_signal('IN', io_var)}=={_truth(io_value)}")
+
+    def RunCode(self, code: str, is_function_call: bool = False) -> None:
+        """Call a program, or insert a line of KRL."""
+        if not is_function_call:
+            self._line(code, "RunCode")
+            return
+        call = code.strip().replace(" ", "_")
+        self._line(call if call.endswith(")") else f"{call}()", "RunCode")
+
+    def RunMessage(self, message: str, iscomment: bool = False) -> None:
+        """Show a message, or insert a comment."""
+        self._line(f"; {message}" if iscomment else f'MsgNotify("{message[:80]}")')
+
+    def addline(self, newline: str) -> None:
+        """Insert a line of KRL."""
+        self._line(newline, "addline")
+
+    def addlog(self, newline: str) -> None:
+        """Note what the user should know."""
+        self.LOG = f"{self.LOG}{newline}\n" if newline else self.LOG
+
+    def _end(self) -> str:
+        return " C_DIS" if self.blended else ""
+
+    def _line(self, text: str, called: str = "", joints: Any = ()) -> None:
+        lines = self.programs[self.name]
+        if len(joints):
+            self.joints[self.name][len(lines) + 1] = _numbers(joints)
+        lines.append(Block(text, f"program {self.name}, line {len(lines) + 1}" + f" ({called})" * bool(called)))
+
+
+def _name(name: str) -> str:
+    """Return a name that KRL allows."""
+    valid = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
+    return valid if re.match("[A-Za-z]", valid) else f"P{valid}"[:24]
+
+
+def _pose(pose: Any, joints: Sequence[float] = ()) -> str:
+    """Return a pose as KRL has it, with the external axes of `joints`."""
+    from robodk.robomath import Pose_2_KUKA
+
+    numbers = Pose_2_KUKA(pose)
+    parts = [f"{axis} {number:.{4 if axis in 'XYZ' else 5}f}" for axis, number in zip("XYZABC", numbers)]
+    return ",".join([*parts, *_axes(joints)[6:]])
+
+
+def _axes(joints: Sequence[float]) -> list[str]:
+    return [f"{axis} {float(value):.5f}" for axis, value in zip(_AXES, _numbers(joints))]
+
+
+def _numbers(joints: Any) -> list[float]:
+    """Return the joints of RoboDK, a list or a matrix of one column."""
+    return [float(value) for value in (joints.list() if hasattr(joints, "list") else joints)]
+
+
+def _compare_postures(done: Converted, joints: dict[int, list[float]]) -> None:
+    """Take results back whose postures are not those of RoboDK: the cell's [start] leads to another branch.
+
+    :raises HostError: says where, and what to do.
+    """
+    table = next(path for path in done.files if path.name.endswith(".targets.csv"))
+    with table.open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            given = joints.get(int(row["source_line"]))
+            if given is None or float(row["t"]) < 1.0:
+                continue
+            found = [float(row[axis]) for axis in _AXES[:6]]
+            if max(abs(one - other) for one, other in zip(found, given)) > 1.0:
+                for path in done.files:
+                    path.unlink()
+                raise HostError(
+                    f"Line {row['source_line']}: RoboDK stands there with A1-A6 {_rounded(given)}, a robot that comes "
+                    f"from [start] of the cell with {_rounded(found)}. Begin the program with a MoveJ, or state the "
+                    "joint angles before its first motion under [start]."
+                )
+
+
+def _rounded(joints: list[float]) -> str:
+    return ", ".join(f"{value:.1f}" for value in joints[:6])
+
+
+def _signal(kind: str, signal: str | int) -> str:
+    text = str(signal).strip()
+    return f"${kind}[{text}]" if text.isdigit() else text
+
+
+def _truth(value: Any) -> str:
+    return value if isinstance(value, str) else "TRUE" if value else "FALSE"
+
+
+def _cell(folder: Path) -> Path:
+    """Return the cell file.
+
+    :raises HostError: there is none; says where it was looked for.
+    """
+    named = os.environ.get("POSTPROC_CELL")
+    places = [Path(named)] if named else [folder / "cell.toml", folder.parent / "cell.toml"]
+    for path in places:
+        if path.is_file():
+            return path.resolve()
+    raise HostError(
+        f"There is no cell file: {' and '.join(str(path) for path in places)} do not exist. Make one with "
+        "'postproc init', and put it there or name it in the environment variable POSTPROC_CELL."
+    )
+
+
+def _ask(folder: str, name: str) -> str:
+    """Ask the user for the folder to write into."""
+    from robodk.robodialogs import getSaveFolder
+
+    chosen = getSaveFolder(folder, f"Save {name} and its report in...")
+    if not chosen:
+        raise HostError("No folder was chosen: nothing is written.")
+    return str(chosen)
+
+
+def _show(message: str) -> None:
+    """Show a message where the user of RoboDK looks."""
+    print(message, file=sys.stderr)
+    if "ROBODK_API_PORT" in os.environ:
+        from robodk.robodialogs import ShowMessage
+
+        ShowMessage(message, "KUKA, corrected")
+
+
+def _open(path: Path, viewer: Any) -> None:
+    """Open a program in the editor that RoboDK names, else as the system does."""
+    import subprocess
+
+    if isinstance(viewer, (str, list)):
+        subprocess.Popen([*([viewer] if isinstance(viewer, str) else viewer), str(path)])
+    elif hasattr(os, "startfile"):
+        os.startfile(path)

@@ -1,0 +1,133 @@
+"""Put the posts where their hosts look for them."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from postproc.errors import InputError
+
+_SHARED = "postproc_host"
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """A program that makes robot programs.
+
+    :param title: its name.
+    :param post: file of the post.
+    :param folders: where it looks for posts, the usual place first; those that exist are candidates.
+    :param use: what to do in the host afterwards.
+    """
+
+    title: str
+    post: str
+    folders: tuple[str, ...]
+    use: str
+
+
+HOSTS = {
+    "freecad": Host(
+        "FreeCAD",
+        "kuka_compensated_post.py",
+        (
+            "~/.local/share/FreeCAD/Macro",
+            "~/.local/share/FreeCAD/v1-1/Macro",
+            "~/.FreeCAD/Macro",
+            "~/Library/Application Support/FreeCAD/Macro",
+            "~/AppData/Roaming/FreeCAD/Macro",
+            "~/AppData/Roaming/FreeCAD/v1-1/Macro",
+        ),
+        "In the job's Output tab choose the processor kuka_compensated, with the arguments --cell CELL.toml.",
+    ),
+    "robodk": Host(
+        "RoboDK",
+        "KUKA_KRC4_compensated.py",
+        ("C:/RoboDK/Posts", "~/RoboDK/Posts", "/opt/RoboDK/Posts", "/Applications/RoboDK.app/Contents/MacOS/Posts"),
+        "Right-click the robot, 'Select Post Processor', KUKA_KRC4_compensated; the cell file is found as CELL.toml "
+        "or cell.toml beside the station, or as the environment variable POSTPROC_CELL names it.",
+    ),
+}
+
+
+def _folder(host: Host, folder: Path | None) -> Path:
+    """Return where the post belongs.
+
+    :raises InputError: the folder is not there, or the host is in none of its usual places.
+    """
+    if folder is not None:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: no such folder.")
+        return folder
+    for usual in host.folders:
+        path = Path(usual).expanduser()
+        if path.is_dir():
+            return path
+    first = Path(host.folders[0]).expanduser()
+    if first.parent.is_dir() and not first.anchor.startswith("C:"):
+        return first
+    places = ", ".join(host.folders)
+    raise InputError(f"{host.title} is in none of its usual places ({places}): name its folder of posts with --dir.")
+
+
+def install_post(name: str, folder: Path | None = None) -> list[Path]:
+    """Put the post of a host where the host looks for it, and note which postproc it is to run: this one.
+
+    :param name: a key of `HOSTS`.
+    :param folder: where; None = the first usual place that exists.
+    :return: what was written.
+    :raises InputError: there is no such place, or it cannot be written to.
+    """
+    host = HOSTS[name]
+    target = _folder(host, folder)
+    here = Path(__file__).parent
+    shared = target / _SHARED
+    files = [target / host.post, shared / "__init__.py", shared / "command.json"]
+    try:
+        shared.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(here / host.post, files[0])
+        shutil.copyfile(here / _SHARED / "__init__.py", files[1])
+        content = {"command": _command(target)}
+        files[2].write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as cause:
+        raise InputError(f"{target}: the post cannot be written there: {cause.strerror}.") from cause
+    return files
+
+
+def remove_post(name: str, folder: Path | None = None) -> list[Path]:
+    """Remove the post of a host; what posts of other hosts in the folder share stays while one is there.
+
+    :param name: a key of `HOSTS`.
+    :param folder: as for `install_post`.
+    :return: what was removed; empty if there was nothing.
+    :raises InputError: there is no such place, or it cannot be written to.
+    """
+    host = HOSTS[name]
+    target = _folder(host, folder)
+    others = [target / other.post for other in HOSTS.values() if other is not host]
+    files = [target / host.post]
+    if not any(path.is_file() for path in others):
+        files += [target / _SHARED / "__init__.py", target / _SHARED / "command.json"]
+    removed = [path for path in files if path.is_file()]
+    try:
+        for path in removed:
+            path.unlink()
+        if len(files) > 1:
+            shutil.rmtree(target / _SHARED, ignore_errors=True)
+    except OSError as cause:
+        raise InputError(f"{target}: the post cannot be removed: {cause.strerror}.") from cause
+    return removed
+
+
+def _command(folder: Path) -> list[str]:
+    """Return what runs this postproc from the host: on a disk of Windows, seen from WSL, by way of `wsl`."""
+    words = [sys.executable, "-m", "postproc"]
+    if "microsoft" not in platform.release().lower() or folder.resolve().parts[1:2] != ("mnt",):
+        return words
+    distribution = os.environ.get("WSL_DISTRO_NAME")
+    return ["wsl", *(["-d", distribution] if distribution else []), "--", *words]

@@ -1,0 +1,176 @@
+"""FreeCAD post: KUKA KRL, corrected for the deflection of the robot under cutting forces, by way of `postproc`.
+
+Put where FreeCAD looks for posts by ``postproc install-post freecad``. Legacy interface ``export(objects, filename,
+arguments)``, which every FreeCAD from 0.20 on calls. The commands of the job's operations are written as G-code of
+LinuxCNC, with seven digits, and handed to ``postproc convert``; nothing is computed here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from postproc_host import Block, HostError, convert
+
+del sys.path[0]
+
+TOOLTIP = """
+KUKA KRL whose path stays true under cutting forces: postproc predicts how far the robot gives way at each pose and
+corrects the targets. Writes NAME.src, NAME.report.html, NAME.targets.csv and NAME.report.json, all or none.
+Needs a cell file (robot, base, tool): --cell CELL.toml. Forces: comments such as (FORCE FX=120 FY=-40 FZ=300) in
+Custom operations, or --forces FILE.csv by line of NAME.moves.txt.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise HostError(f"Arguments of the post: {message}. Understood are:\n{self.format_help()}")
+
+
+_parser = _Parser(prog="kuka_compensated", add_help=False)
+_parser.add_argument("--cell", required=True, metavar="CELL.toml", help="cell file: robot, base, tool, tolerances")
+_parser.add_argument("--forces", metavar="FILE.csv", default="", help="cutting forces by line of NAME.moves.txt")
+_parser.add_argument("--out-dir", metavar="FOLDER", default="", help="where to write; default: where FreeCAD writes")
+_parser.add_argument("--name", default="", help="of the program; default: that of FreeCAD's output file")
+_parser.add_argument("--nominal", action="store_true", help="write the path as it is, to compare against")
+_parser.add_argument("--tolerance", metavar="MM", default="", help="what the path may leave the nominal one by")
+_parser.add_argument("--no-show-editor", action="store_true", help="no effect; understood as in other posts")
+TOOLTIP_ARGS = _parser.format_help()
+
+UNITS = "G21"
+MACHINE_NAME = "KUKA robot"
+
+_WORDS = "XYZABCUVWIJKRQPLFSTHD"
+
+
+def export(objectslist: list[Any], filename: str, argstring: str) -> str:
+    """Return corrected KRL of the objects of a job, and write it with its report.
+
+    :param objectslist: what FreeCAD posts: fixtures, tool controllers, operations.
+    :param filename: of FreeCAD's choice, or "-" where FreeCAD itself writes the text.
+    :param argstring: the job's arguments, see `TOOLTIP_ARGS`.
+    """
+    import FreeCAD
+
+    try:
+        return _posted(FreeCAD, objectslist, filename, argstring)
+    except HostError as cause:
+        _show(FreeCAD, str(cause))
+        raise
+
+
+def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> str:
+    options = _options(argstring)
+    blocks = _blocks(objects)
+    document = FreeCAD.ActiveDocument
+    folder, name = _where(options, filename, document)
+    cell, forces = (_file(path, document) for path in (options.cell, options.forces))
+    flags = [("--cell", cell), *([("--forces", forces)] if forces else [])]
+    flags += [("--tolerance", options.tolerance)] if options.tolerance else []
+    flags += [("--nominal", "")] if options.nominal else []
+    done = convert(blocks, folder, name, "nc", flags)
+    for warning in done.warnings:
+        FreeCAD.Console.PrintWarning(f"{warning}\n")
+    program = done.files[0]
+    text: str = program.read_bytes().decode("utf-8")
+    FreeCAD.Console.PrintMessage(
+        f"{program}: largest deviation {done.summary['before']['max_mm']:.3f} mm before and "
+        f"{done.summary['after']['max_mm']:.4f} mm after correction; report: {program.with_suffix('.report.html')}\n"
+    )
+    return text
+
+
+def _show(FreeCAD: Any, message: str) -> None:
+    """Show a message where the user of FreeCAD looks."""
+    FreeCAD.Console.PrintError(f"{message}\n")
+    if FreeCAD.GuiUp:
+        from PySide import QtGui
+
+        QtGui.QMessageBox.critical(None, "KUKA, corrected: nothing is written", message)
+
+
+def _options(argstring: str) -> argparse.Namespace:
+    """Return the arguments of the job; paths of Windows may stand in them as they are."""
+    return _parser.parse_args(shlex.split(argstring, posix="\\" not in argstring))
+
+
+def _file(path: str, document: Any) -> str:
+    """Return a path of the user as an absolute one; a relative one is beside the document."""
+    if not path:
+        return ""
+    beside = Path(document.FileName).parent if document is not None and document.FileName else Path.cwd()
+    return str((beside / path.strip("\"'")).resolve())
+
+
+def _where(options: argparse.Namespace, filename: str, document: Any) -> tuple[Path, str]:
+    """Return the folder to write into and the name of the program."""
+    chosen = None if filename in ("", "-") else Path(filename)
+    if options.out_dir:
+        folder = Path(_file(options.out_dir, document))
+    elif chosen is not None:
+        folder = chosen.resolve().parent
+    else:
+        folder = Path(_file("corrected", document))
+    name = options.name or (chosen.stem if chosen is not None else document.Label if document is not None else "part")
+    name = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
+    return folder, name if re.match("[A-Za-z]", name) else f"P{name}"[:24]
+
+
+def _blocks(objects: list[Any]) -> list[Block]:
+    """Return the program as blocks of G-code, each with the operation and command it is from."""
+    blocks = [Block("G17 G21 G40 G49 G80 G90 G94", "start")]
+    for item in objects:
+        if not hasattr(item, "Path"):
+            raise HostError(f"{item.Label} has no path: select the job, or operations of it.")
+        if not getattr(item, "Active", True) or not getattr(getattr(item, "Base", None), "Active", True):
+            continue
+        place = f"operation {item.Label}"
+        blocks.append(Block(f"({_comment(item.Label)})", place))
+        coolant = _coolant(item)
+        blocks += [Block(code, place) for code in _ON.get(coolant, ())]
+        for number, command in enumerate(item.Path.Commands, start=1):
+            text = _block(command)
+            if text:
+                blocks.append(Block(text, f"{place}, command {number} ({text})"))
+        blocks += [Block("M9", place)] * bool(_ON.get(coolant))
+    return [*blocks, Block("M5", "end"), Block("M2", "end")]
+
+
+_ON = {"Flood": ("M8",), "Mist": ("M7",)}
+
+
+def _coolant(item: Any) -> str:
+    holder = item if hasattr(item, "CoolantMode") else getattr(item, "Base", None)
+    return str(getattr(holder, "CoolantMode", "None"))
+
+
+def _comment(text: str) -> str:
+    return re.sub("[()\n\r]", " ", text)
+
+
+def _block(command: Any) -> str:
+    """Return a command of FreeCAD as a block: lengths in mm, feeds, which FreeCAD has in mm/s, in mm/min."""
+    name: str = command.Name
+    if name.startswith("("):
+        return f"({_comment(name).strip()})"
+    if name == "message":
+        return ""
+    words = dict(command.Parameters)
+    if name in ("G0", "G00") or words.get("F") == 0.0:  # FreeCAD writes F0 where no feed is meant
+        words.pop("F", None)
+    for letter in "IJK":  # FreeCAD writes all three in every plane
+        if words.get(letter) == 0.0:
+            del words[letter]
+    known = [letter for letter in _WORDS if letter in words]
+    return " ".join([name, *(_word(letter, words[letter]) for letter in (*known, *sorted(set(words) - set(known))))])
+
+
+def _word(letter: str, value: float) -> str:
+    if value == int(value):
+        return f"{letter}{int(value) * (60 if letter == 'F' else 1)}"
+    return f"{letter}{value * (60.0 if letter == 'F' else 1.0):.7f}".rstrip("0").rstrip(".")

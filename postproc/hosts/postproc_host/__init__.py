@@ -1,0 +1,179 @@
+"""Run the command `postproc` from the Python of another program.
+
+Needs nothing but the standard library of Python 3.8. Where `postproc` is stands in `command.json` beside this file
+(`postproc install-post` writes it), else in the environment variable POSTPROC, else it is looked for on the PATH.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_SETTING = Path(__file__).with_name("command.json")
+_MEND = (
+    "Run 'postproc install-post HOST' again with the postproc that is to be used, or name its command in the "
+    "environment variable POSTPROC, e.g. C:\\\\tools\\\\postproc\\\\Scripts\\\\postproc.exe or 'wsl postproc'."
+)
+
+
+class HostError(Exception):
+    """What the user of the host is to read."""
+
+
+class Block(NamedTuple):
+    """One line of the program that postproc reads.
+
+    :param text: the line, without its end.
+    :param place: what the user of the host calls it, e.g. ``operation Pocket, command 12``.
+    """
+
+    text: str
+    place: str
+
+
+class Converted(NamedTuple):
+    """What postproc made of a program.
+
+    :param files: written files, the program first, its moves last.
+    :param summary: content of its `report.json`.
+    :param warnings: what the user should know, each in one line, with the host's places.
+    """
+
+    files: list[Path]
+    summary: dict[str, Any]
+    warnings: list[str]
+
+
+def command() -> tuple[list[str], bool]:
+    """Return the command that runs postproc, and whether it lives in the Windows Subsystem for Linux.
+
+    :raises HostError: it is nowhere; says where it was looked for.
+    """
+    if _SETTING.is_file():
+        words = [str(word) for word in json.loads(_SETTING.read_text(encoding="utf-8"))["command"]]
+    elif os.environ.get("POSTPROC"):
+        words = shlex.split(os.environ["POSTPROC"], posix=os.name != "nt")
+    else:
+        words = ["postproc"]
+    found = shutil.which(words[0])
+    if found is None:
+        where = f"{words[0]} of {_SETTING}" if _SETTING.is_file() else f"'{words[0]}'"
+        raise HostError(f"postproc is not found: {where} is no program that can be run here. {_MEND}")
+    return [found, *words[1:]], Path(words[0]).stem.lower() == "wsl"
+
+
+def convert(
+    blocks: Sequence[Block], folder: Path, name: str, extension: str, options: Sequence[tuple[str, str]]
+) -> Converted:
+    """Have a program converted.
+
+    On success its text is left in ``NAME.moves.txt`` in the folder: what reports call a line is a line of that file.
+
+    :param blocks: the program.
+    :param folder: to write the results into; made if it is missing.
+    :param name: of the written program.
+    :param extension: by which postproc knows the format of the blocks.
+    :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by their path.
+    :raises HostError: nothing was written; says what stands against it, in the host's words.
+    """
+    text = "\n".join([block.text for block in blocks] + [""]).encode("utf-8")
+    with tempfile.TemporaryDirectory(prefix="postproc") as scratch:
+        program = Path(scratch) / f"{name}.{extension}"
+        try:
+            program.write_bytes(text)
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as cause:
+            raise HostError(f"{folder}: cannot be written to: {cause.strerror}. Choose another folder.") from cause
+        words = [str(program), "-o", str(folder)]
+        for option, value in options:
+            words += [option, value] if value else [option]
+        entry = _run(["convert", *words, "--json"])["programs"][0]
+    issues = [(issue["level"], _told(issue, program, blocks)) for issue in entry["issues"]]
+    if not entry["written"]:
+        faults = [_placed(entry["error"], program, blocks)] if entry["error"] else []
+        raise HostError("\n".join(faults + [text for level, text in issues if level == "error"]))
+    warnings = [text for level, text in issues if level == "warning"]
+    moves = folder / f"{name}.moves.txt"
+    moves.write_bytes(text)
+    return Converted([*(_from_linux(path) for path in entry["written"]), moves], entry, warnings)
+
+
+def _run(words: Sequence[str]) -> dict[str, Any]:
+    """Run postproc and return the JSON it prints."""
+    prefix, in_linux = command()
+    if in_linux:
+        words = [_to_linux(prefix, word) for word in words]
+    try:
+        done = subprocess.run(
+            [*prefix, *words],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            env=_environment(),
+            cwd=tempfile.gettempdir(),
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            check=False,
+        )
+    except OSError as cause:
+        raise HostError(f"{prefix[0]} cannot be run: {cause}. {_MEND}") from cause
+    try:
+        content: dict[str, Any] = json.loads(done.stdout.decode("utf-8"))
+    except ValueError:
+        said = done.stderr.decode("utf-8", "replace").strip() or f"it ended with code {done.returncode}"
+        hint = f" {_MEND}" if "No module named" in said else ""
+        raise HostError(f"{re.sub('^Error: ', '', said)}{hint}") from None
+    return content
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment without what makes another Python behave as that of the host."""
+    bundled = {"LD_LIBRARY_PATH"} if "APPDIR" in os.environ else set()
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in bundled and (not name.startswith("PYTHON") or name == "PYTHONUTF8")
+    }
+    kept["PYTHONIOENCODING"] = "utf-8"
+    return kept
+
+
+def _to_linux(prefix: Sequence[str], word: str) -> str:
+    r"""Return a path as WSL knows it: ``C:\parts\a.nc`` is ``/mnt/c/parts/a.nc``; other words as they are."""
+    if not re.match(r"[A-Za-z]:[\\/]", word):
+        return word
+    words = [*prefix[:1], "wslpath", "-a", "-u", word.replace("\\", "/")]
+    done = subprocess.run(words, capture_output=True, check=False)
+    if done.returncode:
+        raise HostError(f"{word}: WSL does not reach this path: {done.stderr.decode('utf-8', 'replace').strip()}")
+    return done.stdout.decode("utf-8").strip()
+
+
+def _from_linux(path: str) -> Path:
+    match = re.match("/mnt/([a-z])/(.*)", path) if os.name == "nt" else None
+    return Path(f"{match[1].upper()}:/{match[2]}" if match else path)
+
+
+def _told(issue: dict[str, Any], program: Path, blocks: Sequence[Block]) -> str:
+    line: int | None = issue.get("source_line")
+    place = f"{blocks[line - 1].place}: " if line and line <= len(blocks) else ""
+    return f"{place}{_placed(issue['message'], program, blocks)}"
+
+
+def _placed(text: str, program: Path, blocks: Sequence[Block]) -> str:
+    """Return a text in which lines of the program are called what the user of the host calls them."""
+
+    def place(match: re.Match[str]) -> str:
+        line = int(match[1])
+        return f"{blocks[line - 1].place}:" if 1 <= line <= len(blocks) else match[0]
+
+    placed = re.sub(rf"\S*\b{re.escape(program.name)}:(\d+):", place, text)
+    return re.sub(rf"\S*\b{re.escape(program.name)}", program.stem, placed)

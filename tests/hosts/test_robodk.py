@@ -1,0 +1,181 @@
+"""The post driven as the programs that RoboDK generates drive it, with RoboDK's own poses."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import math
+import re
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+from postproc.hosts import HOSTS, install_post, remove_post
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", PendingDeprecationWarning)  # robodk warns about itself
+    from robodk.robomath import KUKA_2_Pose
+
+SAMPLES = Path(__file__).parent.parent.parent / "samples"
+CELL = SAMPLES / "cell_kr270.toml"
+START = [0.0, -70.0, 110.0, 0.0, 50.0, 0.0]
+
+
+@pytest.fixture
+def posts(tmp_path):
+    folder = tmp_path / "Posts"
+    folder.mkdir()
+    install_post("robodk", folder)
+    return folder
+
+
+@pytest.fixture
+def post(posts, tmp_path, monkeypatch):
+    """The class as RoboDK loads it: from its file, in a Python that knows nothing of postproc."""
+    monkeypatch.setenv("POSTPROC_CELL", str(CELL))
+    monkeypatch.delitem(sys.modules, "postproc_host", raising=False)
+    spec = importlib.util.spec_from_file_location("KUKA_KRC4_compensated", posts / "KUKA_KRC4_compensated.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.RobotPost("KUKA_KRC4_compensated", "KUKA KR 270 R2700", 6)
+
+
+def _pose(x, y, z, a=0.0, b=0.0, c=180.0):
+    return KUKA_2_Pose([x, y, z, a, b, c])
+
+
+def _begin(post, name="Pocket 1"):
+    post.ProgStart(name)
+    post.RunMessage("Machining project: pocket", True)
+    post.setFrame(_pose(1500, -200, 700, 0, 0, 0), 3, "Part")
+    post.setTool(_pose(0, 0, 350, 0, 0, 0), 2, "Spindle")
+    post.setSpeed(200.0)
+    post.setZoneData(0.2)
+    post.MoveJ(None, START, None)
+
+
+def _mill(post, count=50):
+    post.RunMessage("FORCE FX=-110 FY=190 FZ=130", True)
+    post.MoveL(_pose(0, 0, 5, a=-180), [])
+    post.setSpeed(25.0)
+    for k in range(count):
+        post.MoveL(_pose(100.0 * (k + 1) / count, 2.0 * math.sin(k / 5.0), -2.0, a=-180), [])
+    post.MoveC(_pose(110, 10, -2, a=-180), [], _pose(100, 20, -2, a=-180), [])
+
+
+def _rows(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_milling_program(post, tmp_path, capsys):
+    _begin(post)
+    post.setDO(1, 1)
+    _mill(post, 2000)
+    post.setDO("OUT[7]", 0)
+    post.Pause(500)
+    post.ProgFinish("Pocket 1")
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Pocket 1")
+    rows = _rows(out / "Pocket_1.targets.csv")
+    assert len(rows) >= 2002
+    program = (out / "Pocket_1.src").read_text()
+    assert re.match(r"(&.*\n)*DEF Pocket_1\(", program) or "DEF Pocket_1" in program
+    for line in ("$OUT[1]=TRUE", "OUT[7]=FALSE", "WAIT SEC 0.500", "$VEL.CP=0.025", "CIRC {"):
+        assert line in program
+    ends = [row for row in rows if float(row["t"]) == 1.0 and row["rapid"] == "0"]
+    assert float(ends[1]["X"]) == pytest.approx(100.0 / 2000)
+    assert float(ends[-1]["Y"]) == pytest.approx(20.0)
+    assert max(float(row["before_mm"]) for row in rows) > 0.05
+    assert max(float(row["after_mm"]) for row in rows) < 0.01
+    assert f"SAVED: {out / 'Pocket_1.src'}" in capsys.readouterr().out
+    assert [str(out / "Pocket_1.src")] == post.PROG_FILES
+
+
+def test_two_programs_and_one_without_motion(post, tmp_path):
+    post.ProgStart("Main")
+    post.RunCode("Roughing", True)
+    post.RunCode("Finishing", True)
+    post.ProgFinish("Main")
+    for name in ("Roughing", "Finishing"):
+        _begin(post, name)
+        _mill(post)
+        post.ProgFinish(name)
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Main")
+    assert (out / "Main.src").read_text() == "DEF Main()\nRoughing()\nFinishing()\nEND\n"
+    assert {path.name for path in out.glob("*.report.json")} == {"Roughing.report.json", "Finishing.report.json"}
+
+
+def test_tools_frames_and_speeds_change_within_a_program(post, tmp_path):
+    _begin(post)
+    _mill(post, 10)
+    post.setTool(_pose(0, 0, 340, 0, 0, 0), 3, "Short")
+    post.setFrame(_pose(1500, -100, 700, 0, 0, 0), 4, "Second part")
+    post.MoveJ(None, START, None)
+    _mill(post, 10)
+    post.ProgFinish("Pocket 1")
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Pocket 1")
+    program = (out / "Pocket_1.src").read_text()
+    assert program.count("$TOOL={") == program.count("$BASE={") == 2
+
+
+def test_joint_angles_that_are_not_those_of_robodk_are_refused(post, tmp_path):
+    _begin(post)
+    post.MoveL(_pose(0, 0, 5, a=-180), [0, -70, 110, 180, -50, 180])
+    post.ProgFinish("Pocket 1")
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(Exception, match="RoboDK stands there"):
+        post.ProgSave(str(out), "Pocket 1")
+    assert not list(out.glob("*.src"))
+
+
+def test_what_is_out_of_reach_is_said_with_the_instruction(post, tmp_path):
+    _begin(post)
+    post.MoveL(_pose(5000, 0, 0, a=-180), [])
+    post.ProgFinish("Pocket 1")
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(Exception, match=r"program Pocket_1, line \d+ \(MoveL\): out of reach"):
+        post.ProgSave(str(out), "Pocket 1")
+    assert not list(out.iterdir())
+
+
+def test_without_a_cell_file_it_says_where_it_looked(post, tmp_path, monkeypatch):
+    monkeypatch.delenv("POSTPROC_CELL")
+    _begin(post)
+    post.ProgFinish("Pocket 1")
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(Exception, match=r"cell\.toml do not exist.*postproc init"):
+        post.ProgSave(str(out), "Pocket 1")
+
+
+def test_a_postproc_that_is_gone_says_how_to_mend_it(posts, post, tmp_path):
+    (posts / "postproc_host" / "command.json").write_text(json.dumps({"command": ["/nowhere/postproc"]}))
+    _begin(post)
+    _mill(post, 5)
+    post.ProgFinish("Pocket 1")
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(Exception, match=r"/nowhere/postproc.*install-post"):
+        post.ProgSave(str(out), "Pocket 1")
+    assert not list(out.iterdir())
+
+
+def test_posts_are_removed_and_what_they_share_with_the_last(tmp_path):
+    for name in HOSTS:
+        install_post(name, tmp_path)
+    remove_post("freecad", tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"KUKA_KRC4_compensated.py", "postproc_host"}
+    assert remove_post("freecad", tmp_path) == []
+    remove_post("robodk", tmp_path)
+    assert not list(tmp_path.iterdir())
