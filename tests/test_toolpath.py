@@ -31,17 +31,18 @@ def test_tangent_is_the_derivative_of_the_position():
 
 
 def _still(made, **changes):
-    """A displacement that changes nowhere."""
+    """A displacement that changes nowhere; or by `ramp` [m] on each motion, until `ramp_end`."""
     count = len(made.motions)
-    ramp_end = changes.pop("ramp_end", np.ones(count))
-    values = {name: np.full(count, changes.pop(name, 0.0)) for name in ("ramp", "turning", "size")}
+    ramp_end = np.asarray(changes.pop("ramp_end", np.ones(count)))
+    change, turning, size = (np.full(count, changes.pop(name, 0.0)) for name in ("ramp", "turning", "size"))
     assert not changes
-    return toolpath.Swing(np.asarray(ramp_end), **values, round=np.zeros(count, dtype=bool))
+    none = np.zeros(count, dtype=bool)
+    return toolpath.DisplacementEstimate(np.arange(count), ramp_end, change, ramp_end < 1, turning, size, round=none)
 
 
-def _places(made, swing):
+def _places(made, estimate):
     path = toolpath.segments(made, np.eye(4))
-    return toolpath.places(made, path, 1e-5, swing, toolpath.pieces(made, path, 1e-5, swing))
+    return toolpath.places(made, path, 1e-5, estimate, toolpath.pieces(made, path, 1e-5, estimate))
 
 
 def test_every_end_is_sampled_and_nothing_is_further_apart_than_20_mm():

@@ -16,10 +16,10 @@ from postproc.correction.result import Mode, Result
 from postproc.correction.root import InRoot
 from postproc.dialects import registry
 from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramError, group_issues
-from postproc.forces.per_motion import ForceRows, MotionForces
+from postproc.forces import ForceSource, Knots, PathForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Targets
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath
 
@@ -30,6 +30,10 @@ _ROUNDS = 8
 _MOST_PARTS = 4
 """Into so many parts at most a piece of an arc is divided at once there."""
 _NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
+_NO_BOUND = (
+    "the forces have standard deviations, but the robot model has no covariance: there is no bound (u95_mm) to which "
+    "they could be added."
+)
 _SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
 
@@ -63,7 +67,7 @@ class _Sampled:
     """
 
     path: Segments
-    load: MotionForces
+    load: PathForces
     arcs: Pieces
     sample: Toolpath
     wrench: Array
@@ -75,7 +79,7 @@ def process(
     program: Program,
     robot: RobotModel,
     cell: Cell,
-    rows: ForceRows | None = None,
+    source: ForceSource | None = None,
     mode: Mode = "convert",
     *,
     linearize_arcs: bool = False,
@@ -86,7 +90,7 @@ def process(
     :param program: as read.
     :param robot: the robot model.
     :param cell: the cell.
-    :param rows: forces from a CSV file, which win over comments.
+    :param source: forces beside the comments of the program; they win.
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
         nothing: it tells what the program does as it stands, at the places where ``"convert"`` would have its targets.
     :param linearize_arcs: write arcs as lines.
@@ -103,19 +107,19 @@ def process(
     also: tuple[Ints, Array] | None = None
     for _ in range(_ROUNDS):
         try:
-            sampled = _sample(program, place, rows, mode, linearize_arcs, arcs, also)
+            sampled = _sample(program, place, source, mode, linearize_arcs, arcs, also)
             if sampled.arcs.uncertain.any():
                 arcs = _divided(program, place, sampled)
-                sampled = _sample(program, place, rows, mode, linearize_arcs, arcs, also)
+                sampled = _sample(program, place, source, mode, linearize_arcs, arcs, also)
         except _BlockedError as cause:
             return _nothing(program, robot, cell, mode, cause.issue)
         targets, row, arrive = _targets(program, place, sampled, linearize_arcs)
         issues = [*told, *program.issues, *sampled.load.issues, *_checked(program, place, sampled)]
-        text, simulated, carried = None, None, None
+        text, simulated, at_end = None, None, None
         if not _blocked(issues):
-            carried = forces.of_targets(sampled.path, sampled.load, targets, arrive, sampled.wrench[row], place.axis)
+            at_end = forces.of_targets(sampled.load, targets, arrive, sampled.wrench[row])
             try:
-                comments = carried if program.notes and rows is None else None
+                comments = at_end if program.notes and source is None else None
                 text = writer.write(program, targets, sampled.command.q[row], cell, comments)
             except ProgramError:
                 if mode == "predict":
@@ -165,8 +169,16 @@ def process(
         output_line, documents = text.output_line, () if _blocked(issues) else text.documents
         as_written, between, printed = simulated.deviation, simulated.between, simulated.printed
         rounding = simulated.rounding
+    carried = None
+    if documents and source is not None and at_end is not None and simulated is not None and simulated.written:
+        carried = _carried(sampled.load, targets, at_end, *simulated.written)
     tool = place.tool(program, targets.motion)
     q, wrench = sampled.command.q[row], sampled.wrench[row]
+    spread = sampled.load.spread_at(sampled.sample.take(row))
+    if spread is not None:
+        spread = place.spread(program, targets.motion, spread)
+        if robot.covariance is None:
+            issues.append(Issue("info", "no-bound", _NO_BOUND))
     correction = targets.pose[:, :3, 3] - sampled.sample.pose[row, :3, 3]
     return Result(
         program=program,
@@ -183,14 +195,14 @@ def process(
         deflection=deflection,
         deviation_before=uncorrected,
         deviation_after=as_written,
-        bound=elastostatics.position_bound(place.robot, q, tool, place.wrench(program, targets.motion, wrench)),
+        bound=elastostatics.position_bound(place.robot, q, tool, place.wrench(program, targets.motion, wrench), spread),
         q=q,
         joint_margin=kinematics.joint_margin(robot, sampled.command.q),
         singular_value=kinematics.smallest_singular_value(robot, q, tool),
         between=between,
         rounding=rounding,
         programmed=programmed,
-        carried=carried if documents and rows is not None else None,
+        carried=carried,
         largest_correction=float(norm(correction).max(initial=0.0)),
         issues=group_issues(issues),
     )
@@ -214,6 +226,15 @@ def _of_origin(program: Program, mode: Mode) -> list[Issue]:
     return []
 
 
+def _carried(
+    load: PathForces, targets: Targets, at_end: TargetForces, written: Program, path: Segments, row: Ints
+) -> Knots:
+    """Return the forces that a CSV file gives to a written program."""
+    spindle = load.axes.spindle
+    travel, _ = forces.last_travel(written, path, spindle)
+    return forces.of_pieces(load, targets, at_end, forces.Axes(written, path, spindle, travel), row)
+
+
 def _blocked(issues: Sequence[Issue]) -> bool:
     return any(issue.level == "error" for issue in issues)
 
@@ -225,7 +246,7 @@ def _joined(one: tuple[Ints, Array], other: tuple[Ints, Array]) -> tuple[Ints, A
 def _sample(
     program: Program,
     place: InRoot,
-    rows: ForceRows | None,
+    source: ForceSource | None,
     mode: Mode,
     linearize_arcs: bool,
     arcs: Pieces | None,
@@ -236,17 +257,17 @@ def _sample(
     path = toolpath.segments(program, place.start_flange)
     for issue in bounds.between(program, place.robot, path):
         raise _BlockedError(issue)
-    load = forces.per_motion(program, path, rows, place.axis)
+    load = forces.along(program, path, source, place.axis, place.ramp)
     softness = elastostatics.softness(place.robot, place.cell.start_joints, program.tools[0])
-    swing = forces.swing(program, path, load, place.axis, place.ramp, softness)
+    estimate = forces.estimate(load, softness)
     if arcs is None:
-        arcs = toolpath.pieces(program, path, place.tolerance, swing, linearize_arcs=linearize_arcs)
+        arcs = toolpath.pieces(program, path, place.tolerance, estimate, linearize_arcs=linearize_arcs)
         if not linearize_arcs:
             limit = _SHARE_OF_TOLERANCE * place.tolerance
-            arcs = swings.followed(program, path, load, arcs, place, swing, softness, limit)
-    motion, t = toolpath.places(program, path, place.tolerance, swing, arcs, also)
+            arcs = swings.followed(program, path, load, arcs, estimate, softness, limit)
+    motion, t = toolpath.places(program, path, place.tolerance, estimate, arcs, also)
     sample = toolpath.at(program, path, motion, t)
-    wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
+    wrench = load.at(sample)
     m = program.motions
     free = sample.ends & (m.kind[motion] == PTP)
     ptp = motion[free]

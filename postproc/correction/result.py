@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from postproc.errors import Issue
+from postproc.forces import Knots
 from postproc.frames import Array, norm
-from postproc.program import Bools, Document, Ints, Program, TargetForces
+from postproc.program import Bools, Document, Ints, Program
 from postproc.robot import RobotModel
 
 Mode = Literal["convert", "nominal", "predict"]
@@ -40,8 +41,8 @@ class Result:
     :param between: largest predicted distance from the nominal path, between targets too [m].
     :param rounding: (K,) how far approximate positioning (C_DIS) passes each target, as written [m].
     :param programmed: (K,) the same of the program as read; zero where it is G-code.
-    :param carried: forces that a CSV file must give to the written program; None where its comments do, or nothing is
-        written.
+    :param carried: forces that a CSV file must give to the written program, along the piece to the target that
+        `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param issues: what the user should know, grouped.
     """
@@ -67,7 +68,7 @@ class Result:
     between: float
     rounding: Array
     programmed: Array
-    carried: TargetForces | None
+    carried: Knots | None
     largest_correction: float
     issues: tuple[Issue, ...]
 

@@ -86,6 +86,13 @@ class InRoot:
         pairs = wrench_in_base.reshape(-1, 2, 3)
         return np.asarray(np.einsum("...ij,...kj->...ki", rotation, pairs)).reshape(-1, 6)
 
+    def spread(self, program: Program, motion: Ints, spread_in_base: Array) -> Array:
+        """Return L (n, 6, 6) of the covariance L·Lᵀ of wrenches, root axes, of that of their halves (n, 2, 3, 3)."""
+        halves = np.einsum("...ij,...hjm->...him", self._base(program, motion)[..., :3, :3], spread_in_base)
+        out = np.zeros((len(motion), 6, 6))
+        out[:, :3, :3], out[:, 3:, 3:] = halves[:, 0], halves[:, 1]
+        return out
+
     def _base(self, program: Program, motion: Ints) -> Array:
         if len(program.bases) == 1:
             return np.asarray(program.bases[0])

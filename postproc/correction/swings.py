@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc import forces, toolpath
-from postproc.correction.root import InRoot
+from postproc import toolpath
 from postproc.correction.select import circle_through
-from postproc.forces import MotionForces
+from postproc.forces import PathForces
 from postproc.frames import Array, norm
 from postproc.program import Program
-from postproc.toolpath import Pieces, Segments, Swing
+from postproc.toolpath import DisplacementEstimate, Pieces, Segments
 
 _SHORTEST = 1e-7
 """Length [m] and share of the arc below which no piece is halved: the text of the program tells no shorter ones."""
@@ -26,10 +25,9 @@ _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 def followed(
     program: Program,
     path: Segments,
-    load: MotionForces,
+    load: PathForces,
     arcs: Pieces,
-    place: InRoot,
-    swing: Swing,
+    estimate: DisplacementEstimate,
     softness: tuple[float, float],
     limit: float,
 ) -> Pieces:
@@ -38,7 +36,7 @@ def followed(
     :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
     :param limit: what may be missed [m].
     """
-    found = swing.round[arcs.motion]
+    found = estimate.round[arcs.motion]
     if not found.any():
         return arcs
     left = arcs.take(found)
@@ -47,22 +45,20 @@ def followed(
     while len(left.motion):
         share = left.end - left.begin
         long = np.minimum(share, share * path.length[left.motion]) > _SHORTEST
-        again = long & (_missed(program, path, load, left, place, softness) > limit)
+        again = long & (_missed(program, path, load, left, softness) > limit)
         done.append(left.take(~again))
         left = left.take(again)
         left = left.cut(np.full(len(left.motion), 2))
     return done[0].joined(*done[1:])
 
 
-def _missed(
-    program: Program, path: Segments, load: MotionForces, arcs: Pieces, place: InRoot, softness: tuple[float, float]
-) -> Array:
+def _missed(program: Program, path: Segments, load: PathForces, arcs: Pieces, softness: tuple[float, float]) -> Array:
     """Return what circles through start, middle and end of pieces (n,) would miss at their quarters, about [m]."""
     spots = []
     for share in _QUARTERS:
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
         sample = toolpath.at(program, path, arcs.motion, t)
-        wrench = forces.wrench(program, path, load, sample, place.axis, place.ramp)
+        wrench = load.at(sample)
         spots.append(sample.pose[:, :3, 3] - softness[0] * wrench[:, :3] - softness[1] * wrench[:, 3:])
     begin, _, middle, _, end = spots
     centre, radial, across, angle = circle_through(begin, middle, end)

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postproc import elastostatics, forces, kinematics, toolpath
+from postproc import elastostatics, kinematics, toolpath
 from postproc.chunks import in_chunks
 from postproc.correction import blending, checks
 from postproc.correction.root import InRoot
 from postproc.dialects import registry
 from postproc.errors import Issue, NotConvergedError, ProgramError
-from postproc.forces import MotionForces
+from postproc.forces import BEHIND_STEP, PathForces
 from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
 from postproc.toolpath import Segments
@@ -53,6 +53,8 @@ class Simulated:
     :param rounding: (K,) how far approximate positioning passes each target [m].
     :param missed: motion (n,), t (n,) and distance (n,) [m] of places where the path uses up too much of the
         tolerance, and more targets may help.
+    :param written: the program as read back, its geometry, and the motion (K,) of each target; None if it cannot be
+        used.
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
@@ -61,13 +63,14 @@ class Simulated:
     printed: Array
     rounding: Array
     missed: tuple[Ints, Array, Array]
+    written: tuple[Program, Segments, Ints] | None
     issues: tuple[Issue, ...]
 
 
 def simulate(
     program: Program,
     path: Segments,
-    load: MotionForces,
+    load: PathForces,
     targets: Targets,
     ends: Array,
     text: Written,
@@ -129,7 +132,7 @@ def simulate(
 
     def simulated(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
         nominal = toolpath.at(program, path, motion, t)
-        wrench = forces.wrench(program, path, load, nominal, place.axis, place.ramp)
+        wrench = load.at(nominal)
         commanded = toolpath.at(written, written_path, on, share).pose
         q = kinematics.on_branch(place.robot, toolpath.flange_from_tcp(written, on, commanded), branch[sample])
         if np.isnan(q).any():
@@ -149,23 +152,34 @@ def simulate(
     after = distance[share == 1.0]
     rounding = blending.of_motions(written, written_path, row).rounding(m.blend[row])
     settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
+    step = load.behind_step(motion, targets.t[index]) & (share < 1.0)
+    settled &= ~step
     jump = (path.length[motion] * (targets.t - begin)[index] < _AT_ONCE) & (share < 1.0)
     issues: list[Issue] = []
     if corrected:
+        issues += _steps(program, place, motion[step], distance[step])
         issues += _not_held(program, place, targets, after, motion, distance, settled, jump)
         if program.keeps_text:
             more = rounding - blending.programmed(program, path, targets.motion)
             issues += checks.blending(program, targets.motion, more, place.tolerance)
     bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance) & ~jump
     between = float(distance[settled].max(initial=0.0))
-    return Simulated(off[share == 1.0], between, printed, rounding, (motion[bad], t[bad], distance[bad]), tuple(issues))
+    return Simulated(
+        off[share == 1.0],
+        between,
+        printed,
+        rounding,
+        (motion[bad], t[bad], distance[bad]),
+        (written, written_path, row),
+        tuple(issues),
+    )
 
 
 def _unusable(targets: Targets, issue: Issue) -> Simulated:
     count = len(targets)
     nowhere = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     unknown = np.full(count, np.nan)
-    return Simulated(np.full((count, 3), np.nan), np.inf, np.full((count, 6), np.nan), unknown, nowhere, (issue,))
+    return Simulated(np.full((count, 3), np.nan), np.inf, np.full((count, 6), np.nan), unknown, nowhere, None, (issue,))
 
 
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
@@ -223,6 +237,22 @@ def _starts_uncorrected(program: Program, place: InRoot) -> Bools:
     axis = np.isfinite(program.motions.joints[:, 0])
     out = np.concatenate([[True], axis[:-1]])
     return np.asarray(out & (not place.rest_is_nominal))
+
+
+def _steps(program: Program, place: InRoot, motion: Ints, distance: Array) -> Iterator[Issue]:
+    """Tell where the force begins with a step: distances (n,) [m] from the path just behind it, on motions (n,)."""
+    felt = ~(distance <= place.tolerance)
+    if felt.any():
+        yield Issue(
+            "warning",
+            "force-step",
+            "the force of this move begins with a step from that at the end of the move before: there the tool leaves "
+            f"its path by up to {np.nanmax(distance[felt]) * MM_PER_M:.4f} mm for the {BEHIND_STEP * MM_PER_M:g} mm "
+            "over which the correction follows. Let the move begin (t = 0) with the force with which the one before "
+            "ends; or give one force without t: it comes up over force_ramp_mm.",
+            source_line=int(program.motions.line[motion[int(np.argmax(felt))]]),
+            count=len(np.unique(motion[felt])),
+        )
 
 
 def _not_held(

@@ -10,6 +10,7 @@ from postproc import kinematics
 from postproc.chunks import in_chunks
 from postproc.elastostatics.balance import asked, beside
 from postproc.elastostatics.springs import A2, coordinates, spring_deflection
+from postproc.elastostatics.stiffness import tangent_compliance
 from postproc.errors import ModelError
 from postproc.frames import Array
 from postproc.robot import CompensatorTorque, Parameter, RobotModel, Spring, file_slopes
@@ -18,32 +19,48 @@ _QUANTILE_95 = 1.6448536
 """Of the normal distribution, one-sided."""
 
 
-def position_bound(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array | None:
+def position_bound(
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, force_spread: Array | None = None
+) -> Array | None:
     """Return the 95 % bound (N,) [m] on the error of the predicted deflection of the TCP, or None.
 
-    From `RobotModel.covariance` and the sensitivity of the TCP to each identified parameter, at first order. The length
-    of a normal vector with covariance Σ is bounded by its first two moments: |e|² ~ g·χ²_h with g = tr Σ²/tr Σ,
-    h = tr² Σ/tr Σ² (Satterthwaite 1946), and the quantile of χ² by Wilson and Hilferty (1931), good to 1.5 %.
+    From `RobotModel.covariance` and the sensitivity of the TCP to each identified parameter, at first order, and from
+    the covariance of the wrench through the tangent compliance.
 
     :param q: (N, 6) joint angles [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :param force_spread: (N, 6, m) L of the covariance L·Lᵀ of the wrench, root axes; None where it is certain.
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
     if robot.covariance is None:
         return None
     covariance = robot.covariance
 
-    def bound(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
+    def bound(q: Array, tool: Array, wrench: Array, *force_spread: Array) -> tuple[Array]:
         s = sensitivity(robot, q, tool, wrench)
-        spread = s @ covariance.matrix @ np.swapaxes(s, 1, 2)
-        trace = np.trace(spread, axis1=1, axis2=2)
-        square = np.sum(spread**2, axis=(1, 2))
-        h = np.divide(trace**2, square, out=np.ones_like(trace), where=square > 0.0)
-        g = np.divide(square, trace, out=np.zeros_like(trace), where=trace > 0.0)
-        return (np.sqrt(g * h * (1.0 - 2.0 / (9.0 * h) + _QUANTILE_95 * np.sqrt(2.0 / (9.0 * h))) ** 3),)
+        position = s @ covariance.matrix @ np.swapaxes(s, 1, 2)
+        for spread in force_spread:
+            moved = tangent_compliance(robot, q, tool, wrench)[:, :3] @ spread
+            position += moved @ np.swapaxes(moved, 1, 2)
+        return (length_bound(position),)
 
-    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)[0]
+    others = () if force_spread is None else (force_spread,)
+    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, *others)[0]
+
+
+def length_bound(covariance: Array) -> Array:
+    """Return what the length of normal vectors with covariances (N, 3, 3) stays below with 95 % probability (N,).
+
+    It is bounded by its first two moments: |e|² ~ g·χ²_h with g = tr Σ²/tr Σ, h = tr² Σ/tr Σ² (Satterthwaite 1946), and
+    the quantile of χ² by Wilson and Hilferty (1931), good to 1.5 %.
+    """
+    trace = np.trace(covariance, axis1=1, axis2=2)
+    square = np.sum(covariance**2, axis=(1, 2))
+    h = np.divide(trace**2, square, out=np.ones_like(trace), where=square > 0.0)
+    g = np.divide(square, trace, out=np.zeros_like(trace), where=trace > 0.0)
+    quantile = h * (1.0 - 2.0 / (9.0 * h) + _QUANTILE_95 * np.sqrt(2.0 / (9.0 * h))) ** 3
+    return np.asarray(np.sqrt(g * quantile))
 
 
 def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:

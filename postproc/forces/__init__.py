@@ -1,7 +1,29 @@
-"""Cutting forces: one wrench for each sample of a tool path."""
+"""Cutting forces: sources of them, and the wrench anywhere on a tool path.
 
-from postproc.forces.per_motion import MotionForces, per_motion, read_force_csv
-from postproc.forces.wrench import swing, wrench
-from postproc.forces.written import of_targets
+Every source gives wrenches at places along motions, linear between them (`Knots`). `along` puts them on the motions of
+a program; what comes of it tells the wrench at each sample.
+"""
 
-__all__ = ["MotionForces", "of_targets", "per_motion", "read_force_csv", "swing", "wrench"]
+from postproc.forces.along import BEHIND_STEP, PathForces, along
+from postproc.forces.axes import Axes
+from postproc.forces.estimate import estimate
+from postproc.forces.feed import last_travel
+from postproc.forces.knots import ForceSource, Knots
+from postproc.forces.sources import read
+from postproc.forces.table import read_force_csv
+from postproc.forces.written import of_pieces, of_targets
+
+__all__ = [
+    "BEHIND_STEP",
+    "Axes",
+    "ForceSource",
+    "Knots",
+    "PathForces",
+    "along",
+    "estimate",
+    "last_travel",
+    "of_pieces",
+    "of_targets",
+    "read",
+    "read_force_csv",
+]

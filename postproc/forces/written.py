@@ -1,47 +1,118 @@
-"""Forces that travel with a program: the wrench at each target of the written one, as it must be given to that.
+"""Forces that travel with a program: what acts on each piece of the written one, as it must be given to that.
 
-Every piece that is written is a motion of its own, whose force comes up over its own beginning and acts in full at its
-end. So each target gets the wrench that acts there. Its axes are those of `$BASE`, in which a straight piece has the
-same force throughout; a FEED force on an arc and a TOOL force on a motion that turns keep theirs, as these turn along
-the piece.
+Every piece that is written is a motion of its own. Where the force of a motion comes up over the ramp, that of a piece
+comes up over its own beginning and acts in full at its end: so each target gets the wrench that acts there. A force
+that is given along a motion is given along each of its pieces too.
+
+The axes are those of `$BASE`, in which a straight piece has the same force throughout; a FEED force on an arc and a
+TOOL force on a motion that turns keep theirs, as these turn along the piece.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from postproc.forces.along import PathForces
+from postproc.forces.axes import Axes
 from postproc.forces.feed import across
-from postproc.forces.per_motion import BASE, FEED, TOOL, MotionForces
-from postproc.frames import Array
-from postproc.program import CIRC, TargetForces, Targets
-from postproc.toolpath import Segments
+from postproc.forces.knots import BASE, FEED, TOOL, Knots
+from postproc.frames import Array, largest, norm
+from postproc.program import CIRC, Ints, TargetForces, Targets
+from postproc.toolpath import at
 
 _TURNS = 1e-6
 """A motion that turns the tool by less than this [rad] does not turn it."""
+_APART = 1e-9
+"""Places on a motion nearer than this are one."""
+_SAME = 1e-6
+"""Change of a force [N, N·m] that is none: the file has three decimals."""
 
 
-def of_targets(
-    path: Segments, load: MotionForces, targets: Targets, arrive: Array, wrench: Array, axis: str
-) -> TargetForces:
-    """Return the wrench at each target as a comment or a CSV row of the written program must give it.
+def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Array) -> TargetForces:
+    """Return the wrench at each target as a comment of the written program must give it.
 
-    :param path: the geometry of the program as read, and `load` its forces.
+    :param forces: those of the program as read.
     :param targets: what is to be written.
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`.
     :param wrench: (K, 6) what acts there [N, N·m], `$BASE` axes.
-    :param axis: axis of the tool frame that points from the spindle to the tip.
     """
-    frame = load.frame[targets.motion]
-    turning = (frame == FEED) & (targets.kind == CIRC) | (frame == TOOL) & (path.turn[targets.motion] > _TURNS)
-    frame = np.where(turning & wrench.any(axis=1), frame, BASE)
+    frame = np.where(wrench.any(axis=1), _frame(forces, targets), BASE)
     out = wrench.copy()
     for code in (TOOL, FEED):
         rows = np.flatnonzero(frame == code)
         axes = targets.pose[rows, :3, :3]
         if code == FEED:
-            axes, found = across(axes, arrive[rows], axis)
+            axes, found = across(axes, arrive[rows], forces.axes.spindle)
             frame[rows[~found]] = BASE
             rows, axes = rows[found], axes[found]
         for half in (slice(0, 3), slice(3, 6)):
             out[rows, half] = np.einsum("nji,nj->ni", axes, wrench[rows, half])
     return TargetForces(out, frame)
+
+
+def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, written: Axes, row: Ints) -> Knots:
+    """Return the wrench along each piece as a CSV file for the written program must give it.
+
+    :param forces: those of the program as read, and `targets` what was written of it.
+    :param at_end: what acts at the targets, see `of_targets`.
+    :param written: the axes of forces along the program as written.
+    :param row: (K,) motion of the written program that ends at each target.
+    :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
+    """
+    ramped = forces.ramped[targets.motion]
+    target, share = _places(forces, targets)
+    whole = ramped[target]
+    frame = np.where(whole, at_end.frame[target], _frame(forces, targets)[target])
+    begin, end = _begin(targets)[target], targets.t[target]
+    program, path = forces.axes.program, forces.axes.path
+    nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
+    there = at(written.program, written.path, row[target], share)
+    wrench = written.out_of_base(forces.at(nominal).reshape(-1, 2, 3, 1), frame, there).reshape(-1, 6)
+    wrench[whole] = at_end.wrench[target[whole]]
+    spread = forces.spread_at(nominal)
+    sigma = np.zeros_like(wrench)
+    if spread is not None:
+        sigma = norm(written.out_of_base(spread, frame, there)).reshape(-1, 6)
+    return _shortened(Knots(target, share, wrench, frame, sigma, whole))
+
+
+def _begin(targets: Targets) -> Array:
+    """Return where on its motion each piece (K,) begins."""
+    first = np.diff(targets.motion, prepend=-1) != 0
+    return np.where(first, 0.0, np.roll(targets.t, 1))
+
+
+def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
+    """Return where on the pieces the force is given: row of the target (p,) and place on its piece.
+
+    That is its end where the force comes up over the ramp, else its start, its end and the knots between.
+    """
+    begin, end = _begin(targets), targets.t
+    low = np.searchsorted(forces.place, targets.motion + begin + _APART)
+    high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _APART), low)
+    count = np.where(forces.ramped[targets.motion], 1, high - low + 2)
+    target = np.repeat(np.arange(len(targets)), count)
+    inside = np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count)
+    last = inside == count[target] - 1
+    knot = np.where(last | (inside == 0), 0, low[target] + inside - 1)
+    share = (forces.t[knot] - begin[target]) / (end - begin)[target]
+    return target, np.where(last, 1.0, np.where(inside == 0, 0.0, share))
+
+
+def _shortened(knots: Knots) -> Knots:
+    """Return the knots without those of pieces along which the force stays as it is at their end."""
+    last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
+    end = last[np.searchsorted(last, np.arange(len(knots)))]
+    differs = largest(np.hstack([knots.wrench - knots.wrench[end], knots.sigma - knots.sigma[end]])) > _SAME
+    changes = np.zeros(len(knots), dtype=np.bool_)
+    changes[end[differs]] = True
+    keep = changes[end]
+    keep[last] = True
+    return knots.take(keep)
+
+
+def _frame(forces: PathForces, targets: Targets) -> Ints:
+    """Return in which frame the force on each piece (K,) is the same throughout, or changes linearly."""
+    frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
+    turning = (frame == FEED) & (targets.kind == CIRC) | (frame == TOOL) & (turn > _TURNS)
+    return np.where(turning, frame, BASE)

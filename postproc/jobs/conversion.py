@@ -9,12 +9,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from postproc import correction, files, interrupts, report
+from postproc import correction, files, forces, interrupts, report
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError
-from postproc.forces import read_force_csv
 from postproc.frames import M_PER_MM
 from postproc.jobs import outputs
 from postproc.jobs.inputs import read_documents
@@ -95,9 +94,9 @@ def _no_collection() -> Iterator[None]:
 
 
 def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program) -> Result:
-    rows = None if job.forces is None else read_force_csv(job.forces)
+    source = None if job.forces is None else forces.read(job.forces)
     result = correction.process(
-        program, robot, cell, rows, settings.mode, linearize_arcs=settings.linearize_arcs, to=job.to
+        program, robot, cell, source, settings.mode, linearize_arcs=settings.linearize_arcs, to=job.to
     )
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
@@ -120,9 +119,9 @@ def _contents(
     name = job.report(settings.mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
-    forces = report.forces_csv(result)
-    if forces is not None:
-        contents[f"{stem}forces.csv"] = forces
+    carried = report.forces_csv(result)
+    if carried is not None:
+        contents[f"{stem}forces.csv"] = carried
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     contents[f"{stem}report.html"] = report.page(result, tolerance)
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)

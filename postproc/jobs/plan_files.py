@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from postproc import cell as cells
-from postproc import interrupts
+from postproc import forces, interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError
 from postproc.files import foreign, refuse, with_record, write_whole
-from postproc.forces import read_force_csv
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.experiment import read_experiment
 from postproc.identification.readings import read
@@ -125,8 +124,8 @@ def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPose
     parts = []
     for job in find_jobs(request.programs, forces=request.forces):
         program = read_program(job.program, robot, cell, job.dialect)
-        rows = None if job.forces is None else read_force_csv(job.forces)
-        parts.append(milling.from_program(program, robot, cell, rows))
+        source = None if job.forces is None else forces.read(job.forces)
+        parts.append(milling.from_program(program, robot, cell, source))
     return milling.joined(parts)
 
 

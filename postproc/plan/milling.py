@@ -15,7 +15,7 @@ from postproc import files, forces, kinematics, toolpath
 from postproc.cell import Cell
 from postproc.elastostatics import linear_deflection, softness
 from postproc.errors import PlanError
-from postproc.forces.per_motion import ForceRows
+from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.kinematics import UnreachableError
 from postproc.program import PTP, Ints, Program
@@ -74,24 +74,22 @@ def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: A
     )
 
 
-def from_program(program: Program, robot: RobotModel, cell: Cell, rows: ForceRows | None = None) -> TestPoses:
+def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceSource | None = None) -> TestPoses:
     """Return test poses all along the cutting moves of a program, weighted by the way cut.
 
-    :param rows: forces from a CSV file, which win over comments.
+    :param source: forces beside the comments of the program; they win.
     :raises PlanError: no cutting move carries a force, or the robot cannot reach one.
     :raises ForceError: forces that cannot be given to the motions.
     """
     name = program.documents[0].name
     start = kinematics.tcp(robot.nominal, cell.start_joints[None], np.eye(4))[0][0]
     path = toolpath.segments(program, start)
-    load = forces.per_motion(program, path, rows, cell.tool.axis)
-    ramp = cell.output.force_ramp_mm * M_PER_MM
-    soft = softness(robot, cell.start_joints, program.tools[0])
-    swing = forces.swing(program, path, load, cell.tool.axis, ramp, soft)
-    arcs = toolpath.pieces(program, path, cell.tolerance, swing)
-    motion, t = toolpath.places(program, path, cell.tolerance, swing, arcs)
+    load = forces.along(program, path, source, cell.tool.axis, cell.output.force_ramp_mm * M_PER_MM)
+    estimate = forces.estimate(load, softness(robot, cell.start_joints, program.tools[0]))
+    arcs = toolpath.pieces(program, path, cell.tolerance, estimate)
+    motion, t = toolpath.places(program, path, cell.tolerance, estimate, arcs)
     sample = toolpath.at(program, path, motion, t)
-    wrench = forces.wrench(program, path, load, sample, cell.tool.axis, ramp)
+    wrench = load.at(sample)
     m = program.motions
     flange = toolpath.flange_from_tcp(program, motion, sample.pose)
     free = sample.ends & (m.kind[motion] == PTP)

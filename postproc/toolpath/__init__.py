@@ -16,13 +16,13 @@ from postproc.toolpath.path import (
     starts,
     tangent,
 )
-from postproc.toolpath.places import Pieces, Swing, pieces, places
+from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places
 
 __all__ = [
     "Arcs",
+    "DisplacementEstimate",
     "Pieces",
     "Segments",
-    "Swing",
     "Toolpath",
     "at",
     "flange_from_tcp",

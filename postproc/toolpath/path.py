@@ -91,6 +91,10 @@ class Toolpath:
     def __len__(self) -> int:
         return len(self.motion)
 
+    def take(self, rows: Ints | Bools) -> Toolpath:
+        """Return some of the samples."""
+        return Toolpath(self.motion[rows], self.t[rows], self.pose[rows], self.distance[rows])
+
     @property
     def ends(self) -> Bools:
         """(N,) True at the ends of motions."""

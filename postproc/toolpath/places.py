@@ -29,23 +29,29 @@ its angle [1/rad²], and those that grow along it by the second times its angle 
 size)."""
 _ARM = 1.0
 """Length [m] over which the deflection changes by its own size."""
+_NOTICED = 0.1
+"""Of the tolerance, by how much the displacement must change along an arc that is divided where the force bends."""
 _CERTAIN = 0.2
 """Of the tolerance, what a piece may miss by this estimate without being measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Swing:
+class DisplacementEstimate:
     """How the displacement of the tool by its force changes along M motions: roughly, to tell where to look.
 
-    :param ramp_end: (M,) place t where the force stops growing; 1 where it changes nowhere or all along.
-    :param ramp: (M,) how much the displacement changes until there [m].
+    :param motion: (K,) row of `Motions` of each place where the force is given, in order along the path.
+    :param t: (K,) place on it, in [0, 1].
+    :param change: (K,) how much the displacement changes since the place before on the motion [m].
+    :param bent: (K,) True inside a motion where the force does not go straight on.
     :param turning: (M,) how large the displacement is that turns with the direction of travel [m].
-    :param size: (M,) how large the displacement is [m].
+    :param size: (M,) how large the displacement is at most [m].
     :param round: (M,) True for arcs that come near the direction of the spindle, where a FEED force swings round.
     """
 
-    ramp_end: Array
-    ramp: Array
+    motion: Ints
+    t: Array
+    change: Array
+    bent: Bools
     turning: Array
     size: Array
     round: Bools
@@ -53,7 +59,7 @@ class Swing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """Into how many equal pieces arcs are divided: S stretches of arcs, before and behind the end of a force ramp, and
+    """Into how many equal pieces arcs are divided: S stretches of arcs, between the places where the force bends, and
     wherever more of them are needed than elsewhere.
 
     :param motion: (S,) row of `Motions`, never decreasing.
@@ -120,23 +126,22 @@ class Pieces:
         return np.searchsorted(self.motion + self.begin, motion + t) - 1
 
 
-def pieces(program: Program, path: Segments, tolerance: float, swing: Swing, *, linearize_arcs: bool = False) -> Pieces:
+def pieces(
+    program: Program,
+    path: Segments,
+    tolerance: float,
+    estimate: DisplacementEstimate,
+    *,
+    linearize_arcs: bool = False,
+) -> Pieces:
     """Return how many pieces of its arcs to begin with.
 
     :param tolerance: what the path may be left by [m].
     :param linearize_arcs: pieces are chords that keep half the tolerance.
     """
     arcs = path.arcs
-    noticed = swing.ramp[arcs.motion] > 0.1 * tolerance
-    ramp_end = np.where(noticed, swing.ramp_end[arcs.motion], 1.0)
-    bent = np.flatnonzero(ramp_end < 1.0)
-    arc = np.concatenate([np.arange(len(arcs.motion)), bent])
-    begin = np.concatenate([np.zeros(len(arcs.motion)), ramp_end[bent]])
-    end = np.concatenate([ramp_end, np.ones(len(bent))])
-    order = np.lexsort((begin, arc))
-    arc, begin, end = arc[order], begin[order], end[order]
+    arc, begin, end, change = _stretches(arcs.motion, estimate, tolerance)
     motion = arcs.motion[arc]
-
     share = end - begin
     angle, radius = arcs.sweep[arc] * share, norm(arcs.radial)[arc]
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
@@ -144,10 +149,9 @@ def pieces(program: Program, path: Segments, tolerance: float, swing: Swing, *, 
     if linearize_arcs:
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
     least = np.maximum(1, np.ceil(angle / _LARGEST - 1e-9).astype(np.int64))
-    turning = swing.turning[motion] + swing.size[motion] * radius / _ARM
-    growing = np.where(noticed[arc] & (begin == 0.0), swing.ramp[motion], 0.0)
-    growing += share * (
-        norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + swing.size[motion] * path.turn[motion]
+    turning = estimate.turning[motion] + estimate.size[motion] * radius / _ARM
+    growing = change + share * (
+        norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
     )
     missed = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / least**2
     uncertain = (missed > _CERTAIN * tolerance) & (not linearize_arcs)
@@ -155,11 +159,34 @@ def pieces(program: Program, path: Segments, tolerance: float, swing: Swing, *, 
     return Pieces(motion, begin, end, np.where(uncertain, measured, least), least, samples, uncertain)
 
 
+def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> tuple[Ints, Array, Array, Array]:
+    """Return the stretches of arcs (A,), rows of `Motions`, between the places where the force bends.
+
+    :returns: the arc of each (S,), a row of `arcs`; where it begins and ends; and the change of the displacement on it
+        (S,) [m]: zero for arcs on which it changes by too little to matter.
+    """
+    rows = np.flatnonzero(np.isin(estimate.motion, arcs))
+    of = np.searchsorted(arcs, estimate.motion[rows])
+    noticed = np.bincount(of, estimate.change[rows], len(arcs)) > _NOTICED * tolerance
+    rows, of = rows[noticed[of]], of[noticed[of]]
+    inner = estimate.bent[rows]
+    arc = np.concatenate([np.arange(len(arcs)), of[inner]])
+    begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[inner]]])
+    order = np.lexsort((begin, arc))
+    arc, begin = arc[order], begin[order]
+    last = np.append(np.diff(arc) != 0, np.ones(min(1, len(arc)), dtype=np.bool_))
+    end = np.where(last, 1.0, np.append(begin[1:], 1.0)[: len(arc)])
+    stretch = np.searchsorted(arc + begin, of + estimate.t[rows]) - 1
+    behind = estimate.t[rows] > 0.0
+    change: Array = np.bincount(stretch[behind], estimate.change[rows][behind], len(arc)).astype(float)
+    return arc, begin, end, change
+
+
 def places(
     program: Program,
     path: Segments,
     tolerance: float,
-    swing: Swing,
+    estimate: DisplacementEstimate,
     arcs: Pieces,
     also: tuple[Ints, Array] | None = None,
 ) -> tuple[Ints, Array]:
@@ -175,8 +202,8 @@ def places(
     count[m.kind == PTP] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
-    bent = straight[swing.ramp_end[straight] < 1.0]
-    more = [(bent, swing.ramp_end[bent]), *([also] if also is not None else [])]
+    bent = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] != CIRC))
+    more = [(estimate.motion[bent], estimate.t[bent]), *([also] if also is not None else [])]
     if len(arcs.motion):
         stretch, share = _even(np.arange(len(arcs.motion)), arcs.number * arcs.each)
         begin, end = arcs.begin[stretch], arcs.end[stretch]

@@ -14,17 +14,21 @@ START = np.eye(4)
 RAMP = 1e-3
 
 
-def per_motion(made, rows, axis="+Z"):
-    return forces.per_motion(made, toolpath.segments(made, START), rows, axis)
+def put_on(made, source, axis="+Z"):
+    return forces.along(made, toolpath.segments(made, START), source, axis, RAMP)
 
 
-def along(made, motion, distance_mm, rows=None, axis="+Z"):
+def along(made, motion, distance_mm, source=None, axis="+Z"):
     """Wrench at a distance along one motion [mm]."""
     path = toolpath.segments(made, START)
-    load = per_motion(made, rows, axis)
     t = np.array([distance_mm / 1000 / path.length[motion]])
-    sample = toolpath.at(made, path, np.array([motion]), t)
-    return forces.wrench(made, path, load, sample, axis, RAMP)[0]
+    return put_on(made, source, axis).at(toolpath.at(made, path, np.array([motion]), t))[0]
+
+
+def at_ends(made, source=None):
+    """Wrench at the end of each motion."""
+    path, count = toolpath.segments(made, START), len(made.motions)
+    return put_on(made, source).at(toolpath.at(made, path, np.arange(count), np.ones(count)))
 
 
 def write(tmp_path, text):
@@ -86,7 +90,7 @@ def test_on_a_plunge_feed_x_is_the_last_travel_across_the_spindle():
     for motion in (2, 3):
         np.testing.assert_allclose(along(made, motion, 4), [6 - 4, 8 + 3, 30, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(along(made, 4, 4), [-10, -5, 30, 0, 0, 0], atol=1e-12)
-    (issue,) = per_motion(made, None).issues
+    (issue,) = put_on(made, None).issues
     assert (issue.kind, issue.level, issue.source_line, issue.count) == ("feed-direction", "info", 3, 2)
 
 
@@ -116,7 +120,7 @@ def test_a_plunge_before_any_travel_takes_the_direction_of_the_first():
     made = program(moves, notes=[(2, (10.0, 5.0, 30.0, 0, 0, 0), "FEED")])
     for motion in (1, 2, 3):
         np.testing.assert_allclose(along(made, motion, 4), [-5, 10, 30, 0, 0, 0], atol=1e-12)
-    (issue,) = per_motion(made, None).issues
+    (issue,) = put_on(made, None).issues
     assert (issue.kind, issue.source_line, issue.count) == ("feed-direction", 2, 2)
 
 
@@ -130,7 +134,7 @@ def test_feed_forces_where_no_move_has_a_direction_name_the_lines():
 def test_a_feed_force_along_the_spindle_alone_needs_no_travel():
     made = program([("PTP", 0, 0, 10), ("LIN", 0, 0, 0)], notes=[(2, (0.0, 0, 30.0, 0, 0, 2.0), "FEED")])
     np.testing.assert_allclose(along(made, 1, 5), [0, 0, 30, 0, 0, 2], atol=1e-12)
-    assert per_motion(made, None).issues == ()
+    assert put_on(made, None).issues == ()
 
 
 def test_a_dead_force_keeps_its_direction_in_space_when_the_base_changes():
@@ -151,24 +155,24 @@ def test_a_row_for_a_move_that_goes_nowhere_is_no_error(tmp_path):
 
     made = replace(program(SQUARE), still=np.array([77]))
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n2,1,0,0\n77,1,0,0\n"))
-    assert per_motion(made, rows).wrench[:, 0].tolist() == [0, 1, 0, 0]
+    assert at_ends(made, rows)[:, 0].tolist() == [0, 1, 0, 0]
 
 
 def test_an_empty_line_end_means_the_line_alone(tmp_path):
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n2,1,2,3,\n3,4,5,6,3\n"))
-    assert per_motion(program(SQUARE), rows).wrench[1:3, 0].tolist() == [1.0, 4.0]
+    assert at_ends(program(SQUARE), rows)[1:3, 0].tolist() == [1.0, 4.0]
 
 
 def test_cutting_moves_without_a_force_are_counted():
-    load = per_motion(program(SQUARE), None)
+    load = put_on(program(SQUARE), None)
     (issue,) = load.issues
     assert (issue.kind, issue.count, issue.source_line, issue.level) == ("no-force", 2, 2, "warning")
 
 
 def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n1,5,5,5,4\n"))
-    load = per_motion(program(SQUARE), rows)
-    assert not load.wrench[[0, 3]].any()
+    load = put_on(program(SQUARE), rows)
+    assert not at_ends(program(SQUARE), rows)[[0, 3]].any()
     assert [issue.kind for issue in load.issues] == ["force-on-rapid"]
 
 
@@ -202,7 +206,7 @@ def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
 )
 def test_a_bad_force_file_is_refused_with_its_place(tmp_path, text, message):
     with pytest.raises(ForceError, match=message):
-        per_motion(program(SQUARE), forces.read_force_csv(write(tmp_path, text)))
+        put_on(program(SQUARE), forces.read_force_csv(write(tmp_path, text)))
 
 
 def test_all_errors_of_a_force_file_are_told_in_order_of_lines(tmp_path):

@@ -1,0 +1,68 @@
+"""Forces turned from the axes in which they are given into those of `$BASE`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.forces.feed import feed_axes
+from postproc.forces.knots import FEED, TOOL
+from postproc.frames import Array
+from postproc.program import Ints, Program
+from postproc.toolpath import Segments, Toolpath, at
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axes:
+    """The axes of forces along a program.
+
+    Forces come as columns (n, 2, 3, m): force and moment, m of each.
+
+    :param program: the program, `path` the geometry of its motions.
+    :param spindle: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :param travel: (M, 3) x of `FEED` for motions along the spindle, see `feed.last_travel`; (0, 3) without FEED.
+    """
+
+    program: Program
+    path: Segments
+    spindle: str
+    travel: Array
+
+    def into_base(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
+        """Return columns (n, 2, 3, m) in `$BASE` axes that are given in frames (n,) at samples."""
+        return self._turned(columns, frame, sample, "nij,nhjm->nhim")
+
+    def out_of_base(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
+        """Return columns (n, 2, 3, m) in frames (n,) at samples that are given in `$BASE` axes."""
+        return self._turned(columns, frame, sample, "nji,nhjm->nhim")
+
+    def _turned(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
+        out = columns.copy()
+        acts = columns.any(axis=(1, 2, 3))
+        for code in (TOOL, FEED):
+            rows = np.flatnonzero((frame == code) & acts)
+            if len(rows):
+                here = sample.take(rows)
+                rotation = here.pose[:, :3, :3]
+                if code == FEED:
+                    rotation = feed_axes(self.program, self.path, here, self.spindle, self.travel)
+                out[rows] = np.einsum(product, rotation, columns[rows])
+        return out
+
+    def at_start(self, columns: Array, frame: Ints) -> Array:
+        """Return what acts at the start of motions: the columns (M, 2, 3, m) at the end of the motion before each.
+
+        :param frame: (M,) in which they are given there.
+        :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero before the first.
+        """
+        m, bases = self.program.motions, self.program.bases
+        ends = columns.copy()
+        rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
+        end = at(self.program, self.path, rows, np.ones(len(rows)))
+        ends[rows] = self.into_base(columns[rows], frame[rows], end)
+        out = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
+        changed = np.flatnonzero(np.diff(m.base)) + 1
+        turn = np.swapaxes(bases[m.base[changed], :3, :3], 1, 2) @ bases[m.base[changed - 1], :3, :3]
+        out[changed] = np.einsum("nij,nhjm->nhim", turn, out[changed])
+        return out

@@ -1,0 +1,18 @@
+"""Forces from the comments of a program: each holds until the next one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.forces.knots import Knots
+from postproc.program import FORCE_FRAMES, Program
+
+
+def of_comments(program: Program) -> Knots:
+    """Return the force of each motion behind the first force comment: that of the last comment before it."""
+    lines = np.array([note.line for note in program.notes])
+    index = np.searchsorted(lines, program.motions.line, side="right") - 1
+    motion = np.flatnonzero(index >= 0)
+    values = np.array([note.wrench for note in program.notes]).reshape(-1, 6)
+    frames = np.array([FORCE_FRAMES.index(note.frame) for note in program.notes], dtype=np.int64)
+    return Knots.throughout(motion, values[index[motion]], frames[index[motion]])

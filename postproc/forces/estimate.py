@@ -1,0 +1,87 @@
+"""How far the force moves the tool along the motions: roughly, to tell where on the path to compute."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.forces.along import BEHIND_STEP, PathForces
+from postproc.forces.feed import runs_across
+from postproc.forces.knots import FEED
+from postproc.frames import Array, largest, norm
+from postproc.program import CIRC, Bools, Ints
+from postproc.toolpath import DisplacementEstimate, at
+
+_SAME = 1e-9
+"""Change of a force [N, N·m] that is none."""
+_STEP = 1e-8
+"""Displacement [m] by which the force may differ from that at the end of the motion before without being a step."""
+
+
+def estimate(forces: PathForces, softness: tuple[float, float]) -> DisplacementEstimate:
+    """Return how the displacement by the force changes along the motions, roughly.
+
+    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
+    """
+    m, path = forces.axes.program.motions, forces.axes.path
+    turning = (m.kind == CIRC) & (forces.frame == FEED)
+    across = forces.wrench * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
+
+    def moves(wrench: Array) -> Array:
+        return np.asarray(softness[0] * norm(wrench[:, :3]) + softness[1] * norm(wrench[:, 3:]))
+
+    begins = np.zeros(len(forces.t), dtype=np.bool_)
+    begins[forces.first[:-1][forces.ramped]] = True  # the force of the motion before
+
+    def largest_of_own(values: Array) -> Array:
+        return np.asarray(np.maximum.reduceat(np.where(begins, 0.0, values), forces.first[:-1]))
+
+    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
+    change, bent = _changes(forces, motion)
+    stepped = moves(_steps(forces))
+    step = np.flatnonzero(stepped > _STEP)
+    behind = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
+    swings = np.zeros(len(m), dtype=np.bool_)
+    acts = np.zeros(len(m), dtype=np.bool_)
+    acts[motion[across.any(axis=1)]] = True
+    found = np.flatnonzero(turning & acts)
+    swings[found] = ~runs_across(forces.axes.program, path, found, forces.axes.spindle)
+    order = np.lexsort((np.append(forces.t, behind), np.append(motion, step)))
+    return DisplacementEstimate(
+        motion=np.append(motion, step)[order],
+        t=np.append(forces.t, behind)[order],
+        change=np.append(moves(change), stepped[step])[order],
+        bent=np.append(bent, np.ones(len(step), dtype=np.bool_))[order],
+        turning=np.where(turning, largest_of_own(moves(across)), 0.0),
+        size=largest_of_own(moves(forces.wrench)),
+        round=swings,
+    )
+
+
+def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
+    """Return the change (K, 6) of the force since the knot before, and (K,) where it does not go straight on."""
+    t, count = forces.t, len(forces.t)
+    follows = np.append(False, np.diff(motion) == 0)
+    alike = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
+    change = np.zeros((count, 6))
+    rows = np.flatnonzero(alike)
+    change[rows] = forces.wrench[rows] - forces.wrench[rows - 1]
+    rows = np.flatnonzero(follows & ~alike)
+    place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
+    change[rows] = forces.at(place) - forces.wrench[rows - 1]
+    rate = np.zeros((count, 6))
+    rows = np.flatnonzero(follows)
+    rate[rows] = change[rows] / (t[rows] - t[rows - 1])[:, None]
+    after = np.zeros((count, 6))
+    after[rows - 1] = rate[rows]
+    width = np.where(follows, np.diff(t, prepend=0.0), 1.0)
+    bent = largest((after - rate) * width[:, None]) >= _SAME
+    return change, np.asarray(bent & (t > 0.0) & (t < 1.0))
+
+
+def _steps(forces: PathForces) -> Array:
+    """Return by how much (M, 6) the force where a motion starts differs from that at the end of the one before."""
+    out = np.zeros_like(forces.before)
+    rows = np.flatnonzero(~forces.ramped)
+    start = at(forces.axes.program, forces.axes.path, rows, np.zeros(len(rows)))
+    out[rows] = forces.at(start) - forces.before[rows]
+    return out

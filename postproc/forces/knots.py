@@ -1,0 +1,119 @@
+"""Wrenches along motions, piecewise linear: what every source of forces gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
+
+import numpy as np
+
+from postproc.errors import ForceError, Issue
+from postproc.frames import Array
+from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program
+from postproc.toolpath import Segments
+
+BASE, TOOL, FEED = range(3)
+"""Values of `Knots.frame`: places in `FORCE_FRAMES`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knots:
+    """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
+
+    Linear in the axes that `frame` names: a FEED wrench turns with the travel, a TOOL wrench with the tool. A motion
+    that has no knot has no force.
+
+    :param motion: (K,) row of `Motions`, never decreasing.
+    :param t: (K,) place on it in [0, 1], increasing along a motion.
+    :param wrench: (K, 6) Fx…Mz on the tool at its tip [N, N·m], in the axes that `frame` names.
+    :param frame: (K,) `BASE`, `TOOL` or `FEED`; one for a motion.
+    :param sigma: (K, 6) standard deviations of `wrench`, each taken for independent of the others at its knot, and for
+        fully correlated with itself along the path.
+    :param ramped: (K,) True for the only knot of a motion whose force comes up from that of the motion before over the
+        first `force_ramp_mm` of it; elsewhere the force is as given from the start of the motion on.
+    :param issues: what the user should know of them.
+    """
+
+    motion: Ints
+    t: Array
+    wrench: Array
+    frame: Ints
+    sigma: Array
+    ramped: Bools
+    issues: tuple[Issue, ...] = ()
+
+    @classmethod
+    def throughout(cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
+        """Return one wrench (n, 6) for the whole of each motion (n,), which comes up over the ramp of the cell."""
+        sigma = np.zeros_like(wrench) if sigma is None else sigma
+        return cls(motion, np.ones(len(motion)), wrench, frame, sigma, np.ones(len(motion), dtype=np.bool_))
+
+    @classmethod
+    def along(cls, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
+        """Return wrenches (n, 6) at places of motions, which act as they are, without a ramp."""
+        sigma = np.zeros_like(wrench) if sigma is None else sigma
+        return cls(motion, t, wrench, frame, sigma, np.zeros(len(motion), dtype=np.bool_))
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    def take(self, rows: Ints | Bools) -> Knots:
+        """Return some of the knots, without the issues."""
+        return Knots(*(values[rows] for values in self._arrays().values()))
+
+    def over(self, other: Knots) -> Knots:
+        """Return these knots, and those of others for motions that have none here; without the issues."""
+        kept = other.take(~np.isin(other.motion, self.motion))
+        order = np.lexsort((np.append(self.t, kept.t), np.append(self.motion, kept.motion)))
+        mine, others = self._arrays(), kept._arrays()
+        both: list[Any] = [np.concatenate([mine[name], others[name]])[order] for name in mine]
+        return Knots(*both)
+
+    def _arrays(self) -> dict[str, Any]:
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "issues"}
+
+    def checked(self, program: Program, name: str) -> Knots:
+        """Return these knots if they can be used for a program.
+
+        :param name: of the source, for messages.
+        :raises ForceError: they are not in order, of a motion that the program does not have, no finite numbers or too
+            large, or in several frames on one motion.
+        """
+        count, shapes = len(self.motion), [np.shape(getattr(self, one)) for one in ("t", "frame", "ramped")]
+        if shapes != [(count,)] * 3 or [np.shape(one) for one in (self.wrench, self.sigma)] != [(count, 6)] * 2:
+            raise ForceError(f"the arrays of the source of forces {name} do not have one row a knot")
+        same = np.diff(self.motion) == 0
+        for wrong, problem in (
+            ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
+            (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
+            (~(np.abs(self.wrench) <= MOST_FORCE).all(axis=1), "no finite force, or one that no arm carries"),
+            (~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE)).all(axis=1), "no finite standard deviation"),
+            ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),
+            (np.append(np.diff(self.motion) < 0, False), "motions out of order"),
+            (np.append(same & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),
+            (np.append(same & (np.diff(self.frame) != 0), False), "two frames on one motion"),
+            (np.append(same & (self.ramped[1:] | self.ramped[:-1]), False), "a ramped motion with several knots"),
+        ):
+            if np.any(wrong):
+                motion = int(self.motion[int(np.argmax(wrong))])
+                line = int(program.motions.line[motion]) if 0 <= motion < len(program.motions) else None
+                text = f"the source of forces {name} gives {problem}"
+                raise ForceError(text, file=program.documents[0].name, line=line, advice="This is a fault of it.")
+        return self
+
+
+class ForceSource(Protocol):
+    """Where forces come from: a file, the process and the stock, a measurement."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it: the name of its file, say."""
+
+    def along(self, program: Program, path: Segments) -> Knots:
+        """Return the forces along the motions of a program that this source knows something of.
+
+        Comments in the program hold for the others. Rapid moves carry no force, whatever is given for them.
+
+        :param path: where the motions start, and how long they are.
+        :raises ForceError: it cannot be given to the motions of this program.
+        """

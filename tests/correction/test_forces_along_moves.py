@@ -1,0 +1,135 @@
+"""Forces that change along a move: corrected between targets too, and the same in the program as written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from postproc import correction, forces, report, toolpath
+from postproc.dialects.text import decode
+from postproc.robot.model import Covariance
+from tests.correction.test_end_to_end import rows_of, simulator, written
+from tests.correction.test_forces_carried import CELL, HEAD, ROBOT, check, convert
+
+TEXT = HEAD + "G1 Z0\nG1 X120\nG3 X120 Y40 I0 J20\nG1 X0\nG0 Z20\nM2\n"
+LINE, ARC, BACK = 5, 6, 7
+FORCES = (
+    f"line,t,Fx,Fy,Fz,frame\n{LINE},0,0,0,0,\n{LINE},0.3,400,-200,150,\n{LINE},0.35,-100,300,150,\n"
+    f"{ARC},0,-100,300,150,FEED\n{ARC},0.3,200,400,50,FEED\n{ARC},0.6,-100,400,50,FEED\n{BACK},,300,0,90,FEED\n"
+)
+
+
+def source(tmp_path, text):
+    (tmp_path / "in.csv").write_text(text)
+    return forces.read(tmp_path / "in.csv")
+
+
+def on_the_line(t):
+    """The force on the straight move, from the rows above by hand."""
+    table = np.array([[0, 0, 0, 0], [0.3, 400, -200, 150], [0.35, -100, 300, 150]])
+    return np.array([*(np.interp(t, table[:, 0], column) for column in table[:, 1:].T), 0, 0, 0])
+
+
+def on_the_arc(t):
+    """The same on the half circle about (120, 20), from (120, 0), in $BASE axes: x ahead, z up, y to the left."""
+    table = np.array([[0, -100, 300, 150], [0.3, 200, 400, 50], [0.6, -100, 400, 50]])
+    x, y, z = (np.interp(t, table[:, 0], column) for column in table[:, 1:].T)
+    c, s = np.cos(np.pi * t), np.sin(np.pi * t)
+    return np.array([c * x - s * y, s * x + c * y, z, 0, 0, 0])
+
+
+def place(line, t):
+    if line == LINE:
+        return np.array([120 * t, 0, 0]) / 1000
+    return np.array([120 + 20 * np.sin(np.pi * t), 20 - 20 * np.cos(np.pi * t), 0]) / 1000
+
+
+def test_the_path_is_held_between_targets_by_an_arm_that_shares_no_code(tmp_path):
+    result = convert("part.nc", TEXT, rows=source(tmp_path, FORCES))
+    sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
+    first = len(moves) - len(rows)
+    worst, seen = 0.0, 0
+    for index, share, _, q in sim.run(moves, (0.2, 0.5, 0.8, 1.0)):
+        row, before = rows[index - first], rows[max(index - first - 1, 0)]
+        line = int(row["source_line"])
+        if line not in (LINE, ARC):
+            continue
+        begin = before["t"] if before["source_line"] == line else 0.0
+        t = begin + share * (row["t"] - begin)
+        force = on_the_line(t) if line == LINE else on_the_arc(t)
+        off = np.linalg.norm(sim.tip(moves[index], q, force) - place(line, t))
+        assert off < 1e-6 or share < 1.0
+        worst, seen = max(worst, off), seen + 1
+    assert seen > 20
+    assert 0.0 < worst <= 0.010e-3
+
+
+def test_the_forces_of_the_written_program_are_those_it_was_corrected_for(tmp_path):
+    check(convert("part.nc", TEXT, rows=source(tmp_path, FORCES)), tmp_path)
+
+
+def test_what_is_given_for_the_written_program_holds_between_its_targets_too(tmp_path):
+    result = convert("part.nc", TEXT, rows=source(tmp_path, FORCES))
+    (tmp_path / "in.csv").write_bytes(report.forces_csv(result))
+    program = correction.read(result.documents, ROBOT, CELL, "part", "krl")
+    path = toolpath.segments(program, program.motions.target[0])
+    load = forces.along(program, path, forces.read(tmp_path / "in.csv"), "+Z", 1e-3)
+    begin = np.where(np.diff(result.source_line, prepend=0) == 0, np.roll(result.t, 1), 0.0)
+    row = np.searchsorted(program.motions.line, result.output_line)
+    for share in (0.01, 0.3, 0.7):
+        found = load.at(toolpath.at(program, path, row, np.full(len(row), share)))
+        t = begin + share * (result.t - begin)
+        # N; a written arc is a slightly different circle, along which the axes of FEED turn a little differently
+        for line, expected, within in ((LINE, on_the_line, 2e-3), (ARC, on_the_arc, 1.0)):
+            rows = np.flatnonzero(result.source_line == line)
+            assert len(rows) > 2
+            np.testing.assert_allclose(found[rows], [expected(one) for one in t[rows]], rtol=0, atol=within)
+
+
+def test_a_step_where_a_move_begins_is_told_and_followed(tmp_path):
+    result = convert("part.nc", TEXT, rows=source(tmp_path, f"line,t,Fx,Fy,Fz\n{LINE},0,300,100,50\n{LINE},1,0,0,0\n"))
+    (issue,) = (issue for issue in result.issues if issue.kind == "force-step")
+    assert (issue.level, issue.source_line) == ("warning", LINE)
+    behind = result.t[result.source_line == LINE][0]
+    assert behind * 120 == pytest.approx(0.01)
+    check(result, tmp_path)
+
+
+def test_a_constant_force_along_a_move_needs_one_row(tmp_path):
+    text = f"line,t,Fx,Fy,Fz\n{LINE},0.5,0,0,90\n"
+    lines = report.forces_csv(convert("part.nc", TEXT, rows=source(tmp_path, text))).decode().splitlines()
+    assert sum(",90.000," in line for line in lines) == 1
+
+
+def test_the_bound_counts_the_deviation_of_the_forces(tmp_path):
+    """Against draws of the force put on an arm that shares no code: 95 % of them move the tip by less."""
+    known = replace(ROBOT, covariance=Covariance.of(["k1"], [[1e-12]]))
+    text = f"line,t,Fx,Fy,Fz,frame,sFx,sFy,sFz\n{LINE},0,300,-100,150,FEED,20,0,5\n{LINE},1,300,-100,150,FEED,60,30,5\n"
+    program = correction.read([decode("part.nc", TEXT.encode())], known, CELL, "part", "gcode")
+    result = correction.process(program, known, CELL, source(tmp_path, text))
+    (row,) = np.flatnonzero((result.source_line == LINE) & (result.t == 1.0))
+    assert not result.bound[result.source_line == BACK][-1]
+    sim, moves = simulator("cell_kr270.toml"), written(result)
+    move = moves[row + len(moves) - len(result)]
+    tips = np.array([sim.tip(move, result.q[row], result.wrench[row] + 0.5 * step) for step in np.eye(6)[:3]])
+    back = np.array([sim.tip(move, result.q[row], result.wrench[row] - 0.5 * step) for step in np.eye(6)[:3]])
+    draws = np.random.default_rng(95).normal(size=(200_000, 3)) * (60, 30, 5)
+    moved = np.linalg.norm(draws @ (tips - back), axis=1)
+    assert result.bound[row] == pytest.approx(np.quantile(moved, 0.95), rel=0.03)
+
+
+def test_a_model_that_knows_nothing_of_itself_has_no_bound_but_tells(tmp_path):
+    text = f"line,Fx,Fy,Fz,sigma_percent\n{LINE},300,-100,150,15\n"
+    result = convert("part.nc", TEXT, rows=source(tmp_path, text))
+    assert result.bound is None
+    assert [issue.level for issue in result.issues if issue.kind == "no-bound"] == ["info"]
+
+
+def test_deviations_go_with_the_program(tmp_path):
+    text = f"line,line_end,Fx,Fy,Fz,sFx,sFz\n{LINE},{BACK},300,-100,150,20,5\n"
+    result = convert("part.nc", TEXT, rows=source(tmp_path, text))
+    (tmp_path / "out.csv").write_bytes(report.forces_csv(result))
+    rows = forces.read(tmp_path / "out.csv")
+    assert np.unique(rows.sigma[rows.wrench.any(axis=1)], axis=0).tolist() == [[20, 0, 5, 0, 0, 0]]
