@@ -170,4 +170,11 @@ def load(path: str | Path) -> Cell:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
             raise CellError(f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3.")
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
+    content["config_dat"] = None if cell.config_dat is None else _portable(cell.config_dat)
+    content["krl"] = msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search])
     return Cell(**content, folder=str(path.parent))
+
+
+def _portable(path: str) -> str:
+    """Return a path with /, which Windows takes too: a cell may be written there and used elsewhere."""
+    return path.replace("\\", "/")

@@ -100,7 +100,7 @@ class MeshShape:
         import trimesh
         from scipy.spatial import cKDTree
 
-        path = folder / mesh.file
+        path = folder / mesh.file.replace("\\", "/")
         if not path.is_file():
             raise PlanError("no such file", file=str(path), advice="[[meshes]] file is relative to the experiment.")
         try:

@@ -27,14 +27,14 @@ def shipped() -> dict[str, Path]:
 
 
 def find(name: str, relative_to: Path | None = None) -> Path:
-    """Return the folder of a robot given by name or by path (relative to `relative_to`).
+    """Return the folder of a robot given by name, or by path relative to `relative_to`; a path may have backslashes.
 
     :raises ModelError: there is no such robot; the message lists the known ones.
     """
     known = shipped()
     if name in known:
         return known[name]
-    folder = (relative_to or Path()) / name
+    folder = (relative_to or Path()) / name.replace("\\", "/")
     if not (folder / "model.toml").is_file():
         raise ModelError(
             f"no robot {name!r}",
