@@ -319,6 +319,18 @@ class Targets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TargetJoints:
+    """Joint angles at K targets by the controller's nominal geometry: which branch of the inverse kinematics is meant.
+
+    :param q: (K, 6) KUKA signs, turns counted [rad].
+    :param status: (K,) KUKA S.
+    """
+
+    q: Array
+    status: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TargetForces:
     """The wrench at each of K targets, as a written program is to be given it.
 

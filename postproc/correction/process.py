@@ -19,7 +19,7 @@ from postproc.errors import Issue, NotConvergedError, PostprocError, ProgramErro
 from postproc.forces import ForceSource, Knots, PathForces
 from postproc.frames import M_PER_MM, Array, largest, norm, twist_between, xyzabc_from_pose
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, TargetJoints, Targets
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath
 
@@ -120,7 +120,7 @@ def process(
             at_end = forces.of_targets(sampled.load, targets, arrive, sampled.wrench[row])
             try:
                 comments = at_end if program.notes and source is None else None
-                text = writer.write(program, targets, sampled.command.q[row], cell, comments)
+                text = writer.write(program, targets, _joints_at(place, sampled, row), cell, comments)
             except ProgramError:
                 if mode == "predict":
                     break
@@ -206,6 +206,12 @@ def process(
         largest_correction=float(norm(correction).max(initial=0.0)),
         issues=group_issues(issues),
     )
+
+
+def _joints_at(place: InRoot, sampled: _Sampled, row: Ints) -> TargetJoints:
+    """Return the joint angles at the targets (K rows of the samples)."""
+    q = sampled.command.q[row]
+    return TargetJoints(q, kinematics.status_of(place.robot, q))
 
 
 def _of_origin(program: Program, mode: Mode) -> list[Issue]:

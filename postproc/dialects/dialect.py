@@ -8,7 +8,7 @@ from typing import Protocol
 
 from postproc.cell import Cell
 from postproc.frames import Array
-from postproc.program import Document, Program, TargetForces, Targets, Written
+from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 from postproc.provenance import Origin, Provenance
 
 
@@ -29,12 +29,12 @@ class Writer(Protocol):
         ...
 
     def write(
-        self, program: Program, targets: Targets, joints: Array, cell: Cell, comments: TargetForces | None
+        self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
         """Return a program as text: one that has its text (`Program.layout`) as it was, with other numbers.
 
         :param targets: what is to be commanded.
-        :param joints: (K, 6) joint angles at the targets by the controller's nominal geometry, KUKA signs [rad].
+        :param joints: joint angles there.
         :param comments: forces that comments must give to the targets, or None.
         :raises ProgramError: it cannot be written.
         """

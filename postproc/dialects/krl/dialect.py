@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
 from postproc.frames import Array
-from postproc.program import Document, Program, TargetForces, Targets, Written
+from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
 _COMMENT = ";"
 _DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
@@ -34,7 +34,7 @@ class _Writer:
         return valid(name)
 
     def write(
-        self, program: Program, targets: Targets, joints: Array, cell: Cell, comments: TargetForces | None
+        self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
         """Return a program as text, see `write.rewrite` and `write.emit`."""
         del joints  # S and T of the targets say which branch is meant

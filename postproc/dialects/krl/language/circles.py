@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from postproc.dialects.circles import through
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import RAD_PER_DEG, Array, rotation_from_vector
 from postproc.program import Bools, Ints
 
-_FLAT = 1e-9
-"""Three points whose triangle is lower than this, in its longest side, lie on a line."""
 _UNCHANGED = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
 
@@ -20,22 +19,14 @@ def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) ->
     :param line: (n,) 1-based lines, for messages.
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
-    a, b = via - start, end - start
-    aa, bb, cc = (np.einsum("ni,ni->n", v, v) for v in (a, b, b - a))
-    cross = np.cross(a, b)
-    size = np.linalg.norm(cross, axis=1)
-    flat = np.flatnonzero(~(size > _FLAT * np.maximum(np.maximum(aa, bb), cc)))
-    if len(flat):
+    centre, normal, angle, flat = through(start, via, end)
+    if flat.any():
         raise source.line_error(
             "the three points of the circle lie on a line or coincide",
-            int(line[flat[0]]),
+            int(line[np.argmax(flat)]),
             "Choose an auxiliary point well between start and end; for a full circle give CA.",
         )
-    centre = start + np.cross(aa[:, None] * b - bb[:, None] * a, cross) / (2.0 * size**2)[:, None]
-    normal = cross / size[:, None]
-    u, v = start - centre, end - centre
-    angle = np.arctan2(np.einsum("ni,ni->n", np.cross(u, v), normal), np.einsum("ni,ni->n", u, v))
-    return centre, normal, np.where(angle > 0.0, angle, angle + 2.0 * np.pi)
+    return centre, normal, angle
 
 
 def turned(start: Array, centre: Array, normal: Array, angle: float) -> Array:

@@ -9,9 +9,6 @@ Decisions, where KUKA leaves a choice:
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import PurePath
 
 import numpy as np
@@ -19,22 +16,20 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.chunks import chunks
 from postproc.decimals import Bytes, fixed, lines
+from postproc.dialects import force_comments
+from postproc.dialects.force_comments import where
 from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.positions import CARTESIAN
-from postproc.dialects.krl.write import force_comments
-from postproc.dialects.krl.write.force_comments import where
-from postproc.dialects.krl.write.frame import LINE_END, axis_motion, head
+from postproc.dialects.krl.write.frame import axis_motion, head
 from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
 from postproc.dialects.krl.write.target_statements import aggregate_text
-from postproc.errors import Issue, ProgramError, group_issues
+from postproc.dialects.new_program import NewProgram, Words, number
+from postproc.errors import ProgramError, group_issues
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Event, Ints, Program, TargetForces, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 from postproc.version import VERSION
 
-_SPEED_DECIMALS = 6
 _FRAME_DECIMALS = 6
-_CORRECTED = 1e-9
-"""Commands whose matrices differ by less than this from the programmed ones are nominal."""
 _PARAMETERS = ("&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe",)
 _PARAMETERS_KRC2 = (*_PARAMETERS, "&PARAM EDITMASK = *")
 _INITIALISATION = (
@@ -51,7 +46,7 @@ _INITIALISATION = (
     ";ENDFOLD (INI)",
     "",
 )
-_NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool": "no-tool-change-lines"}
+_WORDS = Words(";", "WAIT SEC {}", "HALT", wait="WAIT SEC 0")
 
 
 def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces | None = None) -> Written:
@@ -76,151 +71,79 @@ def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces |
 
 
 class _Emitter:
-    """Collects what stands between the targets, then prints all targets at once."""
+    """Prints all targets at once, between what `NewProgram` collects."""
 
     def __init__(self, program: Program, targets: Targets, cell: Cell, carried: TargetForces | None) -> None:
         self.program, self.targets, self.cell, self.carried = program, targets, cell, carried
-        self.row = targets.motion
-        self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
-        self.before: defaultdict[int, list[str]] = defaultdict(list)
-        self.stops: set[int] = {len(self.row)}
-        self.noted = np.zeros(len(self.row), dtype=np.bool_)
-        self.issues: list[Issue] = []
+        self.new = NewProgram(program, targets, cell, _WORDS)
+        self.noted = np.zeros(len(targets), dtype=np.bool_)
 
     def written(self) -> Written:
         """Return the document."""
+        new, count = self.new, len(self.targets)
         head = self._head()
-        self._frames()
-        self._events()
-        approximated = self._approximation()
-        self._speeds()
-        none = np.full(len(self.row), -1)
+        for k in new.frame_changes():
+            self._set_frames(k)
+        new.events()
+        distances = new.distances()
+        self._set_distances(distances)
+        self._set_speeds()
         if self.carried is not None:
-            self.noted = force_comments.needed(self.carried, self.targets.kind, none, (), np.nan)
-        printed = [self._print(kind, approximated) for kind in (LIN, CIRC, PTP)]
-        text, output_line = self._joined(head, printed)
+            self.noted = force_comments.needed(self.carried, self.targets.kind, np.full(count, -1), (), np.nan)
+        printed = {kind: self._print(kind, distances > 0.0) for kind in (LIN, CIRC, PTP)}
+        text, output_line = new.joined(head, printed, ["END"])
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
         document = Document(f"{self.program.name}.src", text, encoding)
-        return Written((document,), output_line, "krl", group_issues(self.issues))
+        return Written((document,), output_line, "krl", group_issues(new.issues))
 
     def _head(self) -> list[str]:
         """Return header, initialisation and start position."""
         program, cell = self.program, self.cell
         controller = cell.output.controller
-        kind = "targets corrected for deflection" if self._corrected() else "nominal targets"
-        source = _printable(program.documents[0].name)
+        source = _WORDS.printable(program.documents[0].name)
+        base, tool = self.new.frames(0)
+        given = self.targets.blend[self.targets.blend > 0.0]
         return [
             *head(program.name, controller, _PARAMETERS_KRC2 if controller == "KRC2" else _PARAMETERS),
             f"; generated by postproc {VERSION} from {source}",
-            f"; {kind}, robot {_printable(PurePath(cell.robot).name)}",
+            f"; {self.new.kind()}, robot {_WORDS.printable(PurePath(cell.robot).name)}",
             *_INITIALISATION,
-            *self._frame_lines(0, bases=True, tools=True),
-            *self._distance_line(self.targets.blend),
+            f"$BASE={_frame(program.bases[base])}",
+            f"$TOOL={_frame(program.tools[tool])}",
+            *([f"$APO.CDIS={number(MM_PER_M * given[0])}"] if len(given) else []),
             axis_motion(cell.start.joints, 5),
         ]
 
-    def _corrected(self) -> bool:
-        """Return whether any motion ends elsewhere than it did; most often the first ones already tell."""
-        ends = np.flatnonzero(self.last)
-        return any(
-            np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
-            for part in map(ends.__getitem__, chunks(len(ends)))
-            if len(part)
-        )
+    def _set_frames(self, k: int) -> None:
+        """Set the frames that change before a target."""
+        base, tool = self.new.frames(k)
+        old_base, old_tool = self.new.frames(k - 1)
+        if base != old_base:
+            self.new.before[k].append(f"$BASE={_frame(self.program.bases[base])}")
+        if tool != old_tool:
+            self.new.before[k].append(f"$TOOL={_frame(self.program.tools[tool])}")
 
-    def _frame_lines(self, k: int, *, bases: bool, tools: bool) -> list[str]:
-        """Return the lines that set the frames of a target."""
-        motions, motion = self.program.motions, int(self.row[k]) if len(self.row) else 0
-        base, tool = (int(rows[motion]) if len(rows) else 0 for rows in (motions.base, motions.tool))
-        out = [f"$BASE={_frame(self.program.bases[base])}"] if bases else []
-        return out + ([f"$TOOL={_frame(self.program.tools[tool])}"] if tools else [])
-
-    def _frames(self) -> None:
-        """Set frames anew where they change."""
-        motions = self.program.motions
-        base, tool = motions.base[self.row], motions.tool[self.row]
-        for k in (np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1).tolist():
-            new = self._frame_lines(k, bases=bool(base[k] != base[k - 1]), tools=bool(tool[k] != tool[k - 1]))
-            self.before[k] += new
-            self.stops.add(k)
-
-    def _events(self) -> None:
-        """Write the cell's lines at the first target of the motion that they precede."""
-        waiting = -1  # the target before which the advance run already stops
-        for event in self.program.events:
-            k = int(np.searchsorted(self.row, event.before))
-            if event.kind == "comment":
-                self.before[k].append(f"; {_printable(event.text)}".rstrip())
-            elif event.kind in ("dwell", "stop"):
-                self.before[k].append("HALT" if event.kind == "stop" else f"WAIT SEC {_number(event.value)}")
-                self.stops.add(k)
-                waiting = k
-            else:
-                own = self._own_lines(event)
-                if own and waiting != k:
-                    self.before[k].append("WAIT SEC 0")
-                    waiting = k
-                if own:
-                    self.stops.add(k)
-                self.before[k] += own or [f"; {event.kind} {_number(event.value)}: no lines for it in the cell"]
-
-    def _own_lines(self, event: Event) -> list[str]:
-        """Return the cell's lines for an event, its value put in; tell the user if there are none."""
-        gcode = self.cell.gcode
-        own: Sequence[str] = getattr(gcode, event.kind)
-        if event.kind == "spindle_ccw" and not own and gcode.spindle_on:
-            own = gcode.spindle_on
-            message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
-            self.issues.append(Issue("warning", "spindle-direction", message, event.line))
-        if not own:
-            kind = _NO_LINES[event.kind.partition("_")[0]]
-            message = f"The cell has no {event.kind} lines in [gcode]: the program does nothing there."
-            self.issues.append(Issue("warning", kind, message, event.line, subject=event.kind))
-        return [
-            _printable(line.replace("{S}", _number(event.value)).replace("{T}", _number(event.value))) for line in own
-        ]
-
-    def _distance_line(self, distances: Array) -> list[str]:
-        given = distances[distances > 0.0]
-        return [f"$APO.CDIS={_number(MM_PER_M * given[0])}"] if len(given) else []
-
-    def _approximation(self) -> Bools:
-        """Set `$APO.CDIS` anew where it changes; return which targets get C_DIS, (K,)."""
-        distances = self.targets.blend.copy()
-        exact = np.array(sorted(k - 1 for k in self.stops if k > 0), dtype=np.int64)
-        distances[exact] = 0.0
-        distances[:-1][self.targets.kind[1:] == PTP] = 0.0
+    def _set_distances(self, distances: Array) -> None:
+        """Set `$APO.CDIS` anew where it changes."""
         given = np.flatnonzero(distances > 0.0)
         first = self.targets.blend
         current = first[first > 0.0][:1]
         changed = given[np.append(current, distances[given])[:-1] != distances[given]] if len(given) else given
         for k in changed.tolist():
-            self.before[k].append(f"$APO.CDIS={_number(MM_PER_M * distances[k])}")
-        return distances > 0.0
+            self.new.before[k].append(f"$APO.CDIS={number(MM_PER_M * distances[k])}")
 
-    def _speeds(self) -> None:
+    def _set_speeds(self) -> None:
         """Set `$VEL.CP` where it changes."""
-        motions = self.program.motions
-        path = np.flatnonzero(self.targets.kind != PTP)
-        feed = motions.feed[self.row[path]]
-        printed = np.rint(feed * 10.0**_SPEED_DECIMALS)
-        bad = np.flatnonzero(~(printed > 0.0))
-        if len(bad):
-            at, speed = int(motions.line[self.row[path[bad[0]]]]), feed[bad[0]]
-            problem = "a move has no feed" if np.isnan(speed) else f"the feed is too small: {speed * 60e3:g} mm/min"
-            raise ProgramError(
-                problem, file=self.program.documents[0].name, line=at, advice="Give F above 0.06 mm/min."
-            )
-        changed = np.flatnonzero(np.diff(printed, prepend=0.0) != 0.0)
-        for k, speed in zip(path[changed].tolist(), printed[changed].tolist(), strict=True):
-            self.before[k].append(f"$VEL.CP={speed / 10.0**_SPEED_DECIMALS:.{_SPEED_DECIMALS}f}")
+        path, speeds = self.new.speeds()
+        changed = np.flatnonzero(np.diff(speeds, prepend=0.0) != 0.0)
+        for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
+            self.new.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
 
-    def _print(self, kind: int, approximated: Bools) -> tuple[bytes, Ints]:
-        """Return the lines of all targets of a kind, and where each of them ends."""
+    def _print(self, kind: int, approximated: Bools) -> bytes:
+        """Return the lines of all targets of a kind."""
         k = np.flatnonzero(self.targets.kind == kind)
         parts = map(k.__getitem__, chunks(len(k)))
-        text = b"".join([self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows)])
-        return text, np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n")) + 1
+        return b"".join([self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows)])
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
         """Return the lines of some targets of a kind."""
@@ -228,7 +151,7 @@ class _Emitter:
         end = _aggregate(numbers)
         tail: list[Bytes | bytes] = [where(b" C_DIS", approximated)]
         if self.carried is not None and self.noted[k].any():
-            tail += [where(b" ", self.noted[k]), *force_comments.columns(self.carried, k, self.noted[k])]
+            tail += [where(b" ", self.noted[k]), *force_comments.columns(b";", self.carried, k, self.noted[k])]
         tail.append(b"\r\n")
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]
@@ -238,27 +161,6 @@ class _Emitter:
             via = _aggregate(self.targets.via[k] * MM_PER_M)
             return lines([b"CIRC ", *via, b",", *end, *tail])
         return lines([b"LIN ", *end, *tail])
-
-    def _joined(self, head: list[str], printed: list[tuple[bytes, Ints]]) -> tuple[str, Ints]:
-        """Return the text of the program, and the line of each target (K,)."""
-        count = len(self.row)
-        kind = self.targets.kind
-        rank = np.zeros(count, dtype=np.int64)
-        for value in (LIN, CIRC, PTP):
-            rank[kind == value] = np.arange(np.count_nonzero(kind == value))
-        cuts = set(self.before) | set((np.flatnonzero(np.diff(kind) != 0) + 1).tolist()) | {0, count}
-        parts = [line + LINE_END for line in head]
-        extra = np.zeros(count + 1, dtype=np.int64)
-        for first, last in pairwise([*sorted(cuts), count]):
-            parts += [line + LINE_END for line in self.before.get(first, ())]
-            extra[first] = len(self.before.get(first, ()))
-            if first < last:
-                text, ends = printed[int(kind[first])]
-                begin = int(ends[rank[first] - 1]) if rank[first] else 0
-                parts.append(text[begin : int(ends[rank[last - 1]])].decode("ascii"))
-        parts.append(f"END{LINE_END}")
-        line = len(head) + np.cumsum(extra[:count]) + np.arange(count) + 1
-        return "".join(parts), line
 
 
 def _aggregate(numbers: Array) -> list[Bytes | bytes]:
@@ -278,13 +180,3 @@ def _bits(prefix: bytes, values: Ints) -> list[Bytes]:
 def _frame(pose: Array) -> str:
     numbers = zip("XYZABC", xyzabc_from_pose(pose).tolist(), strict=True)
     return aggregate_text({name: printed(value, _FRAME_DECIMALS, 0) for name, value in numbers})
-
-
-def _number(value: float) -> str:
-    """Return a number without needless zeros."""
-    return printed(value, _FRAME_DECIMALS, 0)
-
-
-def _printable(text: str) -> str:
-    """Return a text that stands on one line and in the controller's code page."""
-    return " ".join(text.splitlines()).strip().encode("cp1252", "replace").decode("cp1252")

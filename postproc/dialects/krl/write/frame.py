@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from postproc.dialects.new_program import LINE_END
 from postproc.program import Document
 
-LINE_END = "\r\n"
 _HEADER = ("&ACCESS RVP", "&REL 1")
 _DECLARATIONS_KRC2 = ("EXT BAS (BAS_COMMAND :IN,REAL :IN )",)  # a KRC2 does not know BAS without it
 

@@ -19,12 +19,12 @@ from operator import attrgetter
 
 import numpy as np
 
+from postproc.dialects.force_comments import needed, texts
 from postproc.dialects.krl.language.circles import same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.write.force_comments import needed, texts
 from postproc.dialects.krl.write.inserted_lines import InsertedLines
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
 from postproc.dialects.krl.write.replacements import Replacements
@@ -213,7 +213,7 @@ class _Rewriter:
         seen[list(at)] = list(at.values())
         note = np.searchsorted([note.line for note in self.program.notes], seen) - 1
         rows = np.flatnonzero(needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
-        return dict(zip(rows.tolist(), texts(self.carried, rows), strict=True))
+        return dict(zip(rows.tolist(), texts(b";", self.carried, rows), strict=True))
 
     def _replaced_comment(self, k: int, text: str) -> bool:
         """Put a force comment in place of the one on the line of a motion; return whether there is one."""

@@ -45,12 +45,15 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     return out
 
 
-def columns(forces: TargetForces, rows: Ints, shown: Bools) -> list[Bytes | bytes]:
-    """Return the parts of the comments of some targets (n,); nothing where they are not `shown` (n,)."""
+def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> list[Bytes | bytes]:
+    """Return the parts of the comments of some targets (n,); nothing where they are not `shown` (n,).
+
+    :param comment: what comments begin with.
+    """
     wrench, frame = rounded(forces)[rows] if len(rows) else np.zeros((0, 6)), forces.frame[rows]
     acts = shown & wrench.any(axis=1)
     turns = acts & wrench[:, 3:].any(axis=1)
-    parts: list[Bytes | bytes] = [where(b";FORCE OFF", shown & ~acts), where(b";FORCE", acts)]
+    parts: list[Bytes | bytes] = [where(comment + b"FORCE OFF", shown & ~acts), where(comment + b"FORCE", acts)]
     for name, values, places, given in zip(
         _NAMES, wrench.T, _DECIMALS.tolist(), (acts,) * 3 + (turns,) * 3, strict=True
     ):
@@ -61,11 +64,11 @@ def columns(forces: TargetForces, rows: Ints, shown: Bools) -> list[Bytes | byte
     return parts
 
 
-def texts(forces: TargetForces, rows: Ints) -> list[str]:
+def texts(comment: bytes, forces: TargetForces, rows: Ints) -> list[str]:
     """Return the comments of some targets."""
     if not len(rows):
         return []
-    return decimals.lines([*columns(forces, rows, np.ones(len(rows), np.bool_)), b"\n"]).decode().splitlines()
+    return decimals.lines([*columns(comment, forces, rows, np.ones(len(rows), np.bool_)), b"\n"]).decode().splitlines()
 
 
 def where(text: bytes, rows: Bools) -> Bytes:

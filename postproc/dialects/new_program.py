@@ -1,0 +1,185 @@
+"""A new robot program, from G-code: what stands between its targets, and all of it put together."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.chunks import chunks
+from postproc.errors import Issue, ProgramError
+from postproc.frames import Array
+from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets
+
+LINE_END = "\r\n"
+_DECIMALS = 6
+_CORRECTED = 1e-9
+"""Commands whose matrices differ by less than this from the programmed ones are nominal."""
+_NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool": "no-tool-change-lines"}
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """Instructions of a robot language.
+
+    :param comment: what comments begin with.
+    :param dwell: a wait; ``{}`` is its time [s].
+    :param halt: the program stops until it is started again.
+    :param wait: what must stand before lines of the cell so that they are executed when the robot stands there; empty
+        where an exact stop is enough.
+    :param encoding: code page of the controller.
+    """
+
+    comment: str
+    dwell: str
+    halt: str
+    wait: str = ""
+    encoding: str = "cp1252"
+
+    def printable(self, text: str) -> str:
+        """Return a text that stands on one line and in the controller's code page."""
+        return " ".join(text.splitlines()).strip().encode(self.encoding, "replace").decode(self.encoding)
+
+
+class NewProgram:
+    """Collects what stands between the targets.
+
+    :ivar before: lines before each target; the number of targets stands for the end.
+    :ivar stops: targets before which the robot must stand still.
+    :ivar issues: what the user should know.
+    """
+
+    def __init__(self, program: Program, targets: Targets, cell: Cell, words: Words) -> None:
+        self.program, self.targets, self.cell, self.words = program, targets, cell, words
+        self.row = targets.motion
+        self.before: defaultdict[int, list[str]] = defaultdict(list)
+        self.stops: set[int] = {len(self.row)}
+        self.issues: list[Issue] = []
+
+    def kind(self) -> str:
+        """Return what the targets are, for the head of the program; most often the first ones already tell."""
+        ends = np.flatnonzero(np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)])
+        corrected = any(
+            np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
+            for part in map(ends.__getitem__, chunks(len(ends)))
+            if len(part)
+        )
+        return "targets corrected for deflection" if corrected else "nominal targets"
+
+    def frames(self, k: int) -> tuple[int, int]:
+        """Return base and tool of a target: rows of `Program.bases` and `Program.tools`."""
+        motions, motion = self.program.motions, int(self.row[k]) if len(self.row) else 0
+        base, tool = (int(rows[motion]) if len(rows) else 0 for rows in (motions.base, motions.tool))
+        return base, tool
+
+    def frame_changes(self) -> Iterator[int]:
+        """Yield the targets that have other frames than the one before; the robot stands still before them."""
+        motions = self.program.motions
+        base, tool = motions.base[self.row], motions.tool[self.row]
+        for k in (np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1).tolist():
+            self.stops.add(k)
+            yield k
+
+    def events(self) -> None:
+        """Write the cell's lines at the first target of the motion that they precede."""
+        waiting = -1  # the target before which the advance run already stops
+        words = self.words
+        for event in self.program.events:
+            k = int(np.searchsorted(self.row, event.before))
+            if event.kind == "comment":
+                self.before[k].append(f"{words.comment} {words.printable(event.text)}".rstrip())
+            elif event.kind in ("dwell", "stop"):
+                self.before[k].append(words.halt if event.kind == "stop" else words.dwell.format(number(event.value)))
+                self.stops.add(k)
+                waiting = k
+            else:
+                own = self._own_lines(event)
+                if own and waiting != k and words.wait:
+                    self.before[k].append(words.wait)
+                    waiting = k
+                if own:
+                    self.stops.add(k)
+                nothing = f"{words.comment} {event.kind} {number(event.value)}: no lines for it in the cell"
+                self.before[k] += own or [nothing]
+
+    def _own_lines(self, event: Event) -> list[str]:
+        """Return the cell's lines for an event, its value put in; tell the user if there are none."""
+        gcode = self.cell.gcode
+        own: Sequence[str] = getattr(gcode, event.kind)
+        if event.kind == "spindle_ccw" and not own and gcode.spindle_on:
+            own = gcode.spindle_on
+            message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
+            self.issues.append(Issue("warning", "spindle-direction", message, event.line))
+        if not own:
+            kind = _NO_LINES[event.kind.partition("_")[0]]
+            message = f"The cell has no {event.kind} lines in [gcode]: the program does nothing there."
+            self.issues.append(Issue("warning", kind, message, event.line, subject=event.kind))
+        value = number(event.value)
+        return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in own]
+
+    def distances(self) -> Array:
+        """Return with which distance each target is approximated (K,) [m]; 0 where the robot must stand still."""
+        distances = self.targets.blend.copy()
+        exact = np.array(sorted(k - 1 for k in self.stops if k > 0), dtype=np.int64)
+        distances[exact] = 0.0
+        distances[:-1][self.targets.kind[1:] == PTP] = 0.0
+        return distances
+
+    def speeds(self) -> tuple[Ints, Array]:
+        """Return the targets of paths (n,) and their speeds (n,) in millionths of a metre per second, whole numbers.
+
+        :raises ProgramError: a move has no feed, or one that would be printed as 0.
+        """
+        motions = self.program.motions
+        path = np.flatnonzero(self.targets.kind != PTP)
+        feed = motions.feed[self.row[path]]
+        printed = np.rint(feed * 10.0**_DECIMALS)
+        bad = np.flatnonzero(~(printed > 0.0))
+        if len(bad):
+            at, speed = int(motions.line[self.row[path[bad[0]]]]), feed[bad[0]]
+            problem = "a move has no feed" if np.isnan(speed) else f"the feed is too small: {speed * 60e3:g} mm/min"
+            raise ProgramError(
+                problem, file=self.program.documents[0].name, line=at, advice="Give F above 0.06 mm/min."
+            )
+        return path, printed
+
+    def joined(self, head: Sequence[str], printed: dict[int, bytes], end: Sequence[str]) -> tuple[str, Ints]:
+        """Return the text of the program, and the line of each target (K,).
+
+        :param head: lines before the first target.
+        :param printed: kind of targets → the lines of all of them, in order.
+        :param end: lines behind the last target.
+        """
+        count = len(self.row)
+        kind = self.targets.kind
+        rank = np.zeros(count, dtype=np.int64)
+        ends = {}
+        for value in (LIN, CIRC, PTP):
+            rank[kind == value] = np.arange(np.count_nonzero(kind == value))
+            ends[value] = np.flatnonzero(np.frombuffer(printed[value], dtype=np.uint8) == ord("\n")) + 1
+        cuts = set(self.before) | set((np.flatnonzero(np.diff(kind) != 0) + 1).tolist()) | {0, count}
+        parts = [line + LINE_END for line in head]
+        extra = np.zeros(count + 1, dtype=np.int64)
+        for first, last in pairwise([*sorted(cuts), count]):
+            parts += [line + LINE_END for line in self.before.get(first, ())]
+            extra[first] = len(self.before.get(first, ()))
+            if first < last:
+                own = int(kind[first])
+                begin = int(ends[own][rank[first] - 1]) if rank[first] else 0
+                parts.append(printed[own][begin : int(ends[own][rank[last - 1]])].decode("ascii"))
+        parts += [line + LINE_END for line in end]
+        line = len(head) + np.cumsum(extra[:count]) + np.arange(count) + 1
+        return "".join(parts), line
+
+
+def number(value: float) -> str:
+    """Return a number in fixed-point notation without needless zeros.
+
+    >>> number(12.5), number(-0.0), number(3.0)
+    ('12.5', '0', '3')
+    """
+    return f"{round(value, _DECIMALS) + 0.0:.{_DECIMALS}f}".rstrip("0").rstrip(".")
