@@ -140,14 +140,16 @@ MOST_FORCE = 1e6
 class ForceNote:
     """A force comment of the program: modal from its line on, until the next note.
 
-    :param line: 1-based line of the comment; motions on this line and on later ones get the force.
+    :param line: 1-based line of the comment.
     :param wrench: Fx, Fy, Fz [N], Mx, My, Mz [N·m]; all zero for ``FORCE OFF``.
     :param frame: axes of the wrench: BASE, TOOL or FEED.
+    :param before: row of the first motion that gets the force: on the line of the comment, or executed after it.
     """
 
     line: int
     wrench: tuple[float, float, float, float, float, float]
     frame: ForceFrame = "BASE"
+    before: int = 0
 
 
 FORCE_COMMENT = re.compile(

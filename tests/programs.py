@@ -43,7 +43,7 @@ def program(moves, notes=(), bases=None, tools=None, base=None, orientation=DOWN
         motions=motions,
         bases=frames.pose_from_xyzabc([[1500.0, -200, 700, 0, 0, 0]]) if bases is None else bases,
         tools=frames.pose_from_xyzabc([[0.0, 0, 350, 0, 0, 0]]) if tools is None else tools,
-        notes=tuple(ForceNote(*note) for note in notes),
+        notes=tuple(ForceNote(*note, before=note[0] - 1) for note in notes),
     )
 
 

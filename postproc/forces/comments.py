@@ -9,9 +9,9 @@ from postproc.program import FORCE_FRAMES, Program
 
 
 def of_comments(program: Program) -> Knots:
-    """Return the force of each motion behind the first force comment: that of the last comment before it."""
-    lines = np.array([note.line for note in program.notes])
-    index = np.searchsorted(lines, program.motions.line, side="right") - 1
+    """Return the force of each motion behind the first force comment: that of the last one executed before it."""
+    first = [note.before for note in program.notes]
+    index = np.searchsorted(first, np.arange(len(program.motions)), side="right") - 1
     motion = np.flatnonzero(index >= 0)
     values = np.array([note.wrench for note in program.notes]).reshape(-1, 6)
     frames = np.array([FORCE_FRAMES.index(note.frame) for note in program.notes], dtype=np.int64)

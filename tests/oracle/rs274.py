@@ -48,16 +48,19 @@ class Move(NamedTuple):
     state: tuple[str, float, bool, float, int, float]
 
 
-def canonical(text: str, variables: str = "") -> list[Move]:
+def canonical(text: str, variables: str = "", files: Mapping[str, str] = {}) -> list[Move]:
     """Run rs274 on a program (that ends with M2) and return its moves.
 
     :param variables: content of its variable file: a number and its value on each line.
+    :param files: further files of the folder, their names and texts.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "tool.tbl").write_text("".join(f"T{n} P{n} D0 Z0\n" for n in range(1, 10)))
         (folder / "part.ngc").write_text(text, newline="")
         (folder / "part.var").write_text(variables)
+        for other, content in files.items():
+            (folder / other).write_text(content)
         result = subprocess.run(
             [RS274 or "rs274", "-g", "-t", "tool.tbl", "-v", "part.var", "part.ngc"],
             cwd=folder,

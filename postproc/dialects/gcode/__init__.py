@@ -1,9 +1,11 @@
 """G-code of three-axis milling: reading programs as CAM systems write them.
 
-Read like this: comments, line ends and white space are taken out of the text (`words`); plain motion blocks become
-columns of numbers in bulk (`words`), the few others go through pygcode (`blocks`) and change modes or make events
-(`modes`); then modal values are carried forward over all lines at once and become motions (`path`, `arcs`). Codes that
-are not known, or that could move a machine in a way not read here, are errors (`codes`).
+First subprograms, loops and expressions are executed (`execution`): the lines in the order in which a control executes
+them, with numbers alone. A program without any is taken as it stands. Then it is read like this: comments, line ends
+and white space are taken out of the text (`words`); plain motion blocks become columns of numbers in bulk (`words`),
+the few others go through pygcode (`blocks`) and change modes or make events (`modes`); then modal values are carried
+forward over all lines at once and become motions (`path`, `arcs`). Codes that are not known, or that could move a
+machine in a way not read here, are errors (`codes`).
 
 X, Y, Z are the tool tip in the program frame: `$BASE`, moved by the work offset in force. The tool axis points along
 −Z of that frame.
@@ -15,15 +17,17 @@ motion to X20 Y20 Z5, on the line of the second.
 Where this reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening
 one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number,
 more than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W)
-where it does nothing, and G15, G50.1, G69. Where it accepts less: a cutting or relative move or a change of the work
-offset before X, Y and Z have been programmed (rs274 begins at zero; a robot stands anywhere; only a G1 with all three
-may come first), parameters and expressions, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of
-10⁷ and more, a program that moves nothing, and every code that `codes` refuses. Each of these is a test.
+where it does nothing, M98 and CALL to files with other names than LinuxCNC's, and G15, G50.1, G69. Where it accepts
+less: a cutting or relative move or a change of the work offset before X, Y and Z have been programmed (rs274 begins at
+zero; a robot stands anywhere; only a G1 with all three may come first), parameters that nothing in the program has
+set, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that moves
+nothing, and every code that `codes` refuses. Each of these is a test.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -32,13 +36,14 @@ from postproc.cell import Cell
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.codes import WORK_OFFSETS
+from postproc.dialects.gcode.execution import Executed, executed
 from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.path import Path, Setting, read_path
-from postproc.dialects.text import decode, line_spans, line_starts
+from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, Array, inverse
-from postproc.program import Document, Event, EventKind, ForceNote, Program, parse_force_note
+from postproc.program import Document, Event, ForceNote, Program, parse_force_note
 
 __all__ = ["decode", "read"]
 
@@ -65,10 +70,11 @@ def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str)
 
 
 def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str, *, bulk: bool) -> Program:
-    source = words.split(document, line_starts(document.text))
+    run = executed(document)
+    source = run.source
     columns, odd = words.read_plain(source) if bulk else words.leave_all(source)
     approximation = cell.gcode.approximation_mm * M_PER_MM
-    modes = read_modes(source, odd, columns, tuple(cell.work_offsets), approximation)
+    modes = read_modes(source, odd, columns, tuple(cell.work_offsets), approximation, run.faults)
     base, tool = cell.base.pose(), cell.tool.pose()
     offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
     setting = Setting(
@@ -80,88 +86,104 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
     )
     path = read_path(columns, modes, setting)
-    notes, comments, wrong = _comments(source, modes.rows, document.name)
+    comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
         advice = "Check that the file was transferred completely."
         faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
     if faults or wrong or isinstance(path, list):
-        raise together([*_errors(document, faults), *wrong])
+        raise together([*_errors(run, faults), *wrong])
     if not len(path.motions):
         advice = "Check that this is the right file, and that it is complete."
         if len(path.held_back):
             advice = "There are rapid moves, but X, Y and Z are never all programmed."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
+    notes, events = _told(run, path, modes, comments)
+    line = run.main[path.row]
+    line.flags.writeable = False
+    issues = (*_issues(path, modes), *modes.issues, *_after_the_end(run, modes.rows))
     return Program(
         name=name,
         dialect="gcode",
         documents=(document,),
-        motions=path.motions,
+        motions=replace(path.motions, line=line),
         bases=base[None],
         tools=tool[None],
         notes=notes,
-        events=_events(path, modes, comments),
-        still=path.still + 1,
-        issues=(*_issues(path, modes), *modes.issues, *_after_the_end(source, modes.rows)),
+        events=events,
+        still=np.unique(run.main[path.still]),
+        issues=tuple(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
     )
 
 
-def _errors(document: Document, faults: Sequence[Fault]) -> list[InputError]:
+def _line(run: Executed, line: int | None) -> int | None:
+    """Return the line of the program that a line executed stands for."""
+    return None if line is None else int(run.main[line - 1])
+
+
+def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     """Return faults as errors; where they show that this is a program of another kind, that alone."""
-    starts, stops = line_spans(document.text)
-    texts = [document.text[starts[fault.row] : stops[fault.row]] for fault in faults]
+    spans = [line_spans(document.text) for document in run.documents]
+    places: dict[tuple[int, int], Fault] = {}
+    for fault in faults:
+        places.setdefault((int(run.document[fault.row]), int(run.line[fault.row])), fault)
+    texts = [run.documents[n].text[spans[n][0][line - 1] : spans[n][1][line - 1]] for n, line in places]
+    names = [document.name for document in run.documents]
     kind = recognised(texts)
     if kind is not None:
         at, other = kind
+        n, line = list(places)[at]
         problem = f"this is not plain G-code, but a {other.name} program"
-        line, text = faults[at].row + 1, texts[at]
-        return [ProgramError(problem, file=document.name, line=line, text=text, advice=other.advice)]
+        return [ProgramError(problem, file=names[n], line=line, text=texts[at], advice=other.advice)]
     return [
-        ProgramError(fault.problem, file=document.name, line=fault.row + 1, text=text, advice=fault.advice)
-        for fault, text in zip(faults, texts, strict=True)
+        ProgramError(fault.problem, file=names[n], line=line, text=text, advice=fault.advice)
+        for ((n, line), fault), text in zip(places.items(), texts, strict=True)
     ]
 
 
-def _after_the_end(source: words.Source, rows: int) -> Iterator[Issue]:
+def _after_the_end(run: Executed, rows: int) -> Iterator[Issue]:
     """Tell of code after the end of the program, which is not executed (rs274 does not even read it)."""
+    source = run.source
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
         codes = [row for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
         message = f"There is code after the end of the program (line {rows}): it is not executed."
         yield Issue("warning", "after-end", message, codes[0] + 1, count=len(codes))
 
 
-def _comments(
-    source: words.Source, rows: int, file: str
-) -> tuple[tuple[ForceNote, ...], list[tuple[int, str]], list[InputError]]:
-    """Return the force comments, the others as (row, text), and what is wrong, of the first `rows` lines."""
-    notes: list[ForceNote] = []
-    comments: list[tuple[int, str]] = []
-    wrong: list[InputError] = []
-    for line, text in zip(source.comment_lines.tolist(), source.comments, strict=True):
+def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
+    """Return the comments of the first `rows` lines, each with its row, and what is wrong with force comments."""
+    told: list[tuple[int, str | ForceNote]] = []
+    wrong: dict[tuple[int, int], InputError] = {}
+    for line, text in zip(run.source.comment_lines.tolist(), run.source.comments, strict=True):
         if line > rows:
             break
+        n, own = int(run.document[line - 1]), int(run.line[line - 1])
         try:
-            note = parse_force_note(text, line, file)
+            note = parse_force_note(text, own, run.documents[n].name)
         except ForceError as cause:
-            wrong.append(cause)
+            wrong.setdefault((n, own), cause)
             continue
-        if note is None:
-            comments.append((line - 1, text.strip()))
-        else:
-            notes.append(note)
-    return tuple(notes), comments, wrong
+        told.append((line - 1, text.strip() if note is None else note))
+    return told, list(wrong.values())
 
 
-def _events(path: Path, modes: Modes, comments: list[tuple[int, str]]) -> tuple[Event, ...]:
-    """Return comments and happenings in order of their lines; in one line comments come first, stops last."""
-    told: list[tuple[int, int, EventKind, float, str]] = [(row, 0, "comment", 0.0, text) for row, text in comments]
-    done = [(h.row, 2 if h.after else 1, h.kind, h.value, "") for h in modes.happenings]
+def _told(
+    run: Executed, path: Path, modes: Modes, comments: Sequence[tuple[int, str | ForceNote]]
+) -> tuple[tuple[ForceNote, ...], tuple[Event, ...]]:
+    """Return force comments, and other comments and happenings, in order of their lines.
+
+    In one line comments come first, stops last.
+    """
+    told = [(row, 0, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
+    done = [(h.row, 2 if h.after else 1, Event(0, h.kind, 0, h.value)) for h in modes.happenings]
     ordered = sorted([*told, *done], key=itemgetter(0, 1))
-    before = np.searchsorted(path.motions.line, [row + 2 if order == 2 else row + 1 for row, order, *_ in ordered])
-    return tuple(
-        Event(at, kind, row + 1, value, text)
-        for at, (row, _, kind, value, text) in zip(before.tolist(), ordered, strict=True)
-    )
+    noted = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
+    before = np.searchsorted(path.row, [row + (order == 2) for row, order, _ in ordered]).tolist()
+    first = np.searchsorted(path.row, [row for row, _ in noted]).tolist()
+    main = run.main.tolist() if ordered or noted else []
+    events = (replace(event, before=at, line=main[row]) for at, (row, _, event) in zip(before, ordered, strict=True))
+    notes = (replace(note, before=at, line=main[row]) for at, (row, note) in zip(first, noted, strict=True))
+    return tuple(notes), tuple(events)
 
 
 def _issues(path: Path, modes: Modes) -> Iterator[Issue]:

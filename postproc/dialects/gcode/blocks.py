@@ -16,12 +16,11 @@ from postproc.dialects.gcode.words import LIMIT, MARK
 
 _WORD = re.compile(rf"{MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
 _PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O\d+{MARK}*")
-_O_WORD = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O")
 
 
 _MOST_WORDS = 100
 """A block of more words than all letters and modal groups could make is no block."""
-_O_ADVICE = "Let the CAM system write one program without subprograms and loops; an O number stands alone in its line."
+_O_ADVICE = "An O number stands alone in its line."
 
 
 class Fault(NamedTuple):
@@ -50,8 +49,6 @@ def words_of(code: str) -> list[tuple[str, float]]:
 
     if _PROGRAM_NUMBER.fullmatch(code):
         return []
-    if _O_WORD.match(code):
-        raise BlockError("O words that call, define or repeat are not supported", _O_ADVICE)
     own = _split(code)
     try:
         block = Block(" ".join(letter + number for letter, number in own))
@@ -106,8 +103,6 @@ def _not_a_word(rest: str) -> tuple[str, str | None]:
     character, following = rest[0], rest[1:2]
     if character in "()":
         return "a bracket that belongs to no comment", "Close comments in their line; do not nest them."
-    if character in "#[<" or (character.isalpha() and following in ("#", "[")):
-        return "parameters and expressions are not supported", "Let the CAM system write plain numbers."
     if character.isalpha():
         return f"{character} without a number", "Write words like X1.5." if following == "=" else None
     if character == "?":

@@ -49,7 +49,9 @@ _OUTPUT = "Outputs are not read: remove the block and switch from the KRL progra
 _PLACES = "Stored positions and offsets are not read: put work offsets into the cell, [work_offsets]."
 _PROBE = "Probing and threading moves depend on the machine: remove them."
 _SPLINE = "Splines and smoothing modes are not read: let the CAM system write G1, G2 and G3."
-_SUBPROGRAM = "Subprograms are not read: let the CAM system write one program without calls."
+_MACRO = (
+    "Fanuc's custom macros (G65 … G67) are not read: call subprograms by M98, or let the CAM system write them out."
+)
 _TOOL = "Put the tool into the cell, [tool]; only G43 with H is accepted, and has no effect."
 _TURNED = "Scaled, mirrored, turned and polar coordinates are not read: let the CAM system write plain ones."
 
@@ -67,7 +69,7 @@ _ADVICE_G = {
     **dict.fromkeys((52.0, 92.0, 92.3), _ORIGIN),
     54.1: "More than nine work offsets are not read: use G54…G59.3.",
     53.0: "The robot has no machine coordinates: remove the block, or write G0 in the work offset.",
-    **dict.fromkeys((65.0, 66.0, 67.0), _SUBPROGRAM),
+    **dict.fromkeys((65.0, 66.0, 67.0), _MACRO),
     **dict.fromkeys((73.0, 74.0, 76.0, *(float(code) for code in range(81, 90))), _CYCLE),
     **dict.fromkeys(
         (93.0, 95.0), "Only feed per minute (G94) is read: let the CAM system write F in mm/min or inch/min."
@@ -79,7 +81,7 @@ _ADVICE_M = {
     60.0: "There is no pallet: use M0 to stop.",
     61.0: "Write T and M6.",
     **dict.fromkeys((float(code) for code in range(62, 69)), _OUTPUT),
-    **dict.fromkeys((97.0, 98.0, 99.0), _SUBPROGRAM),
+    97.0: "Call subprograms by M98.",
 }
 
 WORD_ADVICE = {

@@ -79,7 +79,12 @@ class Modes:
 
 
 def read_modes(
-    source: Source, odd: Ints, columns: Mapping[str, Array], offsets: Sequence[str], approximation: float
+    source: Source,
+    odd: Ints,
+    columns: Mapping[str, Array],
+    offsets: Sequence[str],
+    approximation: float,
+    known: Sequence[Fault] = (),
 ) -> Modes:
     """Read the lines `odd` and put their coordinates, feeds and motion codes into `columns`.
 
@@ -88,6 +93,7 @@ def read_modes(
     :param columns: as `words.read_plain` returns them; rows of `odd` are filled in.
     :param offsets: names of the work offsets in the cell, ``"G54"``….
     :param approximation: approximation distance of the cell [m].
+    :param known: what is wrong with lines that are executed.
     """
     opening = _OPENING.match(source.code)
     tape = -1 if opening is None else opening[0].count(b"\n") - 1
@@ -103,7 +109,8 @@ def read_modes(
         if reader.ended or len(faults) > MOST:
             rows = row + 1
             break
-    complete = reader.ended or tape < 0 or len(faults) > MOST
+    faults = sorted([*faults, *(fault for fault in known if fault.row < rows)], key=lambda fault: fault.row)
+    complete = reader.ended or tape < 0 or len(faults) > MOST or bool(known)
     if not reader.ended and complete:
         message = "The program ends without M2, M30 or %: check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))

@@ -49,12 +49,14 @@ class Setting:
 class Path:
     """The motions of a program, and what was noticed.
 
-    :param motions: see `Motions`.
+    :param motions: see `Motions`; their lines are rows + 1.
+    :param row: (M,) row that makes each motion, never decreasing.
     :param still: (n,) rows of moves that are not in `motions`, ascending: they go nowhere, or are held back.
     :param held_back: (n,) those of them that are rapid moves before X, Y and Z have all been programmed.
     """
 
     motions: Motions
+    row: Ints
     still: Ints
     held_back: Ints
 
@@ -170,7 +172,7 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting) -> P
     )
     for name in Motions.__slots__:
         getattr(motions, name).flags.writeable = False
-    return Path(motions, np.concatenate([held_back, move[stays]]), held_back)
+    return Path(motions, kept, np.concatenate([held_back, move[stays]]), held_back)
 
 
 def _placed(pose: Array, mm: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +102,7 @@ def read_program(
         motions,
         np.stack(settings.frames.bases),
         np.stack(settings.frames.tools),
-        notes=_notes(source),
+        notes=_notes(source, motions.line),
         still=np.array(main.still, dtype=np.int64),
         issues=tuple(issues),
         layout=layout,
@@ -177,8 +178,8 @@ def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
                 raise reason
 
 
-def _notes(source: Source) -> tuple[ForceNote, ...]:
-    """Return the force comments of a file."""
+def _notes(source: Source, motions: Ints) -> tuple[ForceNote, ...]:
+    """Return the force comments of a file, whose motions stand on lines (M,)."""
     notes = []
     for match in _FORCE.finditer(source.text):
         line = source.line_at(match.start())
@@ -188,5 +189,5 @@ def _notes(source: Source) -> tuple[ForceNote, ...]:
         ):  # else the semicolon stands in a string or a comment
             note = parse_force_note(source.text[match.start() + 1 : stop], line, source.document.name)
             if note is not None:
-                notes.append(note)
+                notes.append(replace(note, before=int(np.searchsorted(motions, line))))
     return tuple(notes)
