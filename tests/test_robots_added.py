@@ -89,7 +89,7 @@ def test_what_is_not_known_is_marked_as_assumed_and_told():
     assert [
         note for note in added.notes if note.startswith("joints turn the other way") and note.endswith("A1, A3, A5")
     ]
-    shown = {entry.name: entry for entry in robot.load(added.folder).provenance}
+    shown = {entry.name: entry for entry in robot.load(added.folder).sources}
     assert all(shown[f"compliance A{axis}"].assumed for axis in range(1, 7))
     assert shown["link masses"].assumed
     assert not shown["geometry, limits, speeds"].assumed

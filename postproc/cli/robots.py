@@ -52,8 +52,8 @@ def robots(ctx: click.Context, /, as_json: bool) -> None:
         return
     rows = []
     for known, model in models.items():
-        assumed = sum(entry.assumed for entry in model.provenance)
-        rows.append((known, model.title, f"{assumed} of {len(model.provenance)} assumed"))
+        assumed = sum(entry.assumed for entry in model.sources)
+        rows.append((known, model.title, f"{assumed} of {len(model.sources)} assumed"))
     click.echo(table(("name", "robot", "values"), rows))
 
 
@@ -74,13 +74,13 @@ def show(name: str, as_json: bool) -> None:
     if as_json:
         values = [
             {"name": entry.name, "value": entry.value, "source": entry.source, "assumed": entry.assumed}
-            for entry in model.provenance
+            for entry in model.sources
         ]
         content = {"name": model.name, "title": model.title, "values": values}
         click.echo(json.dumps(content, indent=2, ensure_ascii=False))
         return
     click.echo(f"{model.title} ({model.name})\n")
-    rows = [(entry.name, entry.value, "ASSUMED" if entry.assumed else "", entry.source) for entry in model.provenance]
+    rows = [(entry.name, entry.value, "ASSUMED" if entry.assumed else "", entry.source) for entry in model.sources]
     click.echo(table(("", "value", "", "source"), rows))
 
 

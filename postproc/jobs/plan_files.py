@@ -94,7 +94,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     cell = cells.load(request.cell)
     robot = load_robot(setup.robot, request.experiment.parent)
     _check_same_arm(robot, load_robot(cell.robot, cell.folder))
-    site = site_of(robot, setup, request.experiment.parent, request.margin * RAD_PER_DEG)
+    site = site_of(robot, setup, request.experiment.parent, cell.start_joints, request.margin * RAD_PER_DEG)
     tests = _test_poses(request, robot, cell)
     data = None if request.measured is None else read(request.measured, setup)
     folder, stem = request.output.parent, request.output.stem
@@ -108,7 +108,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     if not request.overwrite:
         refuse(foreign(folder, names, record))
     with interrupts.ending_a_search():
-        result = plan_measurements(site, setup.sigma, tests, cell, request.options(), data, progress)
+        result = plan_measurements(site, tests, request.options(), data, progress)
     contents: dict[str, bytes | Iterable[bytes]] = {
         csv: plan_csv(result),
         src: krl_program(result, cell, PurePath(src).stem).to_bytes(),

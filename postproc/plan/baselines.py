@@ -19,12 +19,12 @@ _FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
 def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
     """Return the criterion (count,) [m²] of plans whose levels, poses and loads are random but can be measured."""
     rng = np.random.default_rng([seed, 1 << 20])
-    pool, out = task.pool, np.empty(count)
+    candidates, out = task.candidates, np.empty(count)
     for index in range(count):
         row = first_levels(task, rng, spread=False)
         level = task.group_of_each(rng)
-        pick = rng.integers(0, pool.q.shape[1], task.count)
-        out[index] = task.criterion_at(pool.q2[row]).value(pool.information[row[level], pick], level)
+        pick = rng.integers(0, candidates.q.shape[1], task.count)
+        out[index] = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
     return out
 
 
@@ -34,17 +34,19 @@ def serial_plan(task: Task) -> Plan:
     After Dumas et al. 2011 as the paper tells it: evenly spaced levels of q2; on each, of the fifth of poses in which
     the Jacobian is best conditioned (lengths over the characteristic one), those farthest apart in joint space.
     """
-    pool = task.pool
+    candidates = task.candidates
     row = first_levels(task, np.random.default_rng(0), spread=True)
     level = task.group_of_each(np.random.default_rng(0))
     pick = np.zeros(task.count, dtype=np.int64)
     for group in range(task.levels):
         members = np.flatnonzero(level == group)
-        dexterity = _dexterity(task, pool.q[row[group]])
+        dexterity = _dexterity(task, candidates.q[row[group]])
         count = max(len(members), int(_BEST_SHARE * len(dexterity)))
-        pick[members] = _far_apart(pool.q[row[group]], np.argsort(-dexterity, kind="stable")[:count], len(members))
-    value = task.criterion_at(pool.q2[row]).value(pool.information[row[level], pick], level)
-    return Plan(pool.q[row[level], pick], pool.tilt[row[level], pick], level, pool.q2[row], value)
+        pick[members] = _far_apart(
+            candidates.q[row[group]], np.argsort(-dexterity, kind="stable")[:count], len(members)
+        )
+    value = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
+    return Plan(candidates.q[row[level], pick], candidates.tilt[row[level], pick], level, candidates.q2[row], value)
 
 
 def _dexterity(task: Task, q: Array) -> Array:

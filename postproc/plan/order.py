@@ -42,14 +42,14 @@ def free_moves(site: Site, q: Array) -> Bools:
     return free
 
 
-def shortest(site: Site, start: Array, q: Array) -> tuple[Ints, float, Ints]:
-    """Return the order (n,) of least travel from where the robot starts (6,), its seconds, and the blocked moves.
+def shortest(site: Site, q: Array) -> tuple[Ints, float, Ints]:
+    """Return the order (n,) of least travel from where the robot starts, its seconds, and the blocked moves.
 
     Nearest neighbour, then 2-opt and or-opt until nothing improves (Croes 1958, Or 1976).
 
     :returns: order, seconds, and the places k in it where the move to order[k] would hit something.
     """
-    every = np.vstack([start, q])
+    every = np.vstack([site.start, q])
     seconds = travel_times(site, every)
     blocked = ~free_moves(site, every)
     cost = seconds + _BLOCKED * blocked
@@ -89,17 +89,18 @@ def _improved(tour: list[int], cost: Array) -> list[int] | None:
     return None
 
 
-def ways(site: Site, start: Array, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
+def ways(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     """Return what the robot passes on its way to each pose, (k, 6) configurations, and the rows it cannot get to.
 
-    A blocked move goes through the start position, or with the arm as there, or drawn in, turned by A1 to where it
+    A blocked move goes through the start position, or with the arm as there, or folded, turned by A1 to where it
     comes from and to where it goes.
 
     :param hit: rows whose direct way is blocked.
     """
+    start = site.start
     passed = [np.zeros((0, 6)) for _ in q]
     blocked = []
-    shapes = [start, drawn_in(site)] if len(hit) else []
+    shapes = [start, folded(site)] if len(hit) else []
     for row in hit:
         here, there = start if row == 0 else q[row - 1], q[row]
         options = [start[None]]
@@ -117,7 +118,7 @@ def ways(site: Site, start: Array, q: Array, hit: Ints) -> tuple[tuple[Array, ..
     return tuple(passed), np.array(blocked, dtype=np.int64)
 
 
-def drawn_in(site: Site) -> Array:
+def folded(site: Site) -> Array:
     """Return joint angles (6,), A1 = 0, in which the arm with its tool reaches least far out; of some at random."""
     rng = np.random.default_rng(0)
     q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))

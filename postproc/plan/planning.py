@@ -7,18 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postproc.cell import Cell
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array
 from postproc.identification.measurements import Measurements
 from postproc.plan import accuracy, baselines, order
+from postproc.plan.candidate_poses import draw_candidates
 from postproc.plan.criterion import Criterion
 from postproc.plan.joint2 import Joint2
 from postproc.plan.measured import Measured, measured
 from postproc.plan.measurement_plan import Options, PlanResult, Size
 from postproc.plan.milling import TestPoses, thinned
-from postproc.plan.pool import Pool, make_pool
-from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, blind, doubts
+from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, hidden_by_rig, left_uncertain
 from postproc.plan.search import Plan, Task, exchange, improved
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
@@ -45,9 +44,7 @@ class _Problem:
 
 def plan_measurements(
     site: Site,
-    sigma: float,
     tests: TestPoses,
-    cell: Cell,
     options: Options,
     data: Measurements | None = None,
     progress: Progress | None = None,
@@ -56,9 +53,7 @@ def plan_measurements(
 
     Ctrl-C (`KeyboardInterrupt`) ends the search; the best plan so far is the result.
 
-    :param sigma: noise of one coordinate of one reading [m].
     :param tests: poses and forces at which the accuracy counts.
-    :param cell: where the robot starts.
     :param data: what was measured so far; the plan says what to measure next.
     :param progress: told how far the work is.
     :raises PlanError: no pose can be measured, or more is asked for than can be determined.
@@ -72,9 +67,9 @@ def plan_measurements(
     scale = site.robot.compliance[list(site.robot.actuated)]
     few = thinned(tests, scale, options.test_poses, options.seed)
     tell("drawing poses that can be measured", 0.0, np.nan)
-    problem = _problem(site, sigma, few, scale, options, data)
+    problem = _problem(site, few, scale, options, data)
     plan, interrupted = _searched(problem.task, options, tell)
-    plan, force, seconds, via, blocked = _ordered(problem, plan, cell)
+    plan, force, seconds, via, blocked = _ordered(problem, plan)
     information = problem.readings.information_of(plan.q, force)
     found = accuracy.expected(few, problem.readings, problem.joint2, plan.q, information, problem.known)
     before = None
@@ -92,7 +87,7 @@ def plan_measurements(
                 tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
             interrupted = True
-    warnings = (*problem.warnings, *doubts(found, problem.joint2, blocked))
+    warnings = (*problem.warnings, *left_uncertain(found, problem.joint2, blocked))
     wanted, got = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
     return PlanResult(
         options=options,
@@ -116,31 +111,29 @@ def plan_measurements(
     )
 
 
-def _problem(
-    site: Site, sigma: float, tests: TestPoses, scale: Array, options: Options, data: Measurements | None
-) -> _Problem:
+def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None) -> _Problem:
     # loaded minus unloaded, each the mean of the repeats
-    noise = sigma * np.sqrt(2.0 / options.repeats)
+    noise = site.sigma * np.sqrt(2.0 / options.repeats)
     readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
-    known = None if data is None else measured(data, readings, sigma)
+    known = None if data is None else measured(data, readings, site.sigma)
     fixed = 0 if known is None else len(known.q2)
     levels = min(max(options.levels, fixed), fixed + options.configurations)
     rng = np.random.default_rng([options.seed, 1 << 16])
-    pool = make_pool(site, readings, rng, None if known is None else known.q2)
-    if levels > len(pool):
+    candidates = draw_candidates(site, readings, rng, None if known is None else known.q2)
+    if levels > len(candidates):
         raise PlanError(
-            f"poses can be measured at {len(pool)} of the levels of q2 tried only, {levels} are asked for",
+            f"poses can be measured at {len(candidates)} of the levels of q2 tried only, {levels} are asked for",
             advice="Ask for fewer with --q2-levels, or move what stands in the way.",
         )
-    most = pool.information.reshape(-1, 6, 6)
+    most = candidates.information.reshape(-1, 6, 6)
     if known is not None:
         most = np.concatenate([most, known.information])
     missing = accuracy.not_visible(readings, most, options.configurations + (0 if known is None else len(known.q)))
-    warnings = blind(site, tests, scale, missing)
+    warnings = hidden_by_rig(site, tests, scale, missing)
     if missing:
         keep = tuple(j for j in range(6) if j not in missing)
-        readings, pool = replace(readings, keep=keep), pool.only(keep)
-        known = None if data is None else measured(data, readings, sigma)
+        readings, candidates = replace(readings, keep=keep), candidates.only(keep)
+        known = None if data is None else measured(data, readings, site.sigma)
     _check_number(options, readings, len(site.points), levels, known)
     if site.torque_limit is None:
         warnings = (*warnings, NO_TORQUES)
@@ -152,24 +145,18 @@ def _problem(
             site,
             readings,
             lambda q2: Criterion.of(tests, readings, joint2, q2, options.grouped, known),
-            pool,
+            candidates,
             options.configurations,
             levels,
             fixed,
         )
 
-    joint2 = _joint2(site, tests, readings, pool, known, with_joint2, options.seed)
+    joint2 = _joint2(site, tests, known, with_joint2, options.seed)
     return _Problem(with_joint2(joint2), readings, joint2, known, warnings)
 
 
 def _joint2(
-    site: Site,
-    tests: TestPoses,
-    readings: Readings,
-    pool: Pool,
-    known: Measured | None,
-    with_joint2: Callable[[Joint2], Task],
-    seed: int,
+    site: Site, tests: TestPoses, known: Measured | None, with_joint2: Callable[[Joint2], Task], seed: int
 ) -> Joint2:
     """Decide as the identification will: K_c is identified only if a plan made for it can determine it."""
     free = Joint2.of(site.robot, free=True)
@@ -178,6 +165,7 @@ def _joint2(
     if free.compensator is None or task.levels < 3:
         return prior
     trial = exchange(task, np.random.default_rng([seed, 1 << 17]), spread=True)
+    readings = task.readings
     information = readings.information(trial.q, trial.tilt)
     found = accuracy.expected(tests, readings, free, trial.q, information, known)
     return prior if CompensatorStiffness() in found.uncertain else free
@@ -198,16 +186,16 @@ def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]
     return best, False
 
 
-def _ordered(problem: _Problem, plan: Plan, cell: Cell) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
+def _ordered(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
     """Round to what is written, order by travel, and look at the ways between."""
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
-    sequence, seconds, hit = order.shortest(site, cell.start_joints, q)
+    sequence, seconds, hit = order.shortest(site, q)
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
     force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
-    via, blocked = order.ways(site, cell.start_joints, q, hit)
+    via, blocked = order.ways(site, q, hit)
     return Plan(q, tilt, level, q2, value), force, seconds, via, blocked
 
 

@@ -21,7 +21,7 @@ NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
 _VERTICAL = 0.02
 
 
-def blind(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
+def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
     """Say which compliances the rig cannot show, why, what to do, and how much of the milling rests on them.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
@@ -53,7 +53,7 @@ def blind(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) 
     return tuple(out)
 
 
-def doubts(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:
+def left_uncertain(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:
     """Say what stays uncertain with the plan.
 
     :param blocked: rows that the robot cannot reach on a free way.

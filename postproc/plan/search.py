@@ -14,8 +14,8 @@ import numpy as np
 
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.plan import constraints
+from postproc.plan.candidate_poses import Candidates
 from postproc.plan.criterion import Criterion
-from postproc.plan.pool import Pool
 from postproc.plan.sensitivity import Readings
 from postproc.plan.site import Site
 from postproc.program import Ints
@@ -60,7 +60,7 @@ class Task:
     :param site: constraints.
     :param readings: what measurements tell.
     :param criterion_at: what a plan with given levels is worth.
-    :param pool: candidates; its first `fixed` levels are kept (they were measured).
+    :param candidates: to choose from; their first `fixed` levels are kept (they were measured).
     :param count: number of poses.
     :param levels: number of levels of q2, the fixed ones included.
     :param fixed: number of fixed levels.
@@ -69,7 +69,7 @@ class Task:
     site: Site
     readings: Readings
     criterion_at: CriterionAt
-    pool: Pool
+    candidates: Candidates
     count: int
     levels: int
     fixed: int = 0
@@ -102,33 +102,53 @@ def improved(task: Task, seed: int, starts: int, kept: int, rounds: int) -> Iter
             yield best
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Choice:
+    """Candidates chosen, and what they are worth together.
+
+    :param row: (m,) levels of q2, rows of the candidates.
+    :param level: (n,) level of each pose, a place in `row`.
+    :param pick: (n,) which candidate of its level each pose is.
+    :param criterion: for these levels.
+    :param value: of the criterion.
+    """
+
+    row: Ints
+    level: Ints
+    pick: Ints
+    criterion: Criterion
+    value: float
+
+
 def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan:
     """Return a plan of candidates that no exchange of one pose or one level improves."""
-    pool = task.pool
+    candidates = task.candidates
     row = first_levels(task, rng, spread)
     level = task.group_of_each(rng)
-    pick = rng.integers(0, pool.q.shape[1], task.count)
-    criterion = task.criterion_at(pool.q2[row])
-    value = criterion.value(pool.information[row[level], pick], level)
+    pick = rng.integers(0, candidates.q.shape[1], task.count)
+    criterion = task.criterion_at(candidates.q2[row])
+    value = criterion.value(candidates.information[row[level], pick], level)
+    best = _Choice(row, level, pick, criterion, value)
     for _ in range(_EXCHANGE_ROUNDS):
-        before = value
-        level, pick, value = _exchange_poses(task, criterion, row, level, pick)
+        before = best.value
+        best = _exchange_poses(task, best)
         for group in range(task.fixed, task.levels):
-            row, pick, criterion, value = _exchange_level(task, row, level, pick, criterion, value, group)
-        if value > before * (1.0 - _ENOUGH):
+            best = _exchange_level(task, best, group)
+        if best.value > before * (1.0 - _ENOUGH):
             break
-    return Plan(pool.q[row[level], pick], pool.tilt[row[level], pick], level, pool.q2[row], value)
+    at = best.row[best.level], best.pick
+    return Plan(candidates.q[at], candidates.tilt[at], best.level, candidates.q2[best.row], best.value)
 
 
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
-    """Return rows of the pool (m,): the fixed ones, then levels evenly spread or at random, none too near another."""
-    free = np.arange(task.fixed, len(task.pool))
+    """Return levels (m,), rows of the candidates: the fixed ones, then evenly spread or random ones, none too near."""
+    free = np.arange(task.fixed, len(task.candidates))
     wanted = task.levels - task.fixed
     row = list(range(task.fixed))
     if spread and task.fixed == 0:
         return free[np.round(np.linspace(0, len(free) - 1, wanted)).astype(np.int64)]
     for candidate in rng.permutation(free):
-        if len(row) < task.levels and _apart(task.pool.q2[row], task.pool.q2[candidate]):
+        if len(row) < task.levels and _apart(task.candidates.q2[row], task.candidates.q2[candidate]):
             row.append(int(candidate))
     for candidate in rng.permutation(free):  # too many levels for the distance: nearer ones, but different
         if len(row) < task.levels and int(candidate) not in row:
@@ -140,48 +160,48 @@ def _apart(others: Array, q2: float) -> bool:
     return bool((np.abs(others - q2) >= _APART - 1e-9).all())
 
 
-def _exchange_poses(task: Task, criterion: Criterion, row: Ints, level: Ints, pick: Ints) -> tuple[Ints, Ints, float]:
+def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
     """Replace each pose in turn by the best candidate of its level; of any level, where levels are fixed."""
-    pool, level, pick = task.pool, level.copy(), pick.copy()
+    information, row, criterion = task.candidates.information, choice.row, choice.criterion
+    level, pick = choice.level.copy(), choice.pick.copy()
     for place in range(task.count):
-        own = pool.information[row[level[place]], pick[place]]
-        total = criterion.total(pool.information[row[level], pick], level)
-        values = criterion.exchanged(total, own, pool.information[row[level[place]]], int(level[place]))
+        own = information[row[level[place]], pick[place]]
+        total = criterion.total(information[row[level], pick], level)
+        values = criterion.exchanged(total, own, information[row[level[place]]], int(level[place]))
         pick[place] = int(np.argmin(values))
         if task.fixed:
             rest = np.delete(np.arange(task.count), place)
-            without = criterion.total(pool.information[row[level[rest]], pick[rest]], level[rest])
+            without = criterion.total(information[row[level[rest]], pick[rest]], level[rest])
             nothing = np.zeros_like(own)
-            every = [criterion.exchanged(without, nothing, pool.information[r], g) for g, r in enumerate(row)]
-            level[place], pick[place] = np.unravel_index(int(np.argmin(every)), (task.levels, pool.q.shape[1]))
-    return level, pick, criterion.value(pool.information[row[level], pick], level)
+            every = [criterion.exchanged(without, nothing, information[r], g) for g, r in enumerate(row)]
+            level[place], pick[place] = np.unravel_index(int(np.argmin(every)), (task.levels, information.shape[1]))
+    value = criterion.value(information[row[level], pick], level)
+    return replace(choice, level=level, pick=pick, value=value)
 
 
-def _exchange_level(
-    task: Task, row: Ints, level: Ints, pick: Ints, criterion: Criterion, value: float, group: int
-) -> tuple[Ints, Ints, Criterion, float]:
+def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
     """Move one level of q2 to where its group does best."""
-    pool = task.pool
+    candidates, level = task.candidates, choice.level
     members = np.flatnonzero(level == group)
-    others = np.delete(row, group)
-    best = (row, pick, criterion, value)
-    for other in range(task.fixed, len(pool)):
-        if other in row or not _apart(pool.q2[others], pool.q2[other]):
+    others = np.delete(choice.row, group)
+    best = choice
+    for other in range(task.fixed, len(candidates)):
+        if other in choice.row or not _apart(candidates.q2[others], candidates.q2[other]):
             continue
-        moved, chosen = row.copy(), pick.copy()
-        moved[group] = other
-        there = task.criterion_at(pool.q2[moved])
+        row, pick = choice.row.copy(), choice.pick.copy()
+        row[group] = other
+        there = task.criterion_at(candidates.q2[row])
         rest = level != group
-        total = there.total(pool.information[moved[level[rest]], pick[rest]], level[rest])
-        nothing = np.zeros_like(pool.information[0, 0])
+        total = there.total(candidates.information[row[level[rest]], pick[rest]], level[rest])
+        nothing = np.zeros_like(candidates.information[0, 0])
         for place in members:  # greedily, one after the other
-            values = there.exchanged(total, nothing, pool.information[other], group)
-            chosen[place] = int(np.argmin(values))
+            values = there.exchanged(total, nothing, candidates.information[other], group)
+            pick[place] = int(np.argmin(values))
             added = np.array([group])
-            total = total + there.total(pool.information[other, chosen[place]][None], added) - there.before
+            total = total + there.total(candidates.information[other, pick[place]][None], added) - there.before
         found = float(there.of_totals(total[None])[0])
-        if found < best[3] * (1.0 - _ENOUGH):
-            best = (moved, chosen, there, found)
+        if found < best.value * (1.0 - _ENOUGH):
+            best = _Choice(row, level, pick, there, found)
     return best
 
 

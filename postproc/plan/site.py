@@ -44,6 +44,7 @@ class Site:
     :param robot: masses, compensator.
     :param arm: geometry.
     :param rig: what loads it.
+    :param start: (6,) joint angles where the robot stands first [rad].
     :param lower: (6,) joint limits with margin [rad].
     :param upper: (6,) joint limits with margin [rad].
     :param radius: (5,) of column, link 2, elbow, forearm, hand [m].
@@ -56,6 +57,7 @@ class Site:
     :param floor: height [m].
     :param obstacles: boxes and meshes.
     :param tracker: (3,) [m], or None.
+    :param sigma: noise of one coordinate of one reading [m].
     :param acceptance: largest angle between normal and line of sight [rad].
     :param torque_limit: (6,) static limits [N·m], or None where nobody states them.
     """
@@ -63,6 +65,7 @@ class Site:
     robot: RobotModel
     arm: Arm
     rig: Rig
+    start: Array
     lower: Array
     upper: Array
     radius: Array
@@ -75,13 +78,15 @@ class Site:
     floor: float
     obstacles: tuple[BoxShape | MeshShape, ...]
     tracker: Array | None
+    sigma: float
     acceptance: float
     torque_limit: Array | None
 
 
-def site_of(robot: RobotModel, experiment: Experiment, folder: Path, margin: float) -> Site:
+def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Array, margin: float) -> Site:
     """Put a robot into the place where it is measured.
 
+    :param start: (6,) joint angles where it stands first [rad].
     :param folder: where the experiment stands; meshes are relative to it.
     :param margin: distance to keep from joint limits [rad].
     :raises PlanError: there is no [rig], a normal is zero, a mesh cannot be read, the margin leaves nothing.
@@ -111,6 +116,7 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, margin: flo
             rope=rig.rope_mm * M_PER_MM,
             weight_radius=rig.weight_radius_mm * M_PER_MM,
         ),
+        start=start,
         lower=lower,
         upper=upper,
         radius=radius,
@@ -123,6 +129,7 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, margin: flo
         floor=experiment.floor.Z * M_PER_MM,
         obstacles=tuple(obstacles),
         tracker=None if tracker is None else np.array([tracker.X, tracker.Y, tracker.Z]) * M_PER_MM,
+        sigma=experiment.sigma,
         acceptance=np.pi if tracker is None else tracker.acceptance_deg * RAD_PER_DEG,
         torque_limit=_torque_limit(robot, rig.max_torque_Nm),
     )

@@ -115,7 +115,7 @@ def _limits(content: Summary) -> tuple[list[str], list[str]]:
 def assumed(robot: RobotModel) -> tuple[str, ...]:
     """Return the names of the model's values that are assumed and bear on what the tool does under force."""
     weights = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
-    return tuple(entry.name for entry in robot.provenance if entry.assumed and (weights or entry.name != SOLID))
+    return tuple(entry.name for entry in robot.sources if entry.assumed and (weights or entry.name != SOLID))
 
 
 def _model(robot: RobotModel) -> list[str]:

@@ -12,8 +12,8 @@ from postproc.robot.model import Covariance, RobotModel
 from postproc.robot.model_file import BASE, FLANGE, JOINTS, Displacement, LinkSprings, ModelFile
 from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR, JOINT_COMPLIANCES, file_slopes
-from postproc.robot.provenance import Provenance
 from postproc.robot.spring_parameters import LINK_AXES, FadingPart, JointCompliance, LinkSpring
+from postproc.robot.value_sources import SourcedValue
 
 __all__ = [
     "BASE",
@@ -34,8 +34,8 @@ __all__ = [
     "LinkSprings",
     "ModelFile",
     "Parameter",
-    "Provenance",
     "RobotModel",
+    "SourcedValue",
     "Spring",
     "assemble",
     "elastic_chain",

@@ -14,8 +14,8 @@ from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
 from postproc.robot.model import Covariance, RobotModel
 from postproc.robot.model_file import BASE, FLANGE, JOINTS, CovarianceTable, Displacement, ModelFile
-from postproc.robot.provenance import provenance
 from postproc.robot.spring_parameters import LinkSpring
+from postproc.robot.value_sources import sourced_values
 
 
 def shipped() -> dict[str, Path]:
@@ -103,7 +103,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         upper=nominal.upper,
         speed=nominal.speed,
         covariance=None if table is None else Covariance.of(table.parameters, table.matrix),
-        provenance=tuple(provenance(content, nominal)),
+        sources=tuple(sourced_values(content, nominal)),
         carries_weight=content.gravity.in_gears,
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]

@@ -17,8 +17,8 @@ from postproc.robot.flexible import elastic_chain
 from postproc.robot.model_file import BASE, JOINTS
 from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR
-from postproc.robot.provenance import Provenance
 from postproc.robot.spring_parameters import LINK_AXES, LinkSpring
+from postproc.robot.value_sources import SourcedValue
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class RobotModel:
     :param upper: (6,) joint limits [rad].
     :param speed: (6,) joint speed limits [rad/s].
     :param covariance: of the identified parameters, or None.
-    :param provenance: where each value comes from.
+    :param sources: where each value comes from.
     :param terms: parameters of springs that do not grow with the torque, with their values.
     :param carries_weight: they feel the torque at rest (weights, compensator) too, not the load alone.
     :param link_springs: springs of the links, in the order of their coordinates.
@@ -81,7 +81,7 @@ class RobotModel:
     upper: Array
     speed: Array
     covariance: Covariance | None
-    provenance: tuple[Provenance, ...]
+    sources: tuple[SourcedValue, ...]
     terms: tuple[tuple[Spring, float], ...] = ()
     carries_weight: bool = False
     link_springs: tuple[LinkSpring, ...] = ()

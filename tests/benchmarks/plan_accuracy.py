@@ -35,7 +35,7 @@ def main(runs: int) -> None:
                     prior, compensator=replace(prior.compensator, stiffness=spring[0], free_length=spring[1])
                 )
             site = replace(setting.site(folder, BASIC + RIGS[name] + AROUND), robot=prior)
-            result = plan_measurements(site, setting.SIGMA, setting.job(seed), setting.CELL, Options(comparisons=False))
+            result = plan_measurements(site, setting.job(seed), Options(comparisons=False))
             found, failed = monte_carlo.errors(folder, result, runs, prior=prior, true=monte_carlo.true_robot(spring))
             reached = np.sqrt(np.mean(found**2))
             low, high = result.accuracy.interval

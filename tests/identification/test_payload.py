@@ -32,7 +32,7 @@ def test_a_stated_payload_is_part_of_the_state_in_which_the_robot_was_measured(t
         np.testing.assert_allclose(
             kinematics.gravity_torque(mine, q), kinematics.gravity_torque(expected.loaded, q), atol=1e-9
         )
-    entry = next(entry for entry in model.provenance if entry.name == "payload when measured")
+    entry = next(entry for entry in model.sources if entry.name == "payload when measured")
     assert entry.value == "6 kg at -100, 50, 200 mm of the flange"
     assert entry.source == "stated in experiment.toml"
     assert not np.allclose(model.nominal.mass, model.actual.mass)  # the drawing carries nothing

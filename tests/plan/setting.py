@@ -69,7 +69,7 @@ def experiment(folder: Path, text: str = BASIC + RIG + AROUND) -> Path:
 
 def site(folder: Path, text: str = BASIC + RIG + AROUND, margin: float = 5.0):
     path = experiment(folder, text)
-    return site_of(ROBOT, read_experiment(path), folder, np.radians(margin))
+    return site_of(ROBOT, read_experiment(path), folder, CELL.start_joints, np.radians(margin))
 
 
 @lru_cache
@@ -93,7 +93,7 @@ def quick(folder: Path, *, tests=None, text: str = BASIC + RIG + AROUND, data=No
         "rounds": 6,
     } | options
     place = site(folder, text)
-    return plan_measurements(place, SIGMA, job() if tests is None else tests, CELL, Options(**chosen), data)
+    return plan_measurements(place, job() if tests is None else tests, Options(**chosen), data)
 
 
 # ---- the criterion again: forward kinematics and equilibrium of tests/oracle, derivatives by differences ----

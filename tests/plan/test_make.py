@@ -6,7 +6,7 @@ import pytest
 from postproc.errors import PlanError
 from postproc.identification.experiment import read_experiment
 from postproc.identification.readings import read
-from postproc.plan import Options, constraints, plan_measurements, pool, search
+from postproc.plan import Options, candidate_poses, constraints, plan_measurements, search
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness
 from samples.paper_study import simulator
 from tests.plan import setting
@@ -45,7 +45,7 @@ def random_poses(place, rng):
     q2, found = [], []
     while len(q2) < 16:
         level = rng.uniform(place.lower[1], place.upper[1])
-        q, tilt = pool.draw(place, 120, rng, q2=level)
+        q, tilt = candidate_poses.draw(place, 120, rng, q2=level)
         good = np.flatnonzero(constraints.feasible(place, q, tilt))[:12]
         if len(good) == 12:
             q2.append(level)
@@ -88,9 +88,7 @@ def test_an_interrupt_gives_the_best_plan_so_far(tmp_path):
 
     stop = Stop()
     options = Options(configurations=8, levels=4, starts=3, test_poses=8, rounds=6)
-    result = plan_measurements(
-        setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=stop
-    )
+    result = plan_measurements(setting.site(tmp_path), setting.job(), options, progress=stop)
     assert result.interrupted
     assert np.sqrt(result.plan.value) == pytest.approx(min(stop.values), rel=1e-3)
     assert len(result.random) == 0
@@ -104,7 +102,7 @@ def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
             values.append(best)
 
     options = Options(configurations=10, levels=5, starts=3, test_poses=8, rounds=8, comparisons=False)
-    plan_measurements(setting.site(tmp_path), setting.SIGMA, setting.job(), setting.CELL, options, progress=note)
+    plan_measurements(setting.site(tmp_path), setting.job(), options, progress=note)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.97 * values[2]
 
@@ -176,7 +174,7 @@ def test_next_poses_help_more_than_the_same_number_planned_without_the_measureme
     place = setting.site(tmp_path)
     random = []
     for _ in range(30):
-        drawn = pool.draw(place, 3, rng)
+        drawn = candidate_poses.draw(place, 3, rng)
         drawn[0][:, 1] = np.radians(rng.choice([-40.0, -100.0], 3))
         both = np.vstack([force, place.rig.force * search_direction(drawn[1])])
         random.append(setting.pooled(np.vstack([q, drawn[0]]), both, next_ones.tests, VARIANCE))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -8,14 +9,14 @@ from postproc.plan import order
 from tests.plan import setting
 from tests.plan.setting import BASIC, RIG
 
-START = np.radians([0.0, -70, 110, 0, 50, 0])
+START = setting.CELL.start_joints
 
 
 def test_the_order_is_the_shortest_of_all(tmp_path):
     site = setting.site(tmp_path, BASIC + RIG)
     rng = np.random.default_rng(2)
     q = np.radians([0.0, -80, 90, 0, 60, 0]) + rng.uniform(-0.5, 0.5, (6, 6))
-    sequence, seconds, blocked = order.shortest(site, START, q)
+    sequence, seconds, blocked = order.shortest(site, q)
     times = order.travel_times(site, np.vstack([START, q]))
     lengths = [times[0, p[0] + 1] + sum(times[a + 1, b + 1] for a, b in pairwise(p)) for p in permutations(range(6))]
     assert len(blocked) == 0
@@ -40,13 +41,14 @@ def test_a_way_through_an_obstacle_is_avoided(tmp_path):
     # both on one side first, though the order given alternates
     start = np.radians([-100.0, -80, 95, 0, 60, 0])
     q = np.vstack([left, right, left + 0.1, right + 0.1])
-    sequence, _, blocked = order.shortest(site, start, q)
+    site = replace(site, start=start)
+    sequence, _, blocked = order.shortest(site, q)
     assert sorted(sequence[:2]) == [0, 2]
     assert blocked.tolist() == [2]
-    passed, stuck = order.ways(site, start, q[sequence], blocked)
+    passed, stuck = order.ways(site, q[sequence], blocked)
     assert stuck.tolist() == []
     stops = np.vstack([q[sequence[1]], passed[2], q[sequence[2]]])
-    assert len(stops) > 2  # behind the wall, with the arm drawn in
+    assert len(stops) > 2  # behind the wall, with the arm folded
     assert np.diag(order.free_moves(site, stops), 1).all()
 
 
@@ -54,5 +56,5 @@ def test_a_pose_that_cannot_be_reached_on_a_free_way_is_told(tmp_path):
     wall = "[[boxes]]\nname = 'wall'\nX = 0\nY = -1100\nZ = 1500\nsize = [6000, 100, 6000]\n"
     site = setting.site(tmp_path, BASIC + RIG + wall)
     inside = np.radians([[90.0, -20, 40, 0, 40, 0]])  # stretched through the wall: not even passable
-    _, stuck = order.ways(site, START, inside, np.array([0]))
+    _, stuck = order.ways(site, inside, np.array([0]))
     assert stuck.tolist() == [0]

@@ -15,9 +15,9 @@ _QUIET = {"issues": (), "bound": np.full(100, 5e-6)}
 
 def _known(result):
     """The same with a model of which nothing is assumed, and whose uncertainty is known."""
-    entries = tuple(replace(entry, assumed=False) for entry in result.robot.provenance)
+    entries = tuple(replace(entry, assumed=False) for entry in result.robot.sources)
     covariance = Covariance((JointCompliance("A1"),), np.eye(1))
-    return fabricated.with_changes(result, robot=replace(result.robot, provenance=entries, covariance=covariance))
+    return fabricated.with_changes(result, robot=replace(result.robot, sources=entries, covariance=covariance))
 
 
 def _verdict(tolerance=1e-5, **changes):

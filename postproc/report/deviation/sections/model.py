@@ -9,7 +9,7 @@ def section(told: Deviation) -> Section:
     robot = told.result.robot
     rows = tuple(
         Row((entry.name, entry.value, Cell("assumed", "warning") if entry.assumed else "stated", entry.source))
-        for entry in robot.provenance
+        for entry in robot.sources
     )
     table = Table(("Value", "", "", "Source"), rows, "Values of the robot model and their sources", texts=(1, 2, 3))
     parts: list[Part] = [Notes((Note(robot.title or robot.name),)), table]

@@ -1,6 +1,6 @@
-"""A pool of poses that can be measured, level by level of q2: what the search chooses from.
+"""Candidates: poses that can be measured, level by level of q2, from which the search chooses.
 
-Every pose of the pool satisfies all constraints. Poses are drawn at random: joints uniform within their limits, loads
+Every one satisfies all constraints. Poses are drawn at random: joints uniform within their limits, loads
 uniform over the directions that the rig allows.
 """
 
@@ -25,7 +25,7 @@ _LOOK = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pool:
+class Candidates:
     """Feasible poses at L levels of q2, C each; levels with none are left out.
 
     :param q2: (L,) [rad].
@@ -39,8 +39,8 @@ class Pool:
     tilt: Array
     information: Array
 
-    def only(self, keep: tuple[int, ...]) -> Pool:
-        """Return the pool with the information on some compliances only."""
+    def only(self, keep: tuple[int, ...]) -> Candidates:
+        """Return the candidates with the information on some compliances only."""
         return replace(self, information=self.information[:, :, keep][:, :, :, keep])
 
     def __len__(self) -> int:
@@ -73,8 +73,8 @@ def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> 
     return np.concatenate(found_q)[:count], np.concatenate(found_tilt)[:count]
 
 
-def make_pool(site: Site, readings: Readings, rng: np.random.Generator, fixed: Array | None = None) -> Pool:
-    """Draw candidates on a grid of levels over the range of q2, and at `fixed` levels (first in the pool).
+def draw_candidates(site: Site, readings: Readings, rng: np.random.Generator, fixed: Array | None = None) -> Candidates:
+    """Draw candidates on a grid of levels over the range of q2, and at `fixed` levels (first among them).
 
     :param readings: with all six compliances.
 
@@ -97,7 +97,7 @@ def make_pool(site: Site, readings: Readings, rng: np.random.Generator, fixed: A
             q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
     information *= real[:, :, None, None]  # a measured level where nothing can be measured any more tells nothing
-    return Pool(levels[kept], q, tilt, information)
+    return Candidates(levels[kept], q, tilt, information)
 
 
 def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:

@@ -11,7 +11,7 @@ from postproc.robot.spring_parameters import LinkSpring
 
 
 @dataclass(frozen=True, slots=True)
-class Provenance:
+class SourcedValue:
     """One value of a model and where it comes from."""
 
     name: str
@@ -20,7 +20,7 @@ class Provenance:
     assumed: bool
 
 
-def provenance(content: ModelFile, nominal: Chain) -> Iterator[Provenance]:
+def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
     """Yield the values of a model file and of its URDF with their sources."""
     for name in JOINTS:
         spring = content.joints[name]
@@ -29,30 +29,30 @@ def provenance(content: ModelFile, nominal: Chain) -> Iterator[Provenance]:
         if spring.stiffening:
             fades = sum(part.compliance_urad_per_Nm for part in spring.stiffening)
             value += f", of which {fades:.3g} fade with load"
-        yield Provenance(f"compliance {name}", value, spring.source, spring.assumed)
+        yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)
     if (spring_law := content.compensator) is not None:
         value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
         geometry_source = spring_law.geometry_source or spring_law.source
         assumed = spring_law.assumed and not spring_law.geometry_source
-        yield Provenance("compensator geometry", value, geometry_source, assumed)
+        yield SourcedValue("compensator geometry", value, geometry_source, assumed)
         value = f"K_c {spring_law.stiffness_N_per_m:g} N/m, s_0 {spring_law.free_length_mm:g} mm"
-        yield Provenance("compensator spring", value, spring_law.source, spring_law.assumed)
+        yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
     if (carried := content.payload) is not None:
         value = f"{carried.mass_kg:g} kg at {carried.X_mm:g}, {carried.Y_mm:g}, {carried.Z_mm:g} mm of the flange"
-        yield Provenance("payload when measured", value, carried.source, carried.assumed)
+        yield SourcedValue("payload when measured", value, carried.source, carried.assumed)
     for name, springs in content.links.items():
         count = sum(spring.link == name for spring, _ in LinkSpring.stated(content))
-        yield Provenance(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
+        yield SourcedValue(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
     for name, entry in content.geometry.items():
         value = (
             f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
         )
-        yield Provenance(f"calibrated {name}", value, entry.source, entry.assumed)
+        yield SourcedValue(f"calibrated {name}", value, entry.source, entry.assumed)
     masses = ", ".join(f"{mass:g}" for mass in nominal.mass)
     for label, value, entry_source in (
         ("link masses", f"{masses} kg", content.masses),
         ("geometry, limits, speeds", "robot.urdf", content.geometry_nominal),
     ):
         source = entry_source or Sourced(source="not stated", assumed=True)
-        yield Provenance(label, value, source.source, source.assumed)
-    yield Provenance("gravity reference", content.gravity.reference, "model.toml", assumed=False)
+        yield SourcedValue(label, value, source.source, source.assumed)
+    yield SourcedValue("gravity reference", content.gravity.reference, "model.toml", assumed=False)
