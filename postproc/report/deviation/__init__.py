@@ -77,4 +77,4 @@ def page(result: Result, tolerance: float | None = None) -> Iterator[bytes]:
     ).render()
 
 
-_SCRIPTS = ("places", "robot", "view3d", "along", "histogram", "place")
+_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "place")

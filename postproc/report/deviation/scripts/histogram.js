@@ -31,9 +31,13 @@
 
   // The worst place in a bar; where the page holds none of it, the one that comes nearest.
   function worst(name, low, high) {
+    const value = at[name];
+    const off = (i) => Math.max(value[i] - high, low - value[i], 0);
     let best = null;
-    const off = (i) => (at[name][i] > high ? at[name][i] - high : at[name][i] < low ? low - at[name][i] : (at[name][i] - high) * 1e-9);
-    for (let i = 0; i < count; i++) if (!at.rapid[i] && (best === null || off(i) < off(best) || (off(i) <= 0 && at[name][i] > at[name][best]))) best = i;
+    for (let i = 0; i < count; i++) {
+      if (at.rapid[i]) continue;
+      if (best === null || off(i) < off(best) || (off(i) === 0 && off(best) === 0 && value[i] > value[best])) best = i;
+    }
     return best;
   }
   draw().then(() => view.on("plotly_click", ({ points: [point] }) =>

@@ -6,6 +6,7 @@
   const { at, values, number } = places;
   const drawn = columns.drawn;
   const points = drawn.x.length;
+  const MOST = 15000;
   const paths = {
     b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before", dash: "solid" },
     ...(places.compared && { a: { title: "tool with the program as written", colour: "after", dash: "solid" } }),
@@ -24,29 +25,51 @@
   const shown = { colour: "before", enlarged: Math.min(Math.max(round((0.06 * extent) / largest), 1), 10000),
     paths: { b: true, a: false, c: places.compared }, robot: false };
 
+  // The points that are drawn: all of a few thousands; of more, from each bit of the path its first and its worst, and
+  // its last, so that no peak of the value shown is lost.
+  function kept() {
+    const size = Math.ceil((3 * points) / MOST);
+    if (size <= 3) return Array.from({ length: points }, (_, k) => k);
+    const column = at[shown.colour];
+    const worse = values[shown.colour].low ? (a, b) => a < b : (a, b) => a > b;
+    const out = [];
+    for (let begin = 0; begin < points; ) {
+      const rapid = at.rapid[drawn.place[begin]];
+      let [worst, end] = [begin, begin];
+      for (; end < points && end - begin < size && at.rapid[drawn.place[end]] === rapid; end++)
+        if (worse(column[drawn.place[end]], column[drawn.place[worst]])) worst = end;
+      out.push(...new Set([begin, worst, end - 1]));
+      begin = end;
+    }
+    return out;
+  }
+
   // Pieces that cut and rapid ones, each a line with gaps, and the place that each of its points leads to.
-  const runs = (() => {
+  let keep = kept();
+  let runs = cut();
+  function cut() {
     const line = () => ({ x: [], y: [], z: [], place: [] });
     const out = { cut: line(), rapid: line() };
-    let last = null;
+    let [last, before] = [null, null];
     const push = (to, k, place) => {
       to.x.push(k === null ? null : drawn.x[k]);
       to.y.push(k === null ? null : drawn.y[k]);
       to.z.push(k === null ? null : drawn.z[k]);
       to.place.push(place);
     };
-    for (let k = 0; k < points; k++) {
+    for (const k of keep) {
       const place = drawn.place[k];
       const to = at.rapid[place] ? out.rapid : out.cut;
       if (to !== last) {
         if (to.x.length) push(to, null, place);
-        if (k) push(to, k - 1, place);
+        if (before !== null) push(to, before, place);
         last = to;
       }
       push(to, k, place);
+      before = k;
     }
     return out;
-  })();
+  }
 
   // Values at the gaps do not count.
   function coloured() {
@@ -65,11 +88,11 @@
   function displaced(prefix) {
     const line = { x: [], y: [], z: [] };
     const push = (p) => ["x", "y", "z"].forEach((axis, r) => line[axis].push(p ? p[r] : null));
-    for (let k = 0, first = 0; k < points; k++) {
+    for (const k of keep) {
       const place = drawn.place[k];
-      if (k && drawn.place[k - 1] !== place) first = k;
       if (at.rapid[place]) { push(null); continue; }
-      let end = k;
+      let [first, end] = [k, k];
+      while (first > 0 && drawn.place[first - 1] === place) first--;
       while (end + 1 < points && drawn.place[end + 1] === place) end++;
       const share = end === first ? 1 : (k - first + 1) / (end - first + 1);
       const to = places.vector(prefix, place);
@@ -87,10 +110,6 @@
         ["x", "y", "z"].forEach((name, r) => line[name].push(reach === null ? null : m[r][3] + reach * m[r][axis]));
     return line;
   };
-  const names = (m, length, name) => ({
-    x: [0, 1, 2].map((axis) => m[0][3] + length * m[0][axis]), y: [0, 1, 2].map((axis) => m[1][3] + length * m[1][axis]),
-    z: [0, 1, 2].map((axis) => m[2][3] + length * m[2][axis]), text: ["X", "Y", "Z"].map((axis) => `${axis} ${name}`),
-  });
   const frame = places.inRoot ? places.bases[0] : [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]];
 
   // The traces in a fixed order, so that single ones can be changed.
@@ -115,15 +134,14 @@
       z: where.map((p) => p[2]), text: worst.map(([name]) => `worst ${name}`),
       marker: { size: 6, symbol: "diamond-open", color: colour("before") } });
     out.push(marker(), arm());
-    const reach = 0.12 * extent;
-    for (const [m, name] of [[frame, "$BASE"], ...(shown.robot ? [[robot.root, "robot"]] : [])]) {
-      const length = name === "robot" ? 300 : reach;
-      out.push({ ...lines, ...axes(m, length), line: { width: 4, color: colour("ink") } });
-      out.push({ type: "scatter3d", mode: "text", hoverinfo: "skip", ...names(m, length, name),
-        textfont: { color: colour("ink"), size: 11 } });
-    }
+    for (const { m, length } of frames()) out.push({ ...lines, ...axes(m, length), line: { width: 4, color: colour("ink") } });
     return out;
   }
+  const frames = () => [{ m: frame, length: 0.12 * extent, name: "$BASE" },
+    ...(shown.robot ? [{ m: robot.root, length: 300, name: "robot" }] : [])];
+  const names = () => frames().flatMap(({ m, length, name }) => ["X", "Y", "Z"].map((axis, c) => ({
+    x: m[0][3] + length * m[0][c], y: m[1][3] + length * m[1][c], z: m[2][3] + length * m[2][c],
+    text: `${axis} ${name}`, showarrow: false, font: { color: theme.colour("ink"), size: 11 } })));
   function marker() {
     const p = selection.place === null ? [null, null, null] : places.position(selection.place);
     return { type: "scatter3d", mode: "markers", hoverinfo: "skip", x: [p[0]], y: [p[1]], z: [p[2]],
@@ -145,20 +163,26 @@
     const of = places.inRoot ? "root" : "$BASE";
     return theme.layout({ margin: { l: 0, r: 0, t: 0, b: 0 }, hovermode: "closest", uirevision: 1,
       scene: { aspectmode: "data", camera, xaxis: axis(`X ${of}, mm`), yaxis: axis(`Y ${of}, mm`), zaxis: axis(`Z ${of}, mm`),
-        dragmode: "turntable", uirevision: 1 } });
+        dragmode: "turntable", uirevision: 1, annotations: names() } });
   }
-  let picture = null;
+  const picture = Object.assign(new Image(), { alt: "The path in space, coloured by a value", className: "only-print" });
   let wanted = 0;
-  // A picture of the view stands in for it on paper: browsers do not print what the graphics card drew.
+  // A picture stands in for the canvas on paper: browsers do not print what the graphics card drew.
   function photograph() {
     clearTimeout(wanted);
-    wanted = setTimeout(async () => {
-      const url = await Plotly.toImage(view, { format: "png", width: 1200, height: 700 }).catch(() => null);
-      if (url) picture.src = url;
-    }, 400);
+    wanted = setTimeout(expose, 300);
+  }
+  function expose() {
+    const canvas = view.querySelector(".gl-container canvas");
+    if (!canvas) return;
+    view._fullLayout.scene._scene.glplot.redraw(); // what it drew is gone when it has been shown
+    picture.src = canvas.toDataURL();
+    canvas.after(picture);
   }
   function draw() {
-    return Plotly.react(view, traces(), layout(), theme.config).then(photograph);
+    const drawn = Plotly.react(view, traces(), layout(), theme.config);
+    if (theme.printing) expose(); // there is no later
+    return drawn.then(photograph);
   }
 
   // Turning by degrees about the upright axis and in height, and coming nearer by a factor.
@@ -202,6 +226,8 @@
     <fieldset><legend>View</legend>${Object.keys(sides).map((name) => `<button type="button">${name}</button>`).join("")}</fieldset>`;
   document.getElementById("view3d-colour").addEventListener("change", (event) => {
     shown.colour = event.target.value;
+    keep = kept();
+    runs = cut();
     draw();
   });
   for (const box of controls.querySelectorAll("[data-path]"))
@@ -219,31 +245,36 @@
     button.addEventListener("click", () => look({ to: sides[button.textContent] }));
 
   view.style.height = "min(70vh, 640px)";
-  view.classList.add("not-print");
-  picture = new Image();
-  picture.alt = "The path in space, coloured by a value";
-  picture.className = "only-print";
-  view.after(picture);
-  try {
-    draw().then(() => {
+  // What is quick is drawn and answers first.
+  setTimeout(() => draw().then(() => {
       view.on("plotly_hover", ({ points: [{ curveNumber, pointNumber }] }) => {
-        if (curveNumber === 0) selection.point(runs.cut.place[pointNumber]);
+        if (curveNumber !== 0) return;
+        under = runs.cut.place[pointNumber];
+        selection.point(under);
       });
-      view.on("plotly_unhover", () => selection.point(null));
-      view.on("plotly_click", ({ points: [{ curveNumber, pointNumber }] }) => {
-        if (curveNumber === 0) selection.choose(runs.cut.place[pointNumber]);
+      view.on("plotly_unhover", () => {
+        under = null;
+        selection.point(null);
       });
       view.on("plotly_relayout", photograph);
-    });
-  } catch (cause) {
-    view.textContent = `This browser cannot draw in three dimensions (${cause.message}). The plots below show the same numbers.`;
-    return;
-  }
-  theme.onChange(draw);
+      theme.onChange(draw);
+      ready = true;
+    }).catch(({ message }) => {
+      view.textContent = `This browser cannot draw in three dimensions (${message}). The plots below show the same numbers.`;
+    }), 50);
 
+  // A click is a press that did not turn the path. (The library tells of one only if it lasts until it has drawn again.)
+  let under = null;
+  let pressed = null;
+  view.addEventListener("pointerdown", ({ clientX, clientY }) => { pressed = [clientX, clientY]; }, true);
+  view.addEventListener("click", ({ clientX, clientY }) => {
+    if (under !== null && pressed && Math.hypot(clientX - pressed[0], clientY - pressed[1]) < 4) selection.choose(under);
+  }, true);
+
+  let ready = false;
   let asked = false;
   selection.subscribe(() => {
-    if (asked) return;
+    if (asked || !ready) return;
     asked = true;
     requestAnimationFrame(() => {
       asked = false;

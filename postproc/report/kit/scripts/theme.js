@@ -1,12 +1,19 @@
 "use strict";
 // Colours of the style sheet for what the plot library draws, and a way to hear that they have changed.
 const theme = (() => {
+  const PAPER = 660; // width of a plot on paper, pixels: A4 and Letter with usual margins
   const heard = [];
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const light = document.styleSheets[0].cssRules[0].style; // the first rule of the style sheet
+  let printing = false;
+  const colour = (name) => (printing ? light : getComputedStyle(document.documentElement)).getPropertyValue(`--${name}`).trim();
   const tell = () => heard.forEach((redraw) => redraw());
+  const print = (begins) => () => {
+    printing = begins;
+    tell();
+  };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", tell);
-  addEventListener("beforeprint", tell);
-  addEventListener("afterprint", tell);
+  addEventListener("beforeprint", print(true));
+  addEventListener("afterprint", print(false));
 
   // What all plots share: no paper of their own, the page's font and rules.
   const axis = (more = {}) => ({
@@ -17,8 +24,8 @@ const theme = (() => {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false,
     font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: colour("soft") },
     hoverlabel: { bgcolor: colour("card"), bordercolor: colour("rule"), font: { color: colour("ink") } },
-    margin: { l: 56, r: 16, t: 10, b: 40 }, ...more,
+    margin: { l: 56, r: 16, t: 10, b: 40 }, width: printing ? PAPER : undefined, autosize: !printing, ...more,
   });
   const config = { responsive: true, displaylogo: false, displayModeBar: false };
-  return { colour, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
+  return { get printing() { return printing; }, colour, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
 })();

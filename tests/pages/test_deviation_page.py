@@ -1,0 +1,325 @@
+"""The report of a program in a real browser: linked views, keys, numbers."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+from postproc.report import page as rendered
+from tests import fabricated
+from tests.pages.browser import needs_chromium, opened
+
+pytestmark = needs_chromium
+IDS = ("verdict", "view3d", "along", "histogram", "worst", "place", "issues")
+
+
+def _chosen(page):
+    """Source line of the chosen place as the details tell it."""
+    page.wait_for_timeout(60)
+    return int(page.locator("#place dd").first.inner_text())
+
+
+def _targets(results):
+    with (results / "pocket.targets.csv").open(encoding="utf-8") as file:
+        return [{name: float(text or "nan") for name, text in row.items()} for row in csv.DictReader(file)]
+
+
+def _camera(page):
+    return page.evaluate("document.getElementById('view3d-view')._fullLayout.scene.camera.eye")
+
+
+def test_it_opens_from_disk_and_has_every_part(page):
+    assert page.title() == "pocket.nc: deviation report"
+    for name in IDS:
+        assert page.locator(f"#{name}").count() == 1
+    assert page.locator("#view3d canvas").count() >= 1
+    assert page.locator("#along .main-svg").count() >= 1
+
+
+@pytest.mark.parametrize("wrong", ["<script>nothing.of(this)</script>", "<img src='https://example.com/picture.png'>"])
+def test_a_page_that_complains_or_loads_something_would_be_noticed(browser, tmp_path, wrong):
+    (tmp_path / "wrong.html").write_text(f"<html><body>{wrong}</body></html>", encoding="utf-8")
+    with pytest.raises(AssertionError), opened(browser, tmp_path / "wrong.html", ready=False) as page:
+        page.wait_for_timeout(200)
+
+
+def test_its_numbers_are_those_of_the_report(page, results):
+    report = json.loads((results / "pocket.report.json").read_text(encoding="utf-8"))
+    text = page.locator("#numbers").inner_text()
+    for key in ("max_mm", "rms_mm", "mean_mm", "p95_mm"):
+        assert f"{report['before'][key]:.4f}" in text
+    assert all(reason[1:] in page.locator("#verdict").inner_text() for reason in report["verdict"]["reasons"])
+    cutting = [row for row in _targets(results) if not row["rapid"]]
+    at = page.evaluate("({before: Array.from(places.at.before), after: Array.from(places.at.after), "
+                       "rapid: Array.from(places.at.rapid)})")  # fmt: skip
+    for key in ("before", "after"):
+        shown = np.array(at[key])[np.array(at["rapid"]) == 0]
+        assert shown.max() == pytest.approx(report[key]["max_mm"], rel=1e-6)
+        assert math.sqrt(np.mean(shown**2)) == pytest.approx(report[key]["rms_mm"], rel=1e-6)
+        np.testing.assert_allclose(shown, [row[f"{key}_mm"] for row in cutting], atol=6e-7)
+
+
+def test_every_target_is_there_with_its_joints_forces_and_command(page, results):
+    names = {"X": "X", "Y": "Y", "Z": "Z", "Fx": "Fx", "Fz": "Fz", "A1": "A1", "A5": "A5", "source_line": "source_line"}
+    at = page.evaluate("(names) => Object.fromEntries(names.map((n) => [n, Array.from(places.at[n])]))", list(names))
+    rows = _targets(results)
+    for name, column in names.items():
+        np.testing.assert_allclose(at[name], [row[column] for row in rows], atol=6e-4, err_msg=name)
+    moved = page.evaluate("['X','Y','Z'].map((a) => Array.from(places.at['c' + a]))")
+    np.testing.assert_allclose(moved[1], [row["Y_cmd"] - row["Y"] for row in rows], atol=1e-5)
+
+
+def test_the_worst_place_is_chosen_at_first_and_told_in_full(page, results):
+    page.keyboard.press("Home")
+    page.locator("#place-controls [data-go=worst]").click()
+    worst = max(_targets(results), key=lambda row: row["before_mm"])
+    assert _chosen(page) == worst["source_line"]
+    text = page.locator("#place").inner_text()
+    assert f"{worst['before_mm']:.4f} mm" in text
+    assert f"{worst['Fx']:.1f}, {worst['Fy']:.1f}, {worst['Fz']:.1f} N" in text
+    assert f"{worst['A2']:.2f}°" in text
+
+
+def test_the_mouse_and_the_keys_turn_the_path(page):
+    before = _camera(page)
+    box = page.locator("#view3d-view").bounding_box()
+    page.locator("#view3d-view").scroll_into_view_if_needed()
+    box = page.locator("#view3d-view").bounding_box()
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 120, middle[1] + 10, steps=6)
+    page.mouse.up()
+    page.wait_for_timeout(300)
+    turned = _camera(page)
+    assert math.dist(before.values(), turned.values()) > 0.1
+
+    def azimuth():
+        eye = _camera(page)
+        return math.degrees(math.atan2(eye["y"], eye["x"]))
+
+    page.locator("#view3d-view").focus()
+    start = azimuth()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_timeout(100)
+    assert (azimuth() - start) % 360 == pytest.approx(10.0, abs=0.1)
+    far = math.hypot(*_camera(page).values())
+    page.keyboard.press("+")
+    page.wait_for_timeout(100)
+    assert math.hypot(*_camera(page).values()) == pytest.approx(far / 1.2)
+    page.get_by_role("button", name="Top").click()
+    page.wait_for_timeout(100)
+    assert _camera(page)["z"] > 2.0
+
+
+def test_the_path_is_coloured_by_what_is_asked_for(page, results):
+    page.locator("#view3d-colour").select_option("force")
+    page.wait_for_timeout(200)
+    shown = page.evaluate(
+        "(() => { const {line} = document.getElementById('view3d-view').data[0];"
+        "return [Array.from(line.color), line.cmax, line.colorbar.title.text] })()"
+    )
+    largest = max(math.hypot(row["Fx"], row["Fy"], row["Fz"]) for row in _targets(results) if not row["rapid"])
+    assert max(shown[0]) == shown[1] == pytest.approx(largest, rel=1e-5)
+    assert shown[2] == "Force, N"
+    page.locator("#view3d-colour").select_option("before")
+
+
+def test_the_deviation_is_enlarged_by_the_factor_shown(page, results):
+    page.locator("#view3d-enlarged").fill("2")
+    page.wait_for_timeout(200)
+    assert page.locator("#view3d-factor").inner_text() == "100 ×"
+    rows = {(round(row["X"], 2), round(row["Y"], 2), round(row["Z"], 2)): row for row in _targets(results)}
+    nominal, enlarged = page.evaluate(
+        "(() => { const {data} = document.getElementById('view3d-view'); "
+        "return [0, 2].map((i) => data[i].x.map((x, k) => [x, data[i].y[k], data[i].z[k]])"
+        ".filter((p) => p[0] !== null)) })()"
+    )
+    ends = page.evaluate("Array.from(columns.drawn.place).map((p) => [p, places.at.rapid[p], places.at.bX[p]])")
+    assert len(enlarged) == sum(not rapid for _, rapid, _ in ends)
+    drawn = [
+        tuple(p)
+        for p in page.evaluate("Array.from(columns.drawn.x).map((x, k) => [x, columns.drawn.y[k], columns.drawn.z[k]])")
+    ]
+    cutting = [(point, entry) for point, entry in zip(drawn, ends, strict=True) if not entry[1]]
+    checked = 0
+    for (point, (_, _, off)), shifted in zip(cutting, enlarged, strict=True):
+        row = rows.get(tuple(round(value, 2) for value in point))
+        if row is not None:  # a target, not a point of an arc between
+            assert shifted[0] - point[0] == pytest.approx(100 * off, abs=2e-3)
+            checked += 1
+    assert checked > 300
+    assert len(nominal) > len(enlarged)
+
+
+def test_pointing_at_the_path_shows_a_place_and_a_click_keeps_it(page):
+    page.get_by_role("button", name="Oblique").click()
+    page.locator("#view3d-view").scroll_into_view_if_needed()
+    box = page.locator("#view3d-view").bounding_box()
+    page.evaluate("selection.choose(0)")
+    for across in np.linspace(0.3, 0.6, 25):
+        page.mouse.move(box["x"] + across * box["width"], box["y"] + 0.68 * box["height"])
+        page.wait_for_timeout(120)
+        pointed = page.evaluate("selection.place")
+        if pointed:
+            break
+    assert pointed
+    page.mouse.down()
+    page.mouse.up()
+    page.wait_for_timeout(200)
+    assert page.evaluate("selection.chosen") == pointed
+    assert _chosen(page) == page.evaluate("(i) => places.at.source_line[i]", pointed)
+
+
+def test_a_click_on_the_plot_shows_the_place_there(page):
+    page.locator("#along-view").scroll_into_view_if_needed()
+    box = page.locator("#along-view .nsewdrag").first.bounding_box()
+    at = box["x"] + 0.4 * box["width"], box["y"] + box["height"] / 2
+    page.mouse.move(*at)
+    page.wait_for_timeout(150)
+    page.mouse.down()
+    page.mouse.up()
+    page.wait_for_timeout(400)
+    axis = page.evaluate("document.getElementById('along-view')._fullLayout.xaxis.range")
+    wanted = axis[0] + 0.4 * (axis[1] - axis[0])
+    found = page.evaluate("places.at.length[selection.chosen]")
+    assert found == pytest.approx(wanted, abs=0.02 * axis[1])
+    shapes = page.evaluate("document.getElementById('along-view').layout.shapes")
+    assert shapes[0]["x0"] == pytest.approx(found)
+    dot = page.evaluate("document.getElementById('view3d-view').data.filter((t) => t.marker?.size === 8)[0].x")
+    assert dot[0] == pytest.approx(page.evaluate("places.at.X[selection.chosen]"), abs=1e-3)
+
+
+def test_the_keys_step_along_the_path(page):
+    page.evaluate("selection.choose(100)")
+    page.locator("#along-view").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("selection.chosen") == 101
+    page.keyboard.press("Shift+ArrowRight")
+    assert page.evaluate("selection.chosen") == 111
+
+
+def test_plots_run_over_time_too(page):
+    page.locator("#along-over").select_option("time")
+    page.wait_for_timeout(200)
+    x = page.evaluate("document.getElementById('along-view').data[0].x")
+    assert x[-1] == pytest.approx(page.evaluate("places.at.time[places.count - 1]"))
+    page.locator("#along-over").select_option("length")
+
+
+def test_a_row_of_the_worst_chooses_its_place_by_click_and_by_key(page):
+    rows = page.locator("#worst tbody tr")
+    rows.nth(3).click()
+    assert _chosen(page) == int(rows.nth(3).get_attribute("data-source-line"))
+    rows.nth(5).focus()
+    page.keyboard.press("Enter")
+    assert _chosen(page) == int(rows.nth(5).get_attribute("data-source-line"))
+    assert "chosen" in rows.nth(5).get_attribute("class")
+
+
+def test_the_worst_are_sorted_by_any_column(page):
+    head = page.locator("#worst thead th", has_text="Source line")
+    head.locator("button").click()
+    lines = [int(row.get_attribute("data-source-line")) for row in page.locator("#worst tbody tr").all()]
+    assert head.get_attribute("aria-sort") == "descending"
+    assert lines == sorted(lines, reverse=True)
+    assert len(set(lines)) > 5
+    head.locator("button").focus()
+    page.keyboard.press("Enter")
+    lines = [int(row.get_attribute("data-source-line")) for row in page.locator("#worst tbody tr").all()]
+    assert lines == sorted(lines)
+
+
+def test_a_bar_of_the_histogram_chooses_its_worst_place(page):
+    low, high = page.evaluate(
+        "(() => { const v = document.getElementById('histogram-view');"
+        "const k = v.data[0].y.indexOf(Math.max(...v.data[0].y));"
+        "v.emit('plotly_click', {points: [{curveNumber: 0, customdata: v.data[0].customdata[k]}]});"
+        "return v.data[0].customdata[k] })()"
+    )
+    value = page.evaluate("places.at.before[selection.chosen]")
+    assert low <= value <= high
+    within = page.evaluate("Array.from(places.at.before)")
+    assert value == max(each for each in within if low <= each <= high)
+
+
+def test_a_line_can_be_asked_for(page):
+    page.locator("#place-line").fill("57")
+    page.keyboard.press("Enter")
+    assert _chosen(page) == 57
+
+
+def test_the_keyboard_reaches_everything(page):
+    reached = set()
+    page.locator("h1").click()
+    for _ in range(120):
+        page.keyboard.press("Tab")
+        reached |= set(page.evaluate(
+            "(() => { const e = document.activeElement; return [e.id, e.closest('section')?.id ?? ''] })()"
+        ))  # fmt: skip
+    assert {
+        "view3d-view",
+        "view3d-colour",
+        "view3d-enlarged",
+        "along-view",
+        "along-over",
+        "worst",
+        "place-line",
+    } <= reached
+
+
+def test_every_picture_has_a_text_alternative(page):
+    for view in page.locator("[role=img], [role=group], #view3d-view, #along-view, #histogram-view").all():
+        assert len(view.get_attribute("aria-label")) > 20
+    assert page.locator("table:not(:has(caption))").count() == 0
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_phone_shows_it_without_scrolling_sideways(browser, results, dark):
+    with opened(browser, results / "pocket.report.html", width=420, height=900, dark=dark) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 420
+        back = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert (sum(json.loads(back.replace("rgb(", "[").replace(")", "]"))) < 200) == dark
+        ticks = page.evaluate("document.querySelector('#along .xtick text').style.fill")
+        assert ticks == page.evaluate(
+            "(() => { const e = document.createElement('i'); e.style.color = theme.colour('soft');"
+            "return e.style.color })()"
+        )
+
+
+def test_on_paper_the_controls_are_gone_and_the_path_is_there(browser, results):
+    with opened(browser, results / "pocket.report.html", dark=True) as page:
+        assert len(page.pdf(format="A4")) > 50_000
+        page.emulate_media(media="print")
+        assert not page.locator("#view3d-controls").is_visible()
+        picture = page.locator("#view3d img.only-print")
+        assert picture.is_visible()
+        assert picture.evaluate("(image) => image.naturalWidth") > 300
+
+
+def test_a_prediction_has_the_same_page_with_one_deviation(browser, results):
+    with opened(browser, results / "pocket.predict.report.html") as page:
+        text = page.locator("body").inner_text()
+        assert "after" not in page.locator("#worst").inner_text().lower()
+        assert "Predicted deviation" in text
+        assert page.locator("#view3d-colour option").all_inner_texts()[0] == "Predicted deviation"
+        assert page.evaluate("Object.keys(facts.histograms)") == ["before"]
+
+
+def test_of_200_000_targets_the_worst_is_drawn(browser, tmp_path):
+    base = fabricated.result(200_000)
+    before = base.before.copy()
+    before[123_457] = 5e-3
+    path = tmp_path / "large.html"
+    path.write_bytes(b"".join(rendered(fabricated.with_changes(base, before=before), 1e-5)))
+    with opened(browser, path) as page:
+        assert _chosen(page) == 123_457 + 3
+        colours = page.evaluate("document.getElementById('view3d-view').data[0].line.color")
+        assert max(colours) == pytest.approx(5.0)
+        curve = page.evaluate("document.getElementById('along-view').data[0].y")
+        assert max(value for value in curve if value is not None) == pytest.approx(5.0)
+        assert len(curve) < 4_000

@@ -1,0 +1,101 @@
+"""Every kind of part and plot of the kit in a real browser."""
+
+from __future__ import annotations
+
+import re
+
+from postproc.report.kit import (
+    Axis,
+    Bars,
+    Cell,
+    Counts,
+    Curve,
+    Facts,
+    Fold,
+    Lines,
+    Mark,
+    Matrix,
+    Note,
+    Notes,
+    Page,
+    Plot,
+    Points,
+    Row,
+    Section,
+    Span,
+    Table,
+    Tile,
+    Tiles,
+    Verdict,
+)
+from postproc.report.kit.plots import Traced
+from tests.html_page import read_page
+from tests.pages.browser import needs_chromium, opened
+
+pytestmark = needs_chromium
+_NAN = float("nan")
+PLOTS: tuple[Plot, ...] = (
+    Plot(
+        label="curves",
+        traces=[Curve([1, 2, 3], [1.0, 4.0, 9.0], "a", "before", dots=True), Span([1, 2], [0.5, 1], [2, 3])],
+        y=Axis(logarithmic=True, title="mm"),
+        marks=[Mark(2.0, "limit", "soft", level=True)],
+    ),
+    Plot(
+        label="intervals",
+        traces=[Points([0.0, 0.0], [0.0, 1.0], "v", "after", half=[3.0, None], across=True, texts=["k1 <b>", "k2"])],
+        y=Axis(categories=["k1", "k2"]),
+    ),
+    Plot(label="bars", traces=[Bars([1.0, 2.0], ["one", "two"], [True, False])], y=Axis(categories=["x", "y"])),
+    Plot(label="counts", traces=[Counts([0.0, 1.0, 2.0], [3, 4], "n")], marks=[Mark(1.2, "here", "after")]),
+    Plot(label="matrix", traces=[Matrix(["k1", "k2"], [[1.0, -0.5], [-0.5, 1.0]])]),
+    Plot(
+        label="space",
+        traces=[
+            Lines([0, 1, _NAN], [0, 1, _NAN], [0, 1, _NAN], "a", "after"),
+            Lines([0], [0], [1], "b", "ink", dots=True),
+        ],
+        steps=[[0, 1], [1]],
+        step_names=["all", "b"],
+    ),
+)
+
+
+def _page():
+    table = Table(("Name", "Value"), (Row(("b", "2.0")), Row((Cell("a", "good"), Cell("10.0")))), "t", sortable=True)
+    parts = (
+        Verdict("failed", "No.", "<i>Never</i>."),
+        Tiles((Tile("a", "1", "mm", "note"),)),
+        Facts((("a", Cell("1", "warning")),)),
+        Notes((Note("one", "good"), Note("two")), "Title", marked=True),
+        Fold("more", (table,)),
+    )
+    sections = (Section("parts", "Parts", parts), *(Section(f"plot{i}", p.label, (p,)) for i, p in enumerate(PLOTS)))
+    return b"".join(Page("Kind", "Title <x>", "subtitle", sections).render())
+
+
+def test_every_kind_of_plot_is_among_those_drawn():
+    kinds = {type(trace) for plot in PLOTS for trace in plot.traces}
+    assert kinds == set(Traced.__args__)
+
+
+def test_every_part_is_shown_and_every_plot_drawn(browser, tmp_path):
+    content = _page()
+    read = read_page(content)
+    assert "<i>Never</i>." in read.text("parts")
+    path = tmp_path / "page.html"
+    path.write_bytes(content)
+    with opened(browser, path) as page:
+        page.wait_for_function("document.querySelectorAll('.plot .main-svg').length >= 6")
+        page.locator("summary").click()
+        page.get_by_role("button", name="Value").click()
+        assert page.locator("#parts tbody th").all_inner_texts() == ["a", "b"]
+        assert page.locator("#plot4").get_by_text(re.compile("[−-]0.50")).count() == 2
+        assert page.locator("#plot2").get_by_text("two").count() == 1
+        assert page.locator("#plot1").get_by_text("k2").count() == 1
+        assert page.locator("#plot5 canvas").count() >= 1
+
+
+def test_a_page_without_plots_is_small(tmp_path):
+    section = Section("notes", "Notes", (Notes((Note("nothing else"),)),))
+    assert len(b"".join(Page("Kind", "Title", "", (section,)).render())) < 20_000
