@@ -15,6 +15,7 @@ import click
 
 _COMMANDS = {
     "convert": "postproc.cli.convert:convert",
+    "forces": "postproc.cli.forces:forces",
     "identify": "postproc.cli.identify:identify",
     "init": "postproc.cli.first_steps:init",
     "install-post": "postproc.cli.install_post:install_post",

@@ -13,13 +13,14 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from postproc import cell, forces, robot
+from postproc import cell, forces, machining, robot
 from postproc.cli import main
 from postproc.errors import InputError
 from postproc.identification import compensator_geometry
 from postproc.identification.experiment import Experiment, read_experiment
 from postproc.identification.measurements import Measurements
 from postproc.identification.readings import read
+from postproc.machining.process import ProcessFile
 from postproc.plan import milling
 from postproc.report.targets import COLUMNS
 from postproc.robot import ModelFile
@@ -49,6 +50,7 @@ TOML = {
     "cell.toml": (cell.load, cell.Cell),
     "experiment.toml": (read_experiment, Experiment),
     "model.toml": (model, ModelFile),
+    "process.toml": (machining.load, ProcessFile),
 }
 _NOT_OF_THE_FILE = {(cell.Cell, "folder")}
 """Filled in when the file is read."""

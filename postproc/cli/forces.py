@@ -1,0 +1,75 @@
+"""`postproc forces`."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("program", type=_PATH, required=False)
+@click.option("--cell", type=_PATH, help="Cell file: robot, base, tool.")
+@click.option("--process", type=_PATH, help="Material, tools and stock: process.toml.")
+@click.option("--stock", type=_PATH, help="Closed mesh of the stock (STL …, mm), instead of that of the process.")
+@click.option("--stock-out", type=_PATH, help="Also write what is left of the stock, as a closed mesh (.stl, .glb …).")
+@click.option("--base", "base_axes", is_flag=True, help="Forces in $BASE axes; default: FEED.")
+@click.option("--dialect", help="How to read the input; by default the extension says it.")
+@click.option("--materials", is_flag=True, help="List the materials that come along, and nothing else.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@click.option("-o", "--output", type=_PATH, help="CSV file to write; a .json of that name beside it.")
+def forces(as_json: bool, materials: bool, **request: Any) -> None:
+    """Compute the cutting forces of PROGRAM from tool, material and stock.
+
+    The tool is swept through the stock; where it is in material, its teeth make the mean force over a turn. The CSV
+    holds it along each move, with standard deviations, for `convert --forces`.
+
+    \b
+    Examples:
+      postproc forces part.nc --cell cell.toml --process process.toml -o part.forces.csv
+      postproc forces op2.nc --cell cell.toml --process process.toml --stock rest.stl -o op2.forces.csv
+      postproc forces --materials
+    """  # noqa: D301 - click: keep these lines as they are
+    import json
+
+    from postproc.jobs.forces_files import ForcesRequest, make_forces
+    from postproc.machining import table
+    from postproc.report import issue_entry, issue_line, process_forces
+
+    if materials:
+        click.echo(process_forces.materials(table()))
+        return
+    for name in ("program", "cell", "process", "output"):
+        if request[name] is None:
+            raise click.UsageError("Give PROGRAM, --cell, --process and -o (or --materials).")
+    asked = ForcesRequest(**request)
+    with _progress() as progress:
+        made = make_forces(asked, progress)
+    for issue in made.issues:
+        click.echo(issue_line(issue_entry(issue), str(asked.program)), err=True)
+    if as_json:
+        click.echo(json.dumps(made.summary, indent=2, ensure_ascii=False))
+    else:
+        click.echo(process_forces.as_text(made.summary))
+        click.echo(f"written: {', '.join(path.name for path in made.written)}")
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[int, int], None] | None]:
+    """Show how far the work is, on a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task("moves")
+        yield lambda done, of: shown.update(task, completed=done, total=of)

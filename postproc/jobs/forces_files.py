@@ -1,0 +1,121 @@
+"""`postproc forces`: from a program and its process to a file of forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from postproc import cell as cells
+from postproc import machining, toolpath
+from postproc.correction.root import InRoot
+from postproc.errors import InputError, Issue
+from postproc.files import foreign, refuse, with_record, write_whole
+from postproc.frames import Array
+from postproc.jobs.conversion import read_program
+from postproc.jobs.outputs import protect
+from postproc.jobs.setup import load_robot
+from postproc.machining import Process, ProcessForces
+from postproc.machining.stock import as_trimesh
+from postproc.program import Ints, Program
+from postproc.report import process_forces
+
+_MESHES = (".stl", ".glb", ".ply", ".obj")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForcesRequest:
+    """What forces are made from, and where they are written.
+
+    :param program: file.
+    :param process: process.toml.
+    :param output: CSV file to write; a JSON file of the same name beside it.
+    :param stock: mesh, instead of the stock of the process.
+    :param stock_out: file for what is left of the stock.
+    :param base_axes: wrenches in `$BASE` axes, not FEED.
+    """
+
+    program: Path
+    cell: Path
+    process: Path
+    output: Path
+    stock: Path | None = None
+    stock_out: Path | None = None
+    base_axes: bool = False
+    dialect: str | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForcesFiles:
+    """Forces as they were written: the summary, what the user should know, and the files."""
+
+    summary: dict[str, Any]
+    issues: tuple[Issue, ...]
+    written: tuple[Path, ...]
+
+
+def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | None = None) -> ForcesFiles:
+    """Compute the forces of a program and write them, whole or not at all.
+
+    :raises PostprocError: an input is unusable, or an output must not be written.
+    """
+    process = machining.load(request.process)
+    cell = cells.load(request.cell)
+    robot = load_robot(cell.robot, cell.folder)
+    program = read_program(request.program, robot, cell, request.dialect)
+    place = InRoot.of(robot, cell)
+    path = toolpath.segments(program, place.start_flange)
+    folder, names = _names(request)
+    protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
+    if not request.overwrite:
+        refuse(foreign(folder, names, names[-1]))
+    found = None
+    if process.material is not None:
+        found = machining.estimate(
+            program, path, process, place.axis, stock=request.stock, base_axes=request.base_axes, progress=progress
+        )
+    knots = _joined(program, process, found)
+    content: dict[str, Any] = {} if found is None else process_forces.summary(program, found)
+    content["by_operation"] = int(np.isnan(knots[1]).sum())
+    contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, *knots)}
+    if request.stock_out is not None:
+        if found is None:
+            raise InputError("--stock-out without [material]", advice="What is left is known where the tool is swept.")
+        mesh = as_trimesh(*found.mesh())
+        contents[names[1]] = bytes(mesh.export(file_type=request.stock_out.suffix[1:].lower()))
+    issues = () if found is None else found.issues
+    record = with_record(contents, names[-1], lambda entries: process_forces.finished(content, issues, entries))
+    return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
+
+
+def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
+    folder, names = request.output.parent, [request.output.name]
+    if request.stock_out is not None:
+        if request.stock_out.parent.resolve() != folder.resolve():
+            raise InputError(
+                "-o and --stock-out are in different folders", advice="They are written together: give one."
+            )
+        if request.stock_out.suffix.lower() not in _MESHES:
+            advice = f"Known: {', '.join(_MESHES)}."
+            raise InputError(f"--stock-out {request.stock_out.name}: not a kind of mesh file", advice=advice)
+        names.append(request.stock_out.name)
+    return folder, [*names, f"{request.output.stem}.json"]
+
+
+def _joined(program: Program, process: Process, found: ProcessForces | None) -> tuple[Ints, Array, Array, Ints, Array]:
+    """Return motion, t, wrench, frame and sigma of all places: an operation's own force wins."""
+    parts: list[tuple[Ints, Array, Array, Ints, Array]] = []
+    if process.operations:
+        own = machining.by_operation(program, process)
+        parts.append((own.motion, np.full(len(own.motion), np.nan), own.wrench, own.frame, own.sigma))
+    if found is not None:
+        rest = np.ones(len(found.cuts.t), dtype=bool) if not parts else ~np.isin(found.cuts.motion, parts[0][0])
+        cuts = found.cuts
+        parts.append((cuts.motion[rest], cuts.t[rest], cuts.wrench[rest], found.frame[rest], found.sigma[rest]))
+    motion, t, wrench, frame, sigma = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    order = np.lexsort((t, motion))
+    return motion[order], t[order], wrench[order], frame[order], sigma[order]

@@ -1,0 +1,13 @@
+"""What a cutter does to its stock, and the stock to the cutter: engagement and cutting forces along a program.
+
+`estimate` sweeps the tools of a program through its stock and returns forces along the motions; `by_operation` takes
+them from a small table instead. Both start from `load`, which reads process.toml.
+"""
+
+from postproc.machining.estimate import ProcessForces, estimate
+from postproc.machining.material import Entry, table
+from postproc.machining.operations import OperationForces, by_operation
+from postproc.machining.process import Process, load
+from postproc.machining.ways import Shift
+
+__all__ = ["Entry", "OperationForces", "Process", "ProcessForces", "Shift", "by_operation", "estimate", "load", "table"]

@@ -1,0 +1,156 @@
+"""process.toml: material, tools and stock of a program, or forces by operation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from postproc import files
+from postproc.cell import Frame, Length, Positive
+from postproc.errors import ForceError
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
+from postproc.machining.material import CuttingLaw, MaterialTable, law
+from postproc.machining.tool import Cutter
+from postproc.program import ForceFrame
+
+Span = tuple[Length, Length]
+Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+
+
+class ToolTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A cutter.
+
+    :param rpm: spindle speed where the program does not say it (KRL).
+    :param spindle: with `rpm`: which way it turns.
+    """
+
+    diameter_mm: Positive
+    flutes: Annotated[int, msgspec.Meta(ge=1, le=100)]
+    shape: Literal["flat", "ball", "bull", "drill"] = "flat"
+    corner_radius_mm: Annotated[float, msgspec.Meta(ge=0, le=1e6)] = 0.0
+    helix_deg: Annotated[float, msgspec.Meta(ge=0, lt=80)] = 30.0
+    rpm: Positive | None = None
+    spindle: Literal["M3", "M4"] = "M3"
+
+
+class Box(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A box in `$BASE`, mm."""
+
+    X: Span
+    Y: Span
+    Z: Span
+
+
+class StockTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The stock before the program: a box, or a closed mesh in mm, which `place` puts into `$BASE`."""
+
+    box: Box | None = None
+    file: str | None = None
+    place: Frame = Frame()
+    resolution_mm: Positive = 0.25
+
+
+class OperationTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The force of an operation or tool; N, N·m."""
+
+    Fx: Newton = 0.0
+    Fy: Newton = 0.0
+    Fz: Newton = 0.0
+    Mx: Newton = 0.0
+    My: Newton = 0.0
+    Mz: Newton = 0.0
+    frame: ForceFrame = "FEED"
+    sigma_percent: Annotated[float, msgspec.Meta(ge=0, le=200)] = 0.0
+
+
+class ProcessFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of a process.toml."""
+
+    material: MaterialTable | None = None
+    tools: dict[str, ToolTable] = {}
+    stock: StockTable = StockTable()
+    operations: dict[str, OperationTable] = {}
+
+
+class Process(ProcessFile, frozen=True):
+    """A process; `path` is where its file stands."""
+
+    path: str = "process.toml"
+
+    def law(self) -> CuttingLaw:
+        """Return how the material cuts.
+
+        :raises ForceError: there is no [material], or it does not say.
+        """
+        if self.material is None:
+            advice = 'Give [material] name = "…" (postproc forces --materials lists them), or [operations] with forces.'
+            raise ForceError("no [material]", file=self.path, advice=advice)
+        return law(self.material, self.path)
+
+    def tool(self, number: int | None) -> tuple[str, ToolTable] | None:
+        """Return the key and the entry of tool number `number` (None: not known), or None if there is none."""
+        key = str(number)
+        if key in self.tools:
+            return key, self.tools[key]
+        if "default" in self.tools:
+            return "default", self.tools["default"]
+        if number is None and len(self.tools) == 1:
+            return next(iter(self.tools.items()))
+        return None
+
+    def cutter(self, key: str) -> Cutter:
+        """Return the cutter of an entry of [tools]."""
+        given = self.tools[key]
+        radius = 0.5 * given.diameter_mm * M_PER_MM
+        corner = {"flat": 0.0, "ball": radius, "drill": 0.0}.get(given.shape, given.corner_radius_mm * M_PER_MM)
+        return Cutter(radius, corner, given.flutes, given.shape == "drill", given.helix_deg * RAD_PER_DEG)
+
+
+_EXAMPLE = """For example:
+
+[material]
+name = "al_6082_t6_carbide"             # postproc forces --materials lists them
+
+[tools.1]                               # by T number; [tools.default] for all others
+shape = "flat"
+diameter_mm = 10
+flutes = 3
+
+[stock]
+box = { X = [0, 100], Y = [0, 80], Z = [-20, 0] }   # $BASE, mm; or file = "stock.stl"
+"""
+
+
+def load(path: str | Path) -> Process:
+    """Read and check a process file.
+
+    :raises ForceError: it cannot be read, has unknown keys, wrong types or values out of range.
+    """
+    path = Path(path)
+    content = files.read_toml(path, ProcessFile, ForceError, _EXAMPLE)
+    where = str(path)
+    for key, tool in content.tools.items():
+        if key != "default" and not (key.isascii() and key.isdecimal()):
+            raise ForceError(f"[tools.{key}]: {key!r} is not a tool number", file=where, advice="Or [tools.default].")
+        if tool.shape == "bull" and not 0.0 < 2.0 * tool.corner_radius_mm <= tool.diameter_mm:
+            advice = "Give corner_radius_mm, larger than 0 and at most half the diameter."
+            raise ForceError(f"[tools.{key}]: a bull tool without a corner radius that fits", file=where, advice=advice)
+        if tool.shape != "bull" and tool.corner_radius_mm not in (0.0, 0.5 * tool.diameter_mm):
+            advice = 'A tool with a corner radius is shape = "bull".'
+            raise ForceError(f"[tools.{key}]: corner_radius_mm with shape {tool.shape!r}", file=where, advice=advice)
+    if content.stock.box is not None:
+        for axis, span in zip("XYZ", (content.stock.box.X, content.stock.box.Y, content.stock.box.Z), strict=True):
+            if not span[0] < span[1]:
+                raise ForceError(f"[stock] box {axis}: {list(span)} is not from smaller to larger", file=where)
+    if content.material is None and not content.operations:
+        raise ForceError("neither [material] nor [operations]", file=where, advice=_EXAMPLE)
+    return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=where)
+
+
+def box_corners(box: Box) -> tuple[Array, Array]:
+    """Return the corners of a box, (3,) each [m]."""
+    spans = np.array([box.X, box.Y, box.Z]) * M_PER_MM
+    return spans[:, 0], spans[:, 1]

@@ -1,0 +1,164 @@
+"""How much of the edge of a tool is in material, at places of its front."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.frames import Array
+from postproc.machining.stock import Floats, Stock
+from postproc.machining.tool import BOTTOM, CORNER, SIDE, Edge
+
+_NOTHING = 1e-6
+"""Less of an edge than this [m] in material is rounding."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Engaged:
+    """Edge in material at n stations, K angles, S pieces of edge.
+
+    :param length: (n, K, S) length of the piece that is in material [m].
+    :param moment: (n, K) ∫ z dz over what is in material of the cylinder, z above the tip [m²].
+    """
+
+    length: Floats
+    moment: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Corners:
+    """The four cells around each of some points: where they stand in the map, and their weights."""
+
+    cell: tuple[NDArray[np.int32], ...]
+    weight: tuple[Floats, ...]
+
+
+def engaged(stock: Stock, edge: Edge, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
+    """Return what is in material.
+
+    :param x: (n, K, S) and y: places of the pieces of edge in the map [m].
+    :param tip: (n,) height of the tip [m].
+    :param descent: (n,) by which the tool goes down in one turn [m], > 0: what lies within it is cut by the end face.
+    """
+    n, angles, _ = x.shape
+    out = np.zeros(x.shape, dtype=np.float32)
+    moment = np.zeros((n, angles), dtype=np.float32)
+    only_side = bool((edge.part == SIDE).all())
+    around = _around(stock, x[:, :, :0], y[:, :, :0]) if only_side else _around(stock, x, y)
+    z = tip[:, None, None]
+    in_part = not only_side and _partly(stock, around)
+    corner = edge.part == CORNER
+    if corner.any():
+        level = _levels(stock, around, corner, z, in_part) - z
+        low, rise = edge.low[corner].astype(np.float32), edge.rise[corner].astype(np.float32)
+        piece = (edge.length / np.where(edge.rise > 0.0, edge.rise, 1.0))[corner].astype(np.float32)
+        floor = stock.floor.reshape(-1).take(around.cell[0][:, :, corner]) - z
+        under = np.minimum(np.maximum(floor - low, 0.0), rise)
+        out[:, :, corner] = np.maximum(np.minimum(np.maximum(level - low, 0.0), rise) - under, 0.0) * piece
+    side = np.flatnonzero(edge.part == SIDE)
+    if len(side):
+        start = np.float32(edge.low[side[0]])
+        at = _nearest(stock, x[:, :, side[0]], y[:, :, side[0]])
+        out[:, :, side[0]], moment[:] = _cylinder(stock, at, tip[:, None], start)
+    bottom = edge.part == BOTTOM
+    if bottom.any():
+        depth = np.maximum(descent, np.float32(1e-7))[:, None, None]
+        under = _blend(stock, around, bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), in_part)
+        out[:, :, bottom] = under / depth * edge.length[bottom].astype(np.float32)
+    out[out < _NOTHING] = 0.0
+    return Engaged(out, moment)
+
+
+def _around(stock: Stock, x: Floats, y: Floats) -> _Corners:
+    rows, columns = stock.high.shape
+    scale = np.float32(1.0 / stock.cell)
+    fx = (x - np.float32(stock.x)) * scale - np.float32(0.5)
+    fy = (y - np.float32(stock.y)) * scale - np.float32(0.5)
+    np.clip(fx, 0.0, np.float32(columns - 1.001), out=fx)
+    np.clip(fy, 0.0, np.float32(rows - 1.001), out=fy)
+    column, row = fx.astype(np.int32), fy.astype(np.int32)
+    fx -= column
+    fy -= row
+    first = row * np.int32(columns) + column
+    both = fx * fy
+    return _Corners(
+        (first, first + 1, first + columns, first + (columns + 1)), (1 - fx - fy + both, fx - both, fy - both, both)
+    )
+
+
+def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
+    """Return the cells that hold points."""
+    rows, columns = stock.high.shape
+    scale = np.float32(1.0 / stock.cell)
+    column = ((x - np.float32(stock.x)) * scale).astype(np.int32)
+    row = ((y - np.float32(stock.y)) * scale).astype(np.int32)
+    np.clip(column, 0, columns - 1, out=column)
+    np.clip(row, 0, rows - 1, out=row)
+    row *= np.int32(columns)
+    row += column
+    return row
+
+
+def _partly(stock: Stock, around: _Corners) -> bool:
+    """Return whether any of the cells is cut in part."""
+    first = around.cell[0]
+    columns = stock.high.shape[1]
+    low, high = int(first.min()), int(first.max())
+    rows = slice(low // columns, high // columns + 2)
+    return bool(stock.share[rows].any())
+
+
+def _blend(stock: Stock, around: _Corners, pieces, function, in_part: bool) -> Floats:  # type: ignore[no-untyped-def]
+    """Return a function of the level, less the same of the floor, as a mean over the cells around each point."""
+    high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
+    out = None
+    for cell, weight in zip(around.cell, around.weight, strict=True):
+        at = cell[:, :, pieces]
+        top = high.take(at)
+        value = function(top)
+        if in_part:
+            part = share.take(at)
+            if part.any():
+                value += part * (function(np.minimum(low.take(at), top)) - value)
+        value = value - function(floor.take(at))
+        np.maximum(value, 0.0, out=value)
+        value *= weight[:, :, pieces]
+        out = value if out is None else out + value
+    return np.asarray(out)
+
+
+def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.float32) -> tuple[Floats, Floats]:
+    """Return the height in material of the cylinder (n, K) [m], and its first moment (n, K) [m²].
+
+    Of the cell that holds each point, by the share of it: a wall that is cut along once more is then in air.
+    """
+    high, low, share, floor = (
+        one.reshape(-1).take(nearest) for one in (stock.high, stock.low, stock.share, stock.floor)
+    )
+    under = np.maximum(floor - tip, start)
+    top = np.maximum(high - tip, under)
+    height, moment = top - under, top * top - under * under
+    if share.any():
+        deep = np.maximum(np.minimum(low - tip, top), under)
+        height += share * (deep - top)
+        moment += share * (deep * deep - top * top)
+    return height, np.float32(0.5) * moment
+
+
+def _levels(stock: Stock, around: _Corners, pieces: Array, z: Floats, in_part: bool) -> Floats:
+    """Return the level at each point, as a mean over the cells around it, not below the tip."""
+    high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
+    out = None
+    for cell, weight in zip(around.cell, around.weight, strict=True):
+        at = cell[:, :, pieces]
+        top = high.take(at)
+        empty = top <= floor.take(at)
+        value = np.where(empty, z, np.maximum(top, z))
+        if in_part:
+            part = share.take(at)
+            value += part * (np.maximum(np.minimum(low.take(at), top), z) - value)
+        value *= weight[:, :, pieces]
+        out = value if out is None else out + value
+    return np.asarray(out)

@@ -1,0 +1,239 @@
+"""The stock as a map of heights, with the part of each cell that was cut deeper.
+
+A map of heights alone would know a wall to half a cell, which is several per cent of a force at small widths of cut. So
+each cell holds two levels and the share of its area that is at the lower one: a wall that passes through the cell is
+where the share says. Volumes are right to the second order of the cell, and forces too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.errors import ForceError
+from postproc.frames import Array
+
+Floats = NDArray[np.float32]
+_BORDER = 2
+"""Cells of air around the stock."""
+_MOST_CELLS = 60_000_000
+_SUB = 4
+"""Into so many columns and rows a cell is divided to see how much of it a mesh covers."""
+_PAIRS = 4_000_000
+"""Of triangle and cell, looked at together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stock:
+    """Material between `floor` and the levels of its cells. Metres, in the frame of the map: z along the tool.
+
+    :param x: edge of the first column; y: of the first row.
+    :param cell: width of a cell.
+    :param high: (ny, nx) upper level; the map is changed in place as material is removed.
+    :param low: (ny, nx) lower level; counts only where `share` is not 0.
+    :param share: (ny, nx) part of the cell's area that is at the lower level, 0 … 1.
+    :param floor: (ny, nx) where the material begins below; it never changes.
+    """
+
+    x: float
+    y: float
+    cell: float
+    high: Floats
+    low: Floats
+    share: Floats
+    floor: Floats
+
+    def thickness(self) -> Array:
+        """Return the mean thickness of material in each cell (ny, nx) [m]."""
+        high = np.maximum(self.high - self.floor, 0.0)
+        low = np.maximum(np.minimum(self.low, self.high) - self.floor, 0.0)
+        return np.asarray(high + self.share * (low - high), dtype=float)
+
+    def volume(self) -> float:
+        """Return the volume of material [m³]."""
+        return float(self.thickness().sum()) * self.cell**2
+
+    @property
+    def top(self) -> float:
+        """The highest material [m]; minus infinity where there is none."""
+        solid = self.high > self.floor
+        return float(self.high[solid].max()) if solid.any() else float("-inf")
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """X and y of the outer edges: smallest x, largest x, smallest y, largest y [m]."""
+        rows, columns = self.high.shape
+        return self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell
+
+
+def _empty(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
+    count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
+    if int(count[0]) * int(count[1]) > _MOST_CELLS:
+        least = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3
+        advice = f"Take [stock] resolution_mm = {max(1.2 * least, 1e-3):.2g} or more."
+        raise ForceError(f"the map of the stock would have {count[0]} × {count[1]} cells", file=file, advice=advice)
+    return float(lower[0]) - _BORDER * cell, float(lower[1]) - _BORDER * cell, int(count[0]), int(count[1])
+
+
+def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
+    """Return the map of a box from corner `lower` (3,) to `upper` (3,) [m].
+
+    :raises ForceError: it would have too many cells.
+    """
+    x, y, nx, ny = _empty(lower, upper, cell, file)
+    inside = []
+    for first, count, begin, end in ((x, nx, lower[0], upper[0]), (y, ny, lower[1], upper[1])):
+        edge = first + cell * np.arange(count + 1)
+        inside.append(np.clip(np.minimum(edge[1:], end) - np.maximum(edge[:-1], begin), 0.0, cell) / cell)
+    covered = inside[1][:, None] * inside[0][None, :]
+    covered[covered > 1.0 - 1e-6] = 1.0
+    floor = np.full((ny, nx), lower[2], dtype=np.float32)
+    high = np.where(covered > 0.0, upper[2], lower[2]).astype(np.float32)
+    share = np.where(covered > 0.0, 1.0 - covered, 0.0).astype(np.float32)
+    return Stock(x, y, cell, high, floor.copy(), share, floor)
+
+
+def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
+    """Return the map of a closed mesh: material from the lowest to the highest surface of each column.
+
+    :param vertices: (V, 3) [m], in the frame of the map; faces: (F, 3).
+    :raises ForceError: it would have too many cells.
+    """
+    x, y, nx, ny = _empty(vertices.min(axis=0), vertices.max(axis=0), cell, file)
+    high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
+    floor = np.full((ny, nx), np.inf, dtype=np.float32)
+    span = max(1, _PAIRS // (nx * _SUB * _SUB))
+    lowest, highest = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
+    for first in range(0, ny, span):
+        rows = min(span, ny - first)
+        begin, end = y + first * cell, y + (first + rows) * cell
+        near = faces[(highest >= begin) & (lowest <= end)]
+        upper, lower = _columns(vertices, near, (x, begin), cell / _SUB, (nx * _SUB, rows * _SUB))
+        solid = upper > lower
+        blocks = (rows, _SUB, nx, _SUB)
+        count = solid.reshape(blocks).sum(axis=(1, 3))
+        mean = np.where(solid, upper, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
+        under = np.where(solid, lower, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
+        here = slice(first, first + rows)
+        high[here], floor[here] = np.where(count > 0, mean, np.nan), np.where(count > 0, under, np.nan)
+        share[here] = np.where(count > 0, 1.0 - count / _SUB**2, 0.0)
+    none = np.isnan(high)
+    lowest_of_all = float(np.nanmin(floor)) if not none.all() else 0.0
+    high[none] = floor[none] = lowest_of_all
+    low[:] = floor
+    return Stock(x, y, cell, high, low, share, floor)
+
+
+def _columns(
+    vertices: Array, faces: NDArray[np.int64], origin: tuple[float, float], step: float, count: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Return the highest and the lowest surface above the points of a grid, (ny, nx) each; −inf, inf without."""
+    nx, ny = count
+    upper, lower = np.full(ny * nx, -np.inf), np.full(ny * nx, np.inf)
+    for corner, index, triangle in _pairs(vertices[faces], origin, step, count):
+        a, b, c = (corner[triangle, k] for k in range(3))
+        px = origin[0] + (index % nx + 0.5) * step
+        py = origin[1] + (index // nx + 0.5) * step
+        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        flat = np.abs(area) > 1e-16
+        area = np.where(flat, area, 1.0)
+        v = ((px - a[:, 0]) * (c[:, 1] - a[:, 1]) - (py - a[:, 1]) * (c[:, 0] - a[:, 0])) / area
+        w = ((b[:, 0] - a[:, 0]) * (py - a[:, 1]) - (b[:, 1] - a[:, 1]) * (px - a[:, 0])) / area
+        hit = flat & (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        z = (a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2]))[hit]
+        np.maximum.at(upper, index[hit], z)
+        np.minimum.at(lower, index[hit], z)
+    return upper.reshape(ny, nx), lower.reshape(ny, nx)
+
+
+def _pairs(
+    corner: Array, origin: tuple[float, float], step: float, count: tuple[int, int]
+) -> Iterator[tuple[Array, NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield triangles and the grid points in their boxes: corners (F, 3, 3), point (n,), triangle (n,)."""
+    first, number = [], []
+    for axis in range(2):
+        low, high = corner[:, :, axis].min(axis=1), corner[:, :, axis].max(axis=1)
+        begin = np.clip(np.ceil((low - origin[axis]) / step - 0.5 - 1e-9), 0, count[axis]).astype(np.int64)
+        end = np.clip(np.floor((high - origin[axis]) / step - 0.5 + 1e-9) + 1, 0, count[axis]).astype(np.int64)
+        first.append(begin)
+        number.append(np.maximum(end - begin, 0))
+    each = number[0] * number[1]
+    total = np.cumsum(each)
+    begin = 0
+    while begin < len(each):
+        done = total[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(total, done + _PAIRS, side="right")))
+        rows = np.repeat(np.arange(begin, end), each[begin:end])
+        inside = np.arange(len(rows)) - np.repeat(total[begin:end] - each[begin:end] - done, each[begin:end])
+        column = first[0][rows] + inside % np.maximum(number[0][rows], 1)
+        row = first[1][rows] + inside // np.maximum(number[0][rows], 1)
+        yield corner, row * count[0] + column, rows
+        begin = end
+
+
+def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.int64]]:
+    """Return what is left of the stock as a closed mesh: vertices (V, 3) [m] and faces (F, 3).
+
+    Larger maps are made coarser, so that at most about `most_cells` cells are drawn.
+    """
+    factor = int(np.ceil(np.sqrt(stock.high.size / most_cells)))
+    thick, floor = stock.thickness(), stock.floor.astype(float)
+    rows, columns = (-(-size // factor) for size in thick.shape)
+    pad = ((0, rows * factor - thick.shape[0]), (0, columns * factor - thick.shape[1]))
+    block = (rows, factor, columns, factor)
+    solid = np.pad(thick > 1e-9, pad).reshape(block).sum(axis=(1, 3))
+    thick = np.pad(thick, pad).reshape(block).sum(axis=(1, 3)) / factor**2
+    bottom = (np.pad(np.where(stock.thickness() > 1e-9, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))) / np.maximum(
+        solid, 1
+    )
+    there = thick > 1e-6
+    # cells that touch at a corner only would share an edge of four faces: such a mesh is not closed
+    diagonal = np.ones(1)
+    while diagonal.any():
+        one = there[:-1, :-1] & there[1:, 1:] & ~there[:-1, 1:] & ~there[1:, :-1]
+        other = there[:-1, 1:] & there[1:, :-1] & ~there[:-1, :-1] & ~there[1:, 1:]
+        diagonal = one | other
+        there[:-1, :-1] &= ~one
+        there[:-1, 1:] &= ~other
+    width = stock.cell * factor
+    weight = np.pad(there, 1).astype(float)
+
+    def at_corners(values: Array) -> Array:
+        own = np.pad(np.where(there, values, 0.0), 1)
+        total = own[:-1, :-1] + own[1:, :-1] + own[:-1, 1:] + own[1:, 1:]
+        number = weight[:-1, :-1] + weight[1:, :-1] + weight[:-1, 1:] + weight[1:, 1:]
+        return np.asarray(total / np.maximum(number, 1.0))
+
+    under, over = at_corners(bottom), at_corners(bottom + thick)
+    gx, gy = np.meshgrid(stock.x + width * np.arange(columns + 1), stock.y + width * np.arange(rows + 1))
+    layer = gx.size
+    vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (over, under)])
+    number = np.arange(layer).reshape(rows + 1, columns + 1)
+    r, c = np.nonzero(there)
+    quads = [np.stack([number[r, c], number[r, c + 1], number[r + 1, c + 1], number[r + 1, c]], axis=-1)]
+    quads.append(quads[0][:, ::-1] + layer)
+    edge = np.pad(there, 1)
+    for dr, dc, p, q in (
+        (-1, 0, (0, 1), (0, 0)),
+        (1, 0, (1, 0), (1, 1)),
+        (0, -1, (0, 0), (1, 0)),
+        (0, 1, (1, 1), (0, 1)),
+    ):
+        open_ = ~edge[r + 1 + dr, c + 1 + dc]
+        a, b = number[r[open_] + p[0], c[open_] + p[1]], number[r[open_] + q[0], c[open_] + q[1]]
+        quads.append(np.stack([a, b, b + layer, a + layer], axis=-1))
+    quad = np.concatenate(quads)
+    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3).astype(np.int64)
+
+
+def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
+    """Return a mesh of trimesh in mm."""
+    import trimesh
+
+    return trimesh.Trimesh(vertices * 1e3, faces, process=False)

@@ -1,0 +1,323 @@
+"""Sweeping tools through the stock: what is in material along the path, and what forces that makes.
+
+Ways are taken together as long as they run nearly straight on. The stock as it is before them tells what their front
+finds: a convex tool that moves straight on never meets, with the part of its surface that looks ahead, what it cut on
+this way before. Then their material is removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.machining import cutting
+from postproc.machining.material import CuttingLaw
+from postproc.machining.process import Process
+from postproc.machining.removal import remove
+from postproc.machining.running import Running
+from postproc.machining.sampling import Engaged, engaged
+from postproc.machining.stock import Floats, Stock
+from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, edge, some
+from postproc.machining.ways import Ways
+from postproc.program import Bools, Ints
+
+_STRAIGHT = np.cos(np.radians(10.0))
+"""Ways that turn by less are taken together."""
+_ALONG = 1e-3
+"""Sine of the angle to the spindle below which a way runs along it."""
+_ELEMENTS = 400_000
+_FINE = 0.5
+"""Of a cell: how close the angles stand at the rim where only the cylinder is looked at, cell by cell."""
+_TOUCHED = 2e-5
+"""A rapid move, or a spindle that stands still, may touch material so deep [m] without being told of."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cuts:
+    """What was found at N stations of cutting moves, in order. SI.
+
+    :param motion: (N,) row of `Motions`.
+    :param t: (N,) place on it.
+    :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
+        axes of the map.
+    :param feed: (N, 2) direction of travel across the spindle in the axes of the map; (1, 0) along the spindle.
+    :param along: (N,) True on moves along the spindle.
+    :param torque: (N,) mean torque of the spindle [N·m].
+    :param power: (N,) [W].
+    :param enter: (N,) and leave: (N,) smallest and largest angle in material [rad]; NaN in air.
+    :param depth: (N,) axial depth of cut [m].
+    :param width: (N,) radial width of cut [m].
+    :param rate: (N,) volume removed per time [m³/s].
+    """
+
+    motion: Ints
+    t: Array
+    wrench: Array
+    feed: Array
+    along: Bools
+    torque: Array
+    power: Array
+    enter: Array
+    leave: Array
+    depth: Array
+    width: Array
+    rate: Array
+
+    def take(self, rows: Ints | slice) -> Cuts:
+        """Return some of the stations."""
+        return Cuts(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: list[Cuts]) -> Cuts:
+        """Return stations one after the other."""
+        if not parts:
+            none = np.zeros(0)
+            return cls(none.astype(np.int64), none, np.zeros((0, 6)), np.zeros((0, 2)), none.astype(bool), *[none] * 7)
+        return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
+
+
+@dataclass(slots=True, eq=False)
+class Sweep:
+    """A stock, and tools that go through it.
+
+    :ivar collided: motions that are rapid and went through material.
+    :ivar stood: motions that went through material while the spindle stood still.
+    :ivar peak: (M, 2) largest force [N] and torque [N·m] within a turn on each motion.
+    :ivar contact: whether any cutting move met material.
+    """
+
+    stock: Stock
+    process: Process
+    turning: Running
+    feed: Array
+    law: CuttingLaw
+    collided: set[int] = field(default_factory=set)
+    stood: set[int] = field(default_factory=set)
+    peak: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    contact: bool = False
+    _cutters: dict[int, Cutter] = field(default_factory=dict)
+    _edges: dict[int, Edge] = field(default_factory=dict)
+    _turns: dict[tuple[int, bool, bool, int], cutting.Turn] = field(default_factory=dict)
+
+    def run(self, ways: Ways, progress: Callable[[int], None] | None = None) -> Iterator[Cuts]:
+        """Yield what is found on the cutting ways in order, and remove their material; see `Cuts`.
+
+        :param progress: called with the number of ways done.
+        """
+        self.peak = np.zeros((len(self.feed), 2))
+        top = self.stock.top
+        near = self._near(ways, top)
+        for begin, end in self._groups(ways, near):
+            if progress is not None:
+                progress(end)
+            if not near[begin]:
+                if ways.cutting[begin]:
+                    yield self._in_air(ways, begin, end)
+                continue
+            number = int(self.turning.tool[ways.motion[begin]])
+            cutter = self._cutter(number)
+            if ways.cutting[begin] and self.turning.rpm[ways.motion[begin]] > 0.0:
+                yield from self._cut(ways, begin, end, number)
+                found = 0.0
+            else:
+                if begin > 0 and ways.joined[begin]:  # what its predecessor left for the next way
+                    remove(self.stock, cutter, ways.begin[begin], ways.begin[begin], last=True)
+                found = _TOUCHED
+            for way in range(begin, end):
+                follows = way + 1 < len(ways.motion) and bool(ways.joined[way + 1]) and bool(near[way + 1])
+                depth = remove(self.stock, cutter, ways.begin[way], ways.end[way], last=bool(found) or not follows)
+                if found and depth > found:
+                    (self.stood if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
+
+    def _near(self, ways: Ways, top: float) -> Bools:
+        """Return which ways (L,) can meet the stock at all."""
+        x0, x1, y0, y1 = self.stock.bounds
+        reach = np.zeros(len(ways.motion))
+        for number in np.unique(self.turning.tool[ways.motion]).tolist():
+            reach[self.turning.tool[ways.motion] == number] = self._cutter(number).radius
+        low, high = np.minimum(ways.begin, ways.end), np.maximum(ways.begin, ways.end)
+        near = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)
+        return np.asarray(near & (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1))
+
+    def _groups(self, ways: Ways, near: Bools) -> Iterator[tuple[int, int]]:
+        """Yield ranges of ways that are worked on together."""
+        motion = ways.motion
+        length = np.linalg.norm(ways.end - ways.begin, axis=1)
+        along = np.hypot(ways.leave[:, 0], ways.leave[:, 1]) < _ALONG
+        down = ways.leave[:, 2] < -1e-6
+        same = np.zeros(len(motion), dtype=bool)
+        running = np.stack([self.turning.tool[motion], self.turning.rpm[motion], self.turning.hand[motion]], axis=1)
+        same[1:] = ways.joined[1:] & (running[1:] == running[:-1]).all(axis=1)
+        same[1:] &= (near[1:] == near[:-1]) & (ways.cutting[1:] == ways.cutting[:-1])
+        same[1:] &= ~near[1:] | (~along[1:] & ~along[:-1] & (down[1:] == down[:-1]) & ways.cutting[1:])
+        begin, limit, travelled = 0, 0.0, 0.0
+        heading: list[float] | None = None
+        lengths, leave, arrive, joins, close = (
+            length.tolist(), ways.leave.tolist(), ways.arrive.tolist(), same.tolist(), near.tolist(),
+        )  # fmt: skip
+        for way in range(len(motion)):
+            if way > begin or heading is None:
+                ends = heading is None or not joins[way] or travelled > limit
+                if heading is not None and not ends and close[way]:
+                    one, other = leave[way], arrive[way]
+                    ends = min(_dot(heading, one), _dot(heading, other)) < _STRAIGHT
+                if ends:
+                    if way > begin:
+                        yield begin, way
+                    begin, travelled, heading = way, 0.0, leave[way]
+                    limit = 2.0 * self._cutter(int(self.turning.tool[motion[way]])).radius
+            travelled += lengths[way]
+        if begin < len(motion):
+            yield begin, len(motion)
+
+    def _in_air(self, ways: Ways, begin: int, end: int) -> Cuts:
+        """Return stations of ways that cannot meet the stock: one each."""
+        n = end - begin
+        zero, nothing = np.zeros(n), np.full(n, np.nan)
+        t = 0.5 * (ways.first[begin:end] + ways.last[begin:end])
+        heading = ways.leave[begin:end]
+        across = np.hypot(heading[:, 0], heading[:, 1])
+        along = across < _ALONG
+        feed = np.where(along[:, None], [1.0, 0.0], heading[:, :2] / np.where(along, 1.0, across)[:, None])
+        return Cuts(
+            ways.motion[begin:end], t, np.zeros((n, 6)), feed, along, zero, zero, nothing, nothing, zero, zero, zero
+        )
+
+    def _cut(self, ways: Ways, begin: int, end: int, number: int) -> Iterator[Cuts]:
+        cell = self.stock.cell
+        length = np.linalg.norm(ways.end[begin:end] - ways.begin[begin:end], axis=1)
+        count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
+        way = np.repeat(np.arange(begin, end), count)
+        share = (np.arange(len(way)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / np.repeat(count, count)
+        position = ways.begin[way] + share[:, None] * (ways.end[way] - ways.begin[way])
+        heading = ways.leave[way] + share[:, None] * (ways.arrive[way] - ways.leave[way])
+        heading /= np.linalg.norm(heading, axis=1)[:, None]
+        t = ways.first[way] + share * (ways.last[way] - ways.first[way])
+        motion = ways.motion[way]
+        turn = self._turn(number, position, heading)
+        chunk = max(1, _ELEMENTS // turn.front.size)
+        for start in range(0, len(way), chunk):
+            rows = slice(start, start + chunk)
+            yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows], ways.leave[begin])
+
+    def _turn(self, number: int, position: Array, heading: Array) -> cutting.Turn:
+        """Return the pieces of edge that can be in material at some positions, and the angles to look at."""
+        cutter, pieces = self._cutter(number), self._edge(number)
+        down = bool((heading[:, 2] < -1e-6).any())
+        high = self._highest(position, cutter.radius)
+        kept = int(np.searchsorted(pieces.low, high - float(position[:, 2].min()), side="left"))
+        ends = down and bool((pieces.part == BOTTOM).any())
+        whole = down and (cutter.corner > 0.0 or ends)
+        kept = max(kept, 1)
+        key = (number, whole, ends, kept)
+        if key not in self._turns:
+            used = (np.arange(len(pieces.low)) < kept) & (ends | (pieces.part != BOTTOM))
+            if not used.any():
+                used[-1] = True
+            kept_edge = some(pieces, used)
+            step = self.stock.cell * (_FINE if (kept_edge.part == SIDE).all() else 1.0)
+            self._turns[key] = cutting.Turn.of(kept_edge, cutter, self.law, step, whole=whole)
+        return self._turns[key]
+
+    def _highest(self, position: Array, radius: float) -> float:
+        """Return the highest level of the map near some positions."""
+        stock, reach = self.stock, radius + 2.0 * self.stock.cell
+        (x0, y0), (x1, y1) = position[:, :2].min(axis=0) - reach, position[:, :2].max(axis=0) + reach
+        columns = slice(max(0, int((x0 - stock.x) / stock.cell)), max(0, int((x1 - stock.x) / stock.cell) + 1))
+        rows = slice(max(0, int((y0 - stock.y) / stock.cell)), max(0, int((y1 - stock.y) / stock.cell) + 1))
+        return float(stock.high[rows, columns].max(initial=-np.inf))
+
+    def _loads(
+        self, turn: cutting.Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array, first: Array
+    ) -> Cuts:
+        cutter = self._cutter(number)
+        across = np.hypot(heading[:, 0], heading[:, 1])
+        along = across < _ALONG
+        ux = np.where(along, 1.0, heading[:, 0] / np.where(along, 1.0, across))
+        uy = np.where(along, 0.0, heading[:, 1] / np.where(along, 1.0, across))
+        rpm, hand = self.turning.rpm[motion], self.turning.hand[motion]
+        per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
+        feed = np.where(along, 0.0, per_tooth * across).astype(np.float32)
+        descent = (-per_tooth * heading[:, 2]).astype(np.float32)
+        inside = self._inside(turn, cutter, position, (ux, uy, hand), descent)
+        other = None
+        if not along.any():
+            cos, sin = ux * first[0] + uy * first[1], (ux * first[1] - uy * first[0]) * hand
+            other = (cos.astype(np.float32), sin.astype(np.float32), np.full(len(t), -first[2], dtype=np.float32))
+            if abs(sin).max() < 1e-3 and abs(heading[:, 2] - first[2]).max() < 1e-3:
+                other = None
+        chip = cutting.chips(turn, feed, descent, other)
+        loads = cutting.mean(turn, inside, chip, np.maximum(-heading[:, 2], 0.0).astype(np.float32))
+        wrench = loads.wrench
+        wrench[:, [1, 3, 5]] *= hand[:, None]
+        cuts = inside.length * (chip > 0.0)
+        if not cuts.any():
+            nothing, zero = np.full(len(t), np.nan), np.zeros(len(t))
+            feeds = np.stack([ux, uy], axis=-1)
+            return Cuts(motion, t, wrench, feeds, along, zero, zero, nothing, nothing, zero, zero, zero)
+        self.contact = True
+        self._note_peaks(turn, inside, chip, cutter, motion, wrench)
+        enter, leave, depth, width = _engagement(turn, cuts)
+        torque = wrench[:, 5] * hand
+        return Cuts(
+            motion, t, wrench, np.stack([ux, uy], axis=-1), along, torque, torque * rpm * (2.0 * np.pi / 60.0),
+            enter, leave, depth, width, loads.removal * cutter.teeth * rpm / 60.0,
+        )  # fmt: skip
+
+    def _inside(
+        self, turn: cutting.Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
+    ) -> Engaged:
+        ux, uy, hand = (one.astype(np.float32)[:, None, None] for one in axes)
+        radius = turn.edge.radius.astype(np.float32)
+        ahead = np.sin(turn.phi).astype(np.float32)[:, None] * radius
+        aside = np.cos(turn.phi).astype(np.float32)[:, None] * radius
+        x = position[:, 0].astype(np.float32)[:, None, None] + (ux * ahead - (uy * hand) * aside)
+        y = position[:, 1].astype(np.float32)[:, None, None] + (uy * ahead + (ux * hand) * aside)
+        return engaged(self.stock, turn.edge, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
+
+    def _note_peaks(
+        self, turn: cutting.Turn, inside: Engaged, chip: Floats, cutter: Cutter, motion: Ints, wrench: Array
+    ) -> None:
+        """Keep the largest force and torque within a turn: where the mean force of each motion is largest."""
+        size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
+        new = np.flatnonzero(np.concatenate([[True], motion[1:] != motion[:-1]]))
+        best = [a + int(np.argmax(size[a:b])) for a, b in zip(new, [*new[1:], len(motion)], strict=True)]
+        force, torque = cutting.peak(turn, Engaged(inside.length[best], inside.moment[best]), chip[best], cutter)
+        rows = motion[best]
+        self.peak[rows, 0] = np.maximum(self.peak[rows, 0], force)
+        self.peak[rows, 1] = np.maximum(self.peak[rows, 1], torque)
+
+    def _cutter(self, number: int) -> Cutter:
+        if number not in self._cutters:
+            self._cutters[number] = self.process.cutter(self.turning.keys[number])
+        return self._cutters[number]
+
+    def _edge(self, number: int) -> Edge:
+        if number not in self._edges:
+            self._edges[number] = edge(self._cutter(number), self.stock.cell)
+        return self._edges[number]
+
+
+def _dot(one: list[float], other: list[float]) -> float:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _engagement(turn: cutting.Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
+    """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each."""
+    part = turn.edge
+    per_angle = cuts.sum(axis=2)
+    found = per_angle > 0.05 * per_angle.max(axis=1, keepdims=True)
+    found &= per_angle > 0.0
+    some_ = found.any(axis=1)
+    half = 0.5 * (turn.phi[1] - turn.phi[0])
+    enter = np.where(some_, turn.phi[found.argmax(axis=1)] - half, np.nan)
+    leave = np.where(some_, turn.phi[len(turn.phi) - 1 - found[:, ::-1].argmax(axis=1)] + half, np.nan)
+    height = np.where(np.isfinite(part.rise), part.rise, 1.0) / part.length
+    depth = (cuts @ height.astype(np.float32)).max(axis=1)
+    aside = np.cos(turn.phi)[:, None] * part.radius
+    inside = cuts > 0.05 * np.maximum(cuts.max(axis=1, keepdims=True), 1e-9)
+    widest = np.where(inside, aside, -np.inf).max(axis=(1, 2)) - np.where(inside, aside, np.inf).min(axis=(1, 2))
+    return enter, leave, depth.astype(float), np.where(some_, np.maximum(widest, 0.0), 0.0)

@@ -1,0 +1,147 @@
+"""The tool's path through the stock as straight ways, in the frame of the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import Array, inverse, norm
+from postproc.machining.running import Running
+from postproc.program import CIRC, PTP, Bools, Ints, Program
+from postproc.toolpath import Segments, positions, tangent
+
+_SAG = 0.1
+"""An arc is cut into chords that leave it by this share of a cell at most,"""
+_TURN = np.radians(8.0)
+"""and that turn by this angle at most."""
+_STILL = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ways:
+    """L straight ways in order; [m], frame of the map (z from the tip to the spindle).
+
+    :param motion: (L,) row of `Motions`.
+    :param first: (L,) and last: (L,) places t on that motion where the way begins and ends.
+    :param begin: (L, 3) and end: (L, 3) positions of the tip.
+    :param leave: (L, 3) and arrive: (L, 3) unit directions of travel there.
+    :param cutting: (L,) False for rapid moves.
+    :param joined: (L,) True where the way begins where the one before ends, with the same tool.
+    """
+
+    motion: Ints
+    first: Array
+    last: Array
+    begin: Array
+    end: Array
+    leave: Array
+    arrive: Array
+    cutting: Bools
+    joined: Bools
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shift:
+    """Where a tip that gives way really is: (n,) motions, t and (n, 3) displacements [m] in the frame of the map."""
+
+    motion: Ints
+    t: Array
+    offset: Array
+
+    def at(self, motion: Ints, t: Array) -> Array:
+        """Return displacements (k, 3) at places, linear between those given, constant outside of them on a motion."""
+        key, own = motion + 0.999 * t, self.motion + 0.999 * self.t
+        return np.stack([np.interp(key, own, self.offset[:, axis]) for axis in range(3)], axis=-1)
+
+
+def ways(
+    program: Program, path: Segments, turning: Running, frame: Array, cell: float, shift: Shift | None = None
+) -> Ways:
+    """Cut the motions of a program into straight ways.
+
+    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
+    :param cell: width of a cell [m].
+    :param shift: displacement of the tip; ways are then cut where it is given.
+    """
+    m = program.motions
+    count = np.ones(len(m), dtype=np.int64)
+    arcs = path.arcs
+    radius = norm(arcs.radial)
+    angle = np.minimum(_TURN, np.sqrt(8.0 * _SAG * cell / np.maximum(radius, cell)))
+    count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
+    count[m.kind == PTP] = 0
+    motion = np.repeat(np.arange(len(m)), count)
+    inside = np.arange(len(motion)) - np.repeat(np.cumsum(count) - count, count)
+    first, last = inside / count[motion], (inside + 1) / count[motion]
+    if shift is not None:
+        motion, first, last = _cut_at(motion, first, last, shift)
+    begin = path.begin[motion].copy()
+    later = first > 0.0
+    begin[later] = positions(program, path, motion[later], first[later])
+    end = positions(program, path, motion, last)
+    arc = m.kind[motion] == CIRC
+    chord = end - begin
+    length = norm(chord)
+    leave = chord / np.where(length > 0.0, length, 1.0)[:, None]
+    arrive = leave.copy()
+    if arc.any():
+        leave[arc] = tangent(program, path, motion[arc], first[arc])
+        arrive[arc] = tangent(program, path, motion[arc], last[arc])
+    begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
+    if shift is not None:
+        begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
+    joined = np.zeros(len(motion), dtype=bool)
+    joined[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (turning.tool[motion[1:]] == turning.tool[motion[:-1]])
+    moves = (norm(end - begin) > _STILL) & (turning.tool[motion] >= 0)
+    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], joined)
+    return Ways(*(np.asarray(column[moves]) for column in columns))
+
+
+def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
+    """Cut ways where displacements are given."""
+    keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
+    known = np.searchsorted(motion + first, keys, side="right") - 1
+    out_motion, out_first, out_last = [], [], []
+    for a, b, way in zip(keys[:-1].tolist(), keys[1:].tolist(), known[:-1].tolist(), strict=True):
+        start = max(float(first[way]), a - motion[way])
+        stop = min(float(last[way]), b - motion[way])
+        if stop - start > 1e-9:
+            out_motion.append(motion[way])
+            out_first.append(start)
+            out_last.append(stop)
+    return np.array(out_motion, dtype=np.int64), np.array(out_first), np.array(out_last)
+
+
+def _in_map(
+    program: Program, motion: Ints, frame: Array, points: tuple[Array, Array], directions: tuple[Array, Array]
+) -> tuple[Array, Array, Array, Array]:
+    """Return points and directions, each (L, 3) in the `$BASE` of their motion, in the frame of the map."""
+    base = program.motions.base[motion]
+    out = [one.copy() for one in (*points, *directions)]
+    home = _home(program)
+    to_map = inverse(frame)
+    for row in np.unique(base).tolist():
+        here = base == row
+        pose = to_map if row == home else to_map @ inverse(program.bases[home]) @ program.bases[row]
+        for k, one in enumerate(out):
+            one[here] = one[here] @ pose[:3, :3].T + (pose[:3, 3] if k < len(points) else 0.0)
+    return out[0], out[1], out[2], out[3]
+
+
+def _home(program: Program) -> int:
+    """Return the row of `Program.bases` in which the stock stands: that of the first cutting motion."""
+    m = program.motions
+    return int(m.base[np.argmax(~m.rapid)])
+
+
+def spindle(program: Program, axis: str) -> Array:
+    """Return the directions from tip to spindle (M, 3) at the ends of motions, `$BASE` of the first cutting motion."""
+    column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[axis]
+    m = program.motions
+    out = sign * m.target[:, :3, column]
+    home = program.bases[_home(program)]
+    for row in np.unique(m.base).tolist():
+        here = m.base == row
+        out[here] = out[here] @ (home[:3, :3].T @ program.bases[row, :3, :3]).T
+    return out

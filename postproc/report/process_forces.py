@@ -1,0 +1,144 @@
+"""Forces of a process as files and text: forces.csv, its summary, and a table to print."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.files import FileEntry
+from postproc.frames import MM_PER_M, Array
+from postproc.machining import Entry, ProcessForces
+from postproc.program import FORCE_FRAMES, Ints, Program
+from postproc.version import VERSION
+
+COLUMNS = (
+    "line", "t", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "frame", "sFx", "sFy", "sFz", "sMx", "sMy", "sMz",
+)  # fmt: skip
+"""Columns of forces.csv, in order."""
+_ROWS = 4096
+_MM3 = 1e9
+
+
+def forces_csv(program: Program, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array) -> Iterator[bytes]:
+    """Yield forces.csv in pieces: places along motions in order, one line of the program being one motion.
+
+    Where several cutting motions start on one line (a drilling cycle), the one with the largest force stands for all.
+
+    :param motion: (K,) rows of `Motions`, t: (K,) places on them; t is NaN where a row is for the whole motion.
+    :param wrench: (K, 6) [N, N·m] in the axes that `frame` (K,) names; sigma: (K, 6) standard deviations.
+    """
+    yield (",".join(COLUMNS) + "\n").encode()
+    rows = _one_motion_a_line(program, motion, wrench)
+    lines = program.motions.line[motion]
+    for begin in range(0, len(rows), _ROWS):
+        part = rows[begin : begin + _ROWS]
+        yield "".join(
+            f"{line},{'' if place != place else format(place, '.6f')},"
+            f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"
+            f"{s[0]:.3f},{s[1]:.3f},{s[2]:.3f},{s[3]:.4f},{s[4]:.4f},{s[5]:.4f}\n"
+            for line, place, w, axes, s in zip(
+                lines[part].tolist(), t[part].tolist(), (wrench[part] + 0.0).tolist(), frame[part].tolist(),
+                sigma[part].tolist(), strict=True,
+            )
+        ).replace("-0.000,", "0.000,").replace("-0.0000,", "0.0000,").encode()  # fmt: skip
+
+
+def _one_motion_a_line(program: Program, motion: Ints, wrench: Array) -> Ints:
+    """Return the rows (n,) that are written: of one motion for each line."""
+    lines = program.motions.line[motion]
+    several = np.flatnonzero((np.diff(motion) != 0) & (np.diff(lines) == 0))
+    if len(several) == 0:
+        return np.arange(len(motion))
+    size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
+    keep = np.ones(len(motion), dtype=bool)
+    for line in np.unique(lines[several]).tolist():
+        rows = np.flatnonzero(lines == line)
+        keep[rows] = motion[rows] == motion[rows[int(np.argmax(size[rows]))]]
+    return np.flatnonzero(keep)
+
+
+def summary(program: Program, found: ProcessForces) -> dict[str, Any]:
+    """Return what forces.json says of forces computed from material and stock."""
+    m, cuts = program.motions, found.cuts
+    tools = []
+    for place in np.unique(found.turning.tool[cuts.motion]).tolist():
+        rows = found.turning.tool[cuts.motion] == place
+        motions = np.unique(cuts.motion[rows])
+        force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
+        worst = int(cuts.motion[rows][int(np.argmax(force))])
+        tools.append(
+            {
+                "tool": found.turning.keys[place],
+                "max_force_N": round(float(force.max()), 1),
+                "max_force_line": int(m.line[worst]),
+                "peak_force_N": round(float(found.peak[motions, 0].max()), 1),
+                "max_torque_Nm": round(float(np.abs(cuts.torque[rows]).max()), 3),
+                "peak_torque_Nm": round(float(found.peak[motions, 1].max()), 3),
+                "max_power_W": round(float(cuts.power[rows].max()), 1),
+                "max_depth_mm": round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
+                "max_width_mm": round(float(cuts.width[rows].max()) * MM_PER_M, 3),
+                "max_removal_mm3_per_s": round(float(cuts.rate[rows].max()) * _MM3, 1),
+            }
+        )
+    return {
+        "program": program.documents[0].name,
+        "places": len(cuts.t),
+        "removed_mm3": round(found.removed * _MM3, 1),
+        "left_mm3": round(found.stock.volume() * _MM3, 1),
+        "tools": tools,
+    }
+
+
+def finished(content: dict[str, Any], issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
+    """Return forces.json."""
+    told = [
+        {"level": i.level, "kind": i.kind, "message": i.message, "source_line": i.source_line, "count": i.count}
+        for i in issues
+    ]
+    whole = {**content, "version": VERSION, "issues": told, "files": entries}
+    return (json.dumps(whole, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def as_text(content: dict[str, Any]) -> str:
+    """Return the summary as lines to print."""
+    lines = []
+    for tool in content.get("tools", []):
+        lines.append(
+            f"tool {tool['tool']}: mean force up to {tool['max_force_N']:g} N (line {tool['max_force_line']}), "
+            f"within a turn {tool['peak_force_N']:g} N; torque {tool['max_torque_Nm']:g}, peak "
+            f"{tool['peak_torque_Nm']:g} N·m; power {tool['max_power_W']:g} W"
+        )
+        lines.append(
+            f"  depth of cut up to {tool['max_depth_mm']:g} mm, width {tool['max_width_mm']:g} mm, "
+            f"{tool['max_removal_mm3_per_s'] * 0.06:.3g} cm³/min"
+        )
+    if "removed_mm3" in content:
+        lines.append(f"removed {content['removed_mm3'] / 1e3:.4g} cm³, left {content['left_mm3'] / 1e3:.4g} cm³")
+    if content.get("by_operation"):
+        lines.append(f"forces by operation for {content['by_operation']} moves")
+    return "\n".join(lines)
+
+
+def materials(entries: dict[str, Entry]) -> str:
+    """Return the table of materials as text."""
+    lines = []
+    for name, entry in entries.items():
+        lines.append(f"{name}: {entry.title}{' (assumed)' if entry.assumed else ''}, sigma {entry.sigma_percent:g} %")
+        if entry.Ktc_N_per_mm2 is not None:
+            lines.append(
+                f"  Ktc {entry.Ktc_N_per_mm2:g}, Krc {entry.Krc_N_per_mm2:g}, Kac {entry.Kac_N_per_mm2:g} N/mm²; "
+                f"Kte {entry.Kte_N_per_mm:g}, Kre {entry.Kre_N_per_mm:g}, Kae {entry.Kae_N_per_mm:g} N/mm"
+            )
+        else:
+            lines.append(
+                f"  kc1.1 {entry.kc11_N_per_mm2:g} N/mm², mc {entry.mc:g}; radial {entry.radial_ratio:g}, "
+                f"axial {entry.axial_ratio:g} of the tangential force"
+            )
+        lines.append(f"  source: {entry.source}")
+        if entry.warning:
+            lines.append(f"  warning: {entry.warning}")
+    return "\n".join(lines)

@@ -1,0 +1,138 @@
+"""Forces against published values and closed forms, energy against the volume removed, the map against trimesh."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from postproc.machining import stock, table
+from tests.machining.setting import AL7075, forces, gcode, line_of, on_line, process, tool
+
+BOX = ((0, 100), (-40, 40), (-20, 0))
+
+
+def altintas(teeth, depth, chip, k, begin, end):
+    """Average milling forces between two angles (Altintas, Manufacturing Automation, 2nd ed., Eq. 2.31)."""
+    ktc, kte, krc, kre, kac, kae = k
+
+    def at(phi):
+        c2, s2, c, s = math.cos(2 * phi), math.sin(2 * phi), math.cos(phi), math.sin(phi)
+        x = chip / 4 * (ktc * c2 - krc * (2 * phi - s2)) + (-kte * s + kre * c)
+        y = chip / 4 * (ktc * (2 * phi - s2) + krc * c2) - (kte * c + kre * s)
+        return np.array([x, y, -kac * chip * c + kae * phi]) * teeth * depth / (2 * math.pi)
+
+    return at(end) - at(begin)
+
+
+def test_the_published_slot_to_three_digits(tmp_path):
+    """Four teeth, 3 mm deep, 0.1 mm a tooth, Al 7075-T6, carbide: (−152, 336, 89) N."""
+    text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110 (here)")
+    program, found = forces(tmp_path, text, process(tool(10, 4), BOX))
+    wrench = on_line(program, found, line_of(text, "X110 (here)"), 0.5)
+    np.testing.assert_allclose(wrench[:3], (-152, 336, 89), atol=0.5)
+    np.testing.assert_allclose(wrench[:3], altintas(4, 3, 0.1, AL7075, 0, math.pi), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("name", "entry"), [(n, e) for n, e in table().items() if e.Ktc_N_per_mm2 is not None])
+def test_every_linear_material_in_a_slot(tmp_path, name, entry):
+    text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110 (here)")
+    program, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5, f'name = "{name}"'))
+    k = (
+        entry.Ktc_N_per_mm2, entry.Kte_N_per_mm, entry.Krc_N_per_mm2, entry.Kre_N_per_mm, entry.Kac_N_per_mm2,
+        entry.Kae_N_per_mm,
+    )  # fmt: skip
+    wrench = on_line(program, found, line_of(text, "X110 (here)"), 0.5)
+    expected = altintas(4, 3, 0.1, k, 0, math.pi)
+    np.testing.assert_allclose(wrench[:3], expected, rtol=2e-3, atol=1e-3 * np.linalg.norm(expected))
+
+
+def test_every_material_names_its_source_and_its_uncertainty():
+    entries = table()
+    assert all(entry.source and entry.title and entry.sigma_percent for entry in entries.values())
+    assert entries["cfrp"].warning
+    for word in ("Aluminium", "Steel", "Stainless", "Titanium", "Brass", "Plywood", "MDF", "foam", "Carbon"):
+        assert any(word in entry.title for entry in entries.values()), word
+
+
+@pytest.mark.parametrize("feed", [60.0, 300.0])
+def test_plunge_is_torque_and_thrust_of_drilling(tmp_path, feed):
+    text = gcode("G0 X50 Y0 Z5", f"G1 Z-10 F{feed} (here)")
+    program, found = forces(tmp_path, text, process(tool(10, 4), BOX))
+    wrench = on_line(program, found, line_of(text, f"G1 Z-10 F{feed} (here)"), 0.9)
+    chip = feed / 6000 / 4
+    assert wrench[2] == pytest.approx(4 * 5 * (AL7075[2] * chip + AL7075[3]), rel=1e-3)
+    assert wrench[5] == pytest.approx(4 * 25 / 2 * (AL7075[0] * chip + AL7075[1]) * 1e-3, rel=1e-3)
+    assert np.abs(wrench[[0, 1]]).max() < 1e-3 * wrench[2]
+
+
+def energy(program, found):
+    """Work of the spindle [J] along the path: power is linear between the places given."""
+    total = 0.0
+    m = program.motions
+    begin = np.concatenate([[[0.0, 0, 0]], m.target[:-1, :3, 3]])
+    for motion in np.unique(found.cuts.motion).tolist():
+        rows = found.cuts.motion == motion
+        length = np.linalg.norm(m.target[motion, :3, 3] - begin[motion])
+        if m.kind[motion] == 1:
+            length = m.sweep[motion] * np.linalg.norm(begin[motion] - m.centre[motion])
+        t = np.concatenate([[0.0], found.cuts.t[rows], [1.0]])
+        power = found.cuts.power[rows]
+        power = np.concatenate([power[:1], power, power[-1:]])
+        total += np.trapezoid(power, t) * length / m.feed[motion]
+    return total
+
+
+POCKET = (
+    "G0 X50 Y0 Z5", "G1 Z0 F1200", "X60 Z-2", "X40", "X60", "G1 X65 Y12", "X35", "Y-12", "X65", "Y12",
+    "G3 X57 Y20 I-8 J0", "G1 X30", "Y-20", "X72", "Y20",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", ["flat", "ball", "bull"])
+def test_energy_is_specific_energy_times_volume(tmp_path, shape):
+    """Without rubbing, Ktc is the work per volume: within 1 %. The volume is the one missing from the map."""
+    material = "Ktc_N_per_mm2 = 800.0\nKrc_N_per_mm2 = 200.0"
+    program, found = forces(tmp_path, gcode(*POCKET), process(tool(10, 3, shape, 2.0), BOX, 0.25, material=material))
+    assert energy(program, found) == pytest.approx(800e6 * found.removed, rel=0.01)
+
+
+def test_energy_that_leaves_out_a_way_would_be_noticed(tmp_path):
+    material = "Ktc_N_per_mm2 = 800.0\nKrc_N_per_mm2 = 200.0"
+    program, found = forces(tmp_path, gcode(*POCKET), process(tool(10, 3), BOX, 0.5, material=material))
+    longest = int(np.argmax(np.bincount(found.cuts.motion)))
+    found.cuts.power[found.cuts.motion == longest] = 0.0
+    assert energy(program, found) != pytest.approx(800e6 * found.removed, rel=0.01)
+
+
+def test_volume_of_a_mesh_is_that_of_trimesh():
+    for shape in (
+        trimesh.creation.icosphere(subdivisions=4, radius=20.0),
+        trimesh.creation.box((31.3, 17.7, 9.9), trimesh.transformations.rotation_matrix(0.3, (0, 0, 1))),
+        trimesh.creation.cylinder(11.0, 20.0, sections=96),
+    ):
+        mapped = stock.from_mesh(shape.vertices * 1e-3, np.asarray(shape.faces), 0.25e-3)
+        assert mapped.volume() == pytest.approx(shape.volume * 1e-9, rel=2e-3)
+
+
+def test_removed_volume_and_what_is_left_are_those_of_trimesh(tmp_path):
+    """A slot with round ends, 3 mm deep; what is left is a closed mesh."""
+    text = gcode("G0 X30 Y0 Z5", "G1 Z-3 F300", "X70")
+    _, found = forces(tmp_path, text, process(tool(10, 4), BOX))
+    assert found.removed == pytest.approx((math.pi * 25 + 400) * 3e-9, rel=2e-3)
+    vertices, faces = found.mesh()
+    mesh = trimesh.Trimesh(vertices * 1e3, faces)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(100 * 80 * 20 - (math.pi * 25 + 400) * 3, rel=1e-3)
+
+
+def test_a_slot_cut_through_leaves_two_closed_parts(tmp_path):
+    text = gcode("G0 X-10 Y0 Z5", "G1 Z-21 F2400", "X110")
+    _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))
+    vertices, faces = found.mesh()
+    mesh = trimesh.Trimesh(vertices * 1e3, faces)
+    assert mesh.is_watertight
+    assert len(mesh.split()) == 2
+    assert mesh.volume == pytest.approx(100 * 70 * 20, rel=2e-3)

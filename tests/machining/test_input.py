@@ -1,0 +1,121 @@
+"""What cannot be used is told: what is wrong, where, and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from postproc.errors import ForceError
+from tests.machining.setting import forces, gcode, process, tool
+
+BOX = ((0, 100), (-40, 40), (-20, 0))
+SLOT = ("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110")
+
+
+def refused(folder, text, process_text=None, **options):
+    with pytest.raises(ForceError) as caught:
+        forces(folder, text, process_text or process(tool(10, 4), BOX, 1.0), **options)
+    return str(caught.value)
+
+
+def test_stock_elsewhere(tmp_path):
+    told = refused(tmp_path, gcode(*SLOT), process(tool(10, 4), ((500, 600), (0, 80), (-20, 0)), 1.0))
+    assert "never meets the stock" in told
+    assert "X 498" in told
+
+
+def test_no_speed(tmp_path):
+    assert "part.nc:3: the spindle is started without a speed" in refused(tmp_path, gcode(*SLOT, spindle="M3"))
+
+
+def test_no_spindle(tmp_path):
+    assert "the spindle is never started" in refused(tmp_path, gcode(*SLOT, spindle="(none)"))
+
+
+def test_spindle_off_while_cutting(tmp_path):
+    told = refused(tmp_path, gcode(*SLOT[:2], "X50", "M5", "X110"))
+    assert "part.nc:8: the tool is moved through material while the spindle stands still" in told
+
+
+def test_a_tool_that_is_not_described(tmp_path):
+    told = refused(tmp_path, gcode(*SLOT).replace("T1 M6", "T7 M6"))
+    assert "part.nc:5: tool T7 is not in" in told
+    assert "Give [tools.7]; there: [tools.1]" in told
+
+
+def test_no_tool_number_takes_the_only_tool_but_not_one_of_two(tmp_path):
+    text = gcode(*SLOT).replace("T1 M6\n", "")
+    forces(tmp_path, text, process(tool(10, 4), BOX, 1.0))
+    two = process(tool(10, 4), BOX, 1.0).replace("[stock]", "[tools.2]\n" + tool(8, 2) + "[stock]")
+    assert "no tool number" in refused(tmp_path, text, two)
+    forces(tmp_path, text, two.replace("[tools.2]", "[tools.default]"))
+
+
+def mesh_process(name):
+    return process(tool(10, 4), BOX, 1.0).partition("[stock]")[0] + f'[stock]\nfile = "{name}"\nresolution_mm = 1.0\n'
+
+
+def block(scale=1.0):
+    return trimesh.creation.box(bounds=np.array([[0, -40, -20], [100, 40, 0]]) * scale)
+
+
+def test_a_mesh_gives_what_the_box_gives(tmp_path):
+    block().export(tmp_path / "stock.stl")
+    _, one = forces(tmp_path, gcode(*SLOT), mesh_process("stock.stl"))
+    _, other = forces(tmp_path, gcode(*SLOT), process(tool(10, 4), BOX, 1.0))
+    assert one.removed == pytest.approx(other.removed, rel=1e-3)
+
+
+def test_open_mesh(tmp_path):
+    mesh = block()
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    mesh.export(tmp_path / "stock.stl")
+    assert "the mesh of the stock is not closed" in refused(tmp_path, gcode(*SLOT), mesh_process("stock.stl"))
+
+
+def test_a_mesh_in_inches(tmp_path):
+    block(1 / 25.4).export(tmp_path / "stock.stl")
+    far = gcode("G0 X10 Y20 Z5", "G1 Z-3 F2400", "X90")
+    assert "is one of them in inches?" in refused(tmp_path, far, mesh_process("stock.stl"))
+
+
+def test_a_mesh_that_is_25_times_too_large(tmp_path):
+    mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [100, 80, 20]]) * 25.4)
+    mesh.export(tmp_path / "stock.stl")
+    text = gcode("G0 X10 Y20 Z700", "Z25", "G1 Z17 F2400", "X90")
+    _, found = forces(tmp_path, text, mesh_process("stock.stl"))
+    assert {issue.kind for issue in found.issues} == {"deep-cut", "rapid-in-material"}
+    assert "an inch is 25.4 mm" in next(i.message for i in found.issues if i.kind == "deep-cut")
+
+
+def test_no_such_mesh_and_no_mesh(tmp_path):
+    assert "no such file" in refused(tmp_path, gcode(*SLOT), mesh_process("none.stl"))
+    (tmp_path / "bad.stl").write_text("this is no mesh")
+    assert "bad.stl" in refused(tmp_path, gcode(*SLOT), mesh_process("bad.stl"))
+
+
+def test_a_rapid_move_through_material_is_told_with_its_line(tmp_path):
+    text = gcode(*SLOT, "G0 Y20", "Z5")
+    _, found = forces(tmp_path, gcode(*SLOT, "G0 Z5", "X0", "Z-3"), process(tool(10, 4), BOX, 0.5))
+    assert found.issues == ()
+    _, found = forces(tmp_path, text.replace("X110", "X50"), process(tool(10, 4), BOX, 0.5))
+    (issue,) = found.issues
+    assert (issue.kind, issue.source_line, issue.count) == ("rapid-in-material", 7, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("diameter_mm", "diametre_mm"), "unknown key 'diametre_mm' in [tools.1]"),
+        (("al_7075_t6_carbide", "unobtainium"), "no material 'unobtainium'"),
+        (('name = "al_7075_t6_carbide"', "mc = 0.3"), "[material] does not say how it cuts"),
+        (("[tools.1]", "[tools.one]"), "'one' is not a tool number"),
+        (("X = [0.0, 100.0]", "X = [100.0, 0.0]"), "is not from smaller to larger"),
+        (("resolution_mm = 1.0", "resolution_mm = 0.001"), "Take [stock] resolution_mm"),
+        (('shape = "flat"', 'shape = "bull"'), "a bull tool without a corner radius"),
+        (('shape = "flat"', 'shape = "flat"\ncorner_radius_mm = 1.0'), "corner_radius_mm with shape 'flat'"),
+    ],
+)
+def test_a_process_that_cannot_be_used(tmp_path, change, told):
+    assert told in refused(tmp_path, gcode(*SLOT), process(tool(10, 4), BOX, 1.0).replace(*change))
