@@ -78,6 +78,11 @@ class LazyGroup(click.Group):
         except KeyboardInterrupt as cause:
             click.echo("Interrupted.", err=True)
             ctx.exit(128 + getattr(cause, "number", 2))
+        except click.MissingParameter as cause:
+            if cause.param is None or cause.param.name != "cell":
+                raise
+            text = "Missing option '--cell': the file that says which robot, base and tool. postproc init writes one."
+            raise click.UsageError(text, cause.ctx) from cause
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except MemoryError as cause:

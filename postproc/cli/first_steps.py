@@ -83,12 +83,14 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
 
         click.echo(f"Robots that come along: {', '.join(shipped())}")
         given["robot"] = click.prompt("Robot, or the path of a model folder", default="kuka_kr270")
-    for name, text, usual in (
-        ("base", "$BASE in the robot root: X,Y,Z,A,B,C", "1500,0,700,0,0,0"),
-        ("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z,A,B,C", "0,0,350,0,0,0"),
-    ):
-        if given[name] is None:
-            given[name] = click.prompt(text, default=usual, value_proc=_frame)
+    if given["base"] is None:
+        from postproc.jobs.cell_file import usual_base
+
+        usual = ",".join(f"{value:g}" for value in usual_base(given["robot"]))
+        given["base"] = click.prompt("$BASE in the robot root: X,Y,Z[,A,B,C]", default=usual, value_proc=_frame)
+    if given["tool"] is None:
+        text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
+        given["tool"] = click.prompt(text, default="0,0,350", value_proc=_frame)
     if given["start"] is None:
         given["start"] = _numbers(_START)
         if missing:

@@ -7,19 +7,21 @@ from dataclasses import dataclass
 from os.path import relpath
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from postproc import correction, files, kinematics
 from postproc import robot as robots
-from postproc.cell import Cell, Frame, Start, Tool, ToolAxis, load
+from postproc.cell import Cell, Frame, GCode, Start, Tool, ToolAxis, load
 from postproc.dialects.text import decode
-from postproc.errors import InputError, PostprocError, ProgramError
-from postproc.frames import DEG_PER_RAD, Array, inverse, xyzabc_from_pose
+from postproc.errors import InputError, ProgramError
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
 from postproc.jobs.setup import load_robot
 from postproc.robot import JOINTS, RobotModel
 
 Numbers = tuple[float, ...]
 _ZERO = (0.0,) * 6
+_TURNS = (0.0, 90.0, 180.0, -90.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,9 +69,22 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     base = _frame("BASE_DATA", request.base, request, robot)
     tool = _frame("TOOL_DATA", request.tool, request, robot)
     config = None if request.config_dat is None else Path(relpath(request.config_dat, folder)).as_posix()
-    text = _text(place, robot.title, (base, tool, start), request.axis, config)
+    tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
+    cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
+    turn, remarks = _turn_of_tool(cell, robot)
+    text = _text(place, robot.title, cell, turn, config)
     files.write_whole(folder, {request.output.name: text.encode()})
-    return tuple(_remarks(load(request.output), robot))
+    load(request.output)
+    return remarks
+
+
+def usual_base(robot: str) -> Numbers:
+    """Return a place for a part that a robot reaches well: X, Y, Z in the root [mm].
+
+    :raises ModelError: there is no such robot.
+    """
+    reach = float(np.abs(load_robot(robot).nominal.placement[1:5, 0, 3]).sum()) * MM_PER_M
+    return round(0.55 * reach, -2), 0.0, round(0.25 * reach, -2)
 
 
 def _six(what: str, values: Numbers, least: int) -> Numbers:
@@ -120,23 +135,28 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
     return tuple(float(value) for value in np.round(found.ravel(), 6) + 0.0)
 
 
-def _remarks(cell: Cell, robot: RobotModel) -> list[str]:
-    """Say what looks wrong of a cell that can be read."""
-    pose = cell.base.pose()
-    pose[:3, :3] = pose[:3, :3] @ cell.tool_pose_in_program()
-    flange = pose @ inverse(cell.tool.pose())
-    try:
-        form = kinematics.closed_form(robot)
-    except PostprocError as cause:
-        return [str(cause)]
-    found = form.branches(flange[None])[0]
-    if not np.isfinite(found).all(axis=1).any():
-        return ["out of reach: the origin of $BASE, with the tool standing on it. Check [base], [tool] and axis."]
-    return []
+def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
+    """Return the quarter turn of the tool about its axis that is nearest to how the arm starts, and what is wrong.
+
+    Looked at: the tool standing on the origin of `$BASE`, the arm on the branch of its start.
+    """
+    form = kinematics.closed_form(robot)
+    start = cell.start_joints
+    away = []
+    for turn in _TURNS:
+        turned = msgspec.structs.replace(cell, gcode=GCode(redundancy_deg=turn))
+        pose = cell.base.pose()
+        pose[:3, :3] = pose[:3, :3] @ turned.tool_pose_in_program()
+        found = form.branches((pose @ inverse(cell.tool.pose()))[None])[0, form.branch_of(start[None])[0]]
+        far = np.abs((found - start + np.pi) % (2.0 * np.pi) - np.pi)
+        away.append(float(far[[3, 5]].max()) if np.isfinite(far).all() else np.inf)
+    best = int(np.argmin(away))
+    if np.isfinite(away[best]):
+        return _TURNS[best], ()
+    return 0.0, ("out of reach: the origin of $BASE, with the tool standing on it. Check [base], [tool] and [start].",)
 
 
-def _text(robot: str, title: str, frames: tuple[Numbers, Numbers, Numbers], axis: str, config: str | None) -> str:
-    base, tool, start = frames
+def _text(robot: str, title: str, cell: Cell, turn: float, config: str | None) -> str:
     config_line = (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
@@ -148,21 +168,21 @@ robot = {json.dumps(robot)}    # {title}
 {config_line}
 
 [base]                           # $BASE in the robot root: where the part lies
-{_keys(base)}
+{_keys(cell.base)}
 
 [tool]                           # $TOOL: the tool tip in the flange frame
-{_keys(tool)}
-axis = "{axis}"                      # axis of the tool frame that points from the spindle to the tip
+{_keys(cell.tool)}
+axis = "{cell.tool.axis}"                      # axis of the tool frame that points from the spindle to the tip
 
 [start]
-joints = [{", ".join(_number(value) for value in start)}]    # A1 to A6 where programs start: fixes how the arm stands
+joints = [{", ".join(map(_number, cell.start.joints))}]    # A1 to A6 where programs start: fixes how the arm stands
 
 [output]
 tolerance_mm = 0.01              # what the predicted path may leave the nominal one by
 max_correction_mm = 8.0          # a larger correction is an error
 
 [gcode]                          # how G-code becomes KRL
-redundancy_deg = 0.0             # turn of the tool about its axis: choose it so that A6 stays near 0
+redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS; 0: exact stops
 # spindle_on = ["$ANOUT[1]={{S}}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {{S}}: speed in rpm
@@ -179,8 +199,8 @@ approximation_mm = 0.5           # $APO.CDIS; 0: exact stops
 """
 
 
-def _keys(frame: Numbers) -> str:
-    return "\n".join(f"{key} = {_number(value)}" for key, value in zip("XYZABC", frame, strict=True))
+def _keys(frame: Frame) -> str:
+    return "\n".join(f"{key} = {_number(getattr(frame, key))}" for key in "XYZABC")
 
 
 def _number(value: float) -> str:

@@ -61,6 +61,28 @@ def test_the_cell_of_the_samples_made_by_options_converts_a_sample():
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.parametrize("axis", ["+Z", "-Z", "+X"])
+def test_the_tool_is_turned_so_that_a6_stays_near_its_start(axis):
+    tool = {"+Z": "0,0,350", "-Z": "0,0,350,0,180,0", "+X": "0,0,350,0,-90,0"}[axis]
+    start = "0,-70,110,0,50,0"
+    run("init", "--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", tool, "--start", start, "--axis", axis)
+    done = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "cell.toml", "-o", "out")
+    assert done.exit_code == 0, done.output
+    assert "first move turns" not in done.output
+    text = Path("cell.toml").read_text()
+    turned = cells.load("cell.toml").gcode.redundancy_deg
+    Path("other.toml").write_text(text.replace(f"redundancy_deg = {turned}", f"redundancy_deg = {turned - 180}"))
+    done = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "other.toml", "-o", "out")
+    assert "first move turns" in done.output
+
+
+def test_who_gives_no_cell_is_told_how_to_get_one():
+    for command in ("convert", "predict"):
+        done = run(command, "part.nc")
+        assert done.exit_code == 2
+        assert "postproc init writes one" in done.stderr
+
+
 def test_what_is_optional_can_be_used_by_taking_the_comment_sign_away():
     run("init", "--robot", "kuka_kr270", *FRAMES)
     text = Path("cell.toml").read_text()
@@ -142,6 +164,10 @@ def test_without_a_terminal_what_is_missing_is_wrong_usage():
 
 def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
     monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    for name in robot.shipped():
+        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n")
+        assert done.exit_code == 0, done.output
+        assert "out of reach" not in done.stderr
     done = run("init", input="\nnonsense\n900,0,600\n\n\n")
     assert done.exit_code == 0, done.output
     cell = cells.load("cell.toml")
