@@ -6,6 +6,7 @@ inline.src, .dat     KRL with inline forms and named points, as the teach pendan
 long_lin.src         KRL of a CAM post: thousands of LIN with numbers; long_lin.forces.csv
 cell_kr270.toml      cell of pocket, freeform and inline
 cell_kr16.toml       cell of long_lin and pocket
+cell_irb6700.toml    cell of pocket with an ABB arm, for `convert --to rapid`
 """
 
 from __future__ import annotations
@@ -92,6 +93,39 @@ spindle_off = ["$OUT[1]=FALSE"]
 coolant_on = ["$OUT[2]=TRUE"]
 coolant_off = ["$OUT[2]=FALSE"]
 tool_change = ["; tool {T} by hand", "HALT"]
+"""
+
+CELL_IRB6700 = """\
+# Milling on a table in front of an ABB IRB 6700-200/2.60, for `convert --to rapid`: spindle along the flange axis, tool
+# tip 350 mm before the flange. Joints have the signs that all robots have here; ABB's are J1 = -A1, J2 = A2 + 90,
+# J3 = A3 - 90, J4 = -A4, J5 = A5, J6 = -A6: start below is ABB's [0, 10, 20, 0, 60, 0].
+robot = "abb_irb6700_200_260"
+
+[base]                          # work object in the base frame of the robot: mm; A, B, C in degrees as KUKA has them
+X = 1500.0
+Y = -200.0
+Z = 700.0
+
+[tool]
+Z = 350.0
+axis = "+Z"
+
+[start]
+joints = [0, -80, 110, 0, 60, 0]
+
+[output]
+tolerance_mm = 0.01
+max_correction_mm = 8.0
+
+[gcode]                         # lines of RAPID
+redundancy_deg = 180.0          # keeps axis 6 near 0
+rapid_m_per_s = 0.3
+approximation_mm = 0.2
+spindle_on = ["SetAO aoSpindle,{S};", "SetDO doSpindle,1;", "WaitTime 3;"]
+spindle_off = ["SetDO doSpindle,0;"]
+coolant_on = ["SetDO doCoolant,1;"]
+coolant_off = ["SetDO doCoolant,0;"]
+tool_change = ["! tool {T} by hand", "Stop;"]
 """
 
 
@@ -344,6 +378,7 @@ def make() -> dict[str, str]:
     return {
         "cell_kr270.toml": CELL_KR270,
         "cell_kr16.toml": CELL_KR16,
+        "cell_irb6700.toml": CELL_IRB6700,
         "pocket.nc": pocket(),
         "freeform.nc": freeform_program,
         "freeform.forces.csv": freeform_forces,

@@ -12,6 +12,7 @@ from tests.oracle.arm import Arm
 TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 STEP = 1e-6
 OFFSET_AND_FOREARM = {
+    "abb_irb6700_200_260": (-200, 1142.5),
     "kuka_kr120_r2700_2": (-115, 1220),
     "kuka_kr16_2": (35, 670),
     "kuka_kr210_r2700_2": (-115, 1220),

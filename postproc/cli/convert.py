@@ -40,7 +40,7 @@ def _shared(command: _Command) -> _Command:
             "--dialect",
             metavar="NAME",
             callback=_dialect,
-            help="How to read the input: gcode or krl; by default the extension says it.",
+            help="How to read the input: gcode, krl or rapid; by default the extension says it.",
         ),
         click.option(
             "-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside the program."
@@ -72,7 +72,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
     metavar="MM",
     help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
 )
-@click.option("--to", metavar="NAME", callback=_dialect, help="Dialect to write G-code in; default: krl.")
+@click.option("--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid.")
 @click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
 @click.option("--name", metavar="NAME", help="Name of the written program, for one PROGRAM.")
@@ -109,6 +109,7 @@ def convert(
       postproc convert samples/pocket.nc --cell samples/cell_kr270.toml -o out
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
+      postproc convert samples/pocket.nc --cell samples/cell_irb6700.toml --to rapid -o out
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 

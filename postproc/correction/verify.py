@@ -96,7 +96,10 @@ def simulate(
     try:
         written = registry.by_name(text.dialect).read(text.documents, place.cell, place.forward, program.name)
     except ProgramError as cause:
-        message = f"the written program cannot be read back ({cause.problem}): a fault of postproc, please report it"
+        message = (
+            f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
+            f"[gcode] in the cell, write it there in {text.dialect}; else it is a fault of postproc, please report it."
+        )
         return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))
     m = written.motions
     row = np.flatnonzero(np.isnan(m.joints[:, 0]))

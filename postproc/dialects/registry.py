@@ -23,6 +23,7 @@ _ASKED = ("name", "extensions", "command_decimals", "writer", "companions", "rea
 _OURS = {
     "gcode": "postproc.dialects.gcode.dialect:GCODE",
     "krl": "postproc.dialects.krl.dialect:KRL",
+    "rapid": "postproc.dialects.rapid.dialect:RAPID",
 }
 _WRITTEN = "krl"
 """What a program becomes whose own dialect is not written."""

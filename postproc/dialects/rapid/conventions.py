@@ -1,0 +1,101 @@
+"""From the frames and joint angles of the rest of the package to those of ABB, and back.
+
+The joints A1…A6 of every model folder have KUKA's signs, and at zero the arm lies stretched out along +X. ABB's axes
+turn about +Z, +Y, +Y, +X, +Y, +X, and at zero the upper arm stands upright with the forearm along +X. For an arm whose
+axes are driven one by one:
+
+    J1 = −A1    J2 = A2 + 90°    J3 = A3 − 90°    J4 = −A4    J5 = A5    J6 = −A6
+
+Where a parallelogram moves the forearm (IRB 6660, 7600 with rod, palletisers), ABB counts axis 3 against the floor, not
+against the upper arm; such arms are none of the six joints in series that a model folder describes. Robot root and
+flange are those of ABB: base frame, and `tool0` with Z out of the flange and X downwards at zero.
+
+A `num` of RAPID has single precision; so have positions, orientations and joint angles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
+from postproc.program import Ints, TargetJoints
+
+_SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+_ZERO = np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
+_SAME_QUADRANT = 1e-6
+"""An angle this close below a quadrant [deg] is its beginning: rounding."""
+
+
+def abb_from_joints(q: Array) -> Array:
+    """Return ABB's J1…J6 (…, 6) [deg] of joint angles A1…A6 (…, 6) [rad]."""
+    return np.asarray(_SIGN * q * DEG_PER_RAD + _ZERO)
+
+
+def joints_from_abb(angles: Array) -> Array:
+    """Return joint angles A1…A6 (…, 6) [rad] of ABB's J1…J6 (…, 6) [deg]."""
+    return np.asarray(_SIGN * (angles - _ZERO) * RAD_PER_DEG)
+
+
+def configuration(joints: TargetJoints) -> Ints:
+    """Return cf1, cf4, cf6, cfx (K, 4) of robtargets.
+
+    cf1, cf4 and cf6 are the quadrants of J1, J4, J6: 0 from 0° to 90°, −1 from −90° to 0°, and so on. cfx, 0…7, adds up
+    4 where the wrist centre stands behind axis 1, 2 where it stands behind the lower arm, 1 where J5 is negative. The
+    status S of KUKA says the same: its bit 1 is set where the wrist centre stands *in front of* the line through axes
+    2 and 3. (ABB, data type confdata.)
+    """
+    quadrant = np.floor((abb_from_joints(joints.q)[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
+    s = joints.status
+    cfx = 4 * (s & 1) + 2 * (1 - (s >> 1 & 1)) + (s >> 2 & 1)
+    return np.column_stack([quadrant, cfx])
+
+
+def status_from_cfx(cfx: Ints) -> Ints:
+    """Return the status S of KUKA (n,) that a cfx (n,) stands for."""
+    return np.asarray((cfx >> 2 & 1) + 2 * (1 - (cfx >> 1 & 1)) + 4 * (cfx & 1))
+
+
+def quaternions(rotation: Array) -> Array:
+    """Return q1…q4 (n, 4), q1 ≥ 0 the real part, of rotations (n, 3, 3).
+
+    The largest of the four is found first, the others by it: none is lost near half turns (Shepperd 1978).
+    """
+    r = np.asarray(rotation).reshape(-1, 3, 3)
+    trace = np.einsum("nii->n", r)
+    diagonal = np.einsum("nii->ni", r)
+    square = np.column_stack([1.0 + trace, 1.0 - trace[:, None] + 2.0 * diagonal])  # 4·qᵢ²
+    column = np.empty((len(r), 4, 4))  # row i: 4·qᵢ·q
+    x, y, z = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
+    xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
+    column[:, 0] = np.column_stack([square[:, 0], x, y, z])
+    column[:, 1] = np.column_stack([x, square[:, 1], xy, xz])
+    column[:, 2] = np.column_stack([y, xy, square[:, 2], yz])
+    column[:, 3] = np.column_stack([z, xz, yz, square[:, 3]])
+    q = column[np.arange(len(r)), np.argmax(square, axis=1)]
+    q /= np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]
+    return np.asarray(np.where(q[:, :1] < 0.0, -q, q))
+
+
+def rotations(q: Array) -> Array:
+    """Return rotations (n, 3, 3) of quaternions (n, 4); they need not be normalised to the last digit."""
+    w, x, y, z = (q / np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]).T
+    return np.moveaxis(
+        np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        ),
+        2,
+        0,
+    )
+
+
+def poses(numbers: Array) -> Array:
+    """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), as the controller holds these numbers."""
+    held = numbers.astype(np.float32).astype(np.float64)
+    out = np.broadcast_to(np.eye(4), (len(numbers), 4, 4)).copy()
+    out[:, :3, :3] = rotations(held[:, 3:])
+    out[:, :3, 3] = held[:, :3] * M_PER_MM
+    return out

@@ -1,0 +1,230 @@
+r"""A new RAPID program: data, start position, moves, and the cell's lines for its events.
+
+Decisions, where ABB leaves a choice:
+
+- Targets stand in the instructions; tools, work objects, speeds and zones are data of the module, LOCAL to it.
+- The first move goes to joint angles (MoveAbsJ). Rapid approaches in joint interpolation are MoveJ, everything else is
+  MoveL or MoveC. ``ConfJ\On`` makes MoveJ arrive on the branch that its target names; with ``ConfL\Off`` MoveL and
+  MoveC stay on theirs, which they also name.
+- ``CirPathMode\ObjectFrame``: orientations turn in the work object along circles, as they are computed.
+- Before lines of the cell, dwells and stops the robot stops in a fine point, so that they happen there.
+- The zone of a move is a circle of the approximation distance around its end, for position and orientation alike.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.chunks import chunks
+from postproc.decimals import Bytes, fixed, lines
+from postproc.dialects import force_comments
+from postproc.dialects.force_comments import where
+from postproc.dialects.new_program import NewProgram, Words, number
+from postproc.dialects.rapid import instructions
+from postproc.dialects.rapid.conventions import abb_from_joints, configuration, quaternions
+from postproc.dialects.rapid.instructions import BEGIN, END, NO_EXTERNAL_AXES
+from postproc.dialects.rapid.names import PREFIX, fault_of, valid
+from postproc.errors import CellError, Issue, ProgramError, group_issues
+from postproc.frames import MM_PER_M, Array
+from postproc.program import (
+    CIRC,
+    LIN,
+    PTP,
+    Document,
+    Ints,
+    Program,
+    TargetForces,
+    TargetJoints,
+    Targets,
+    Written,
+)
+from postproc.version import VERSION
+
+WORDS = Words("!", "WaitTime {};", "Stop;", encoding="ascii")
+_INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
+_MILLIMETRES, _QUATERNION = 4, 8
+_REORIENTATION = "500,5000,1000"
+"""Of speeddata, as those that the controller has: turning [deg/s], external axes [mm/s, deg/s]."""
+_NO_LOAD = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
+"""The load of tool0."""
+_SPEED_DECIMALS = 3
+
+
+def write(
+    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
+) -> Written:
+    """Return a program read from G-code as RAPID.
+
+    :param joints: where the branch of each target is taken from.
+    :param carried: forces to be written as comments, on lines before their targets.
+    :returns: one document, ``NAME.mod``, CR LF.
+    :raises ProgramError: the name is not one of RAPID; a move has no feed, or one that would be printed as 0.
+    :raises CellError: a line of the cell is no RAPID.
+    """
+    fault = fault_of(program.name)
+    if fault:
+        raise ProgramError(
+            f"{program.name!r} cannot be the name of a RAPID program: {fault}",
+            file=program.documents[0].name,
+            advice=f"Rename the file, for example to {valid(program.name)}.",
+        )
+    return _Writer(program, targets, joints, cell, carried).written()
+
+
+class _Writer:
+    """Prints all targets at once, between what `NewProgram` collects."""
+
+    def __init__(
+        self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
+    ) -> None:
+        self.program, self.targets, self.cell, self.carried = program, targets, cell, carried
+        self.new = NewProgram(program, targets, cell, WORDS)
+        self.configuration = configuration(joints)
+
+    def written(self) -> Written:
+        """Return the document."""
+        new, program = self.new, self.program
+        for _ in new.frame_changes():
+            pass  # each target names its frames; the robot has to stop there all the same
+        new.events()
+        self._check_lines()
+        distances = new.distances()
+        zones, self.zone = np.unique(distances, return_inverse=True)
+        if not len(zones) or zones[0] > 0.0:
+            zones, self.zone = np.append(0.0, zones), self.zone + 1
+        speeds = self._speeds()
+        self._note_forces()
+        head = self._head(zones, speeds)
+        printed = {kind: self._print(kind) for kind in (LIN, CIRC, PTP)}
+        text, output_line = new.joined(head, printed, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
+        document = Document(f"{program.name}.mod", text, "ascii")
+        return Written((document,), output_line, "rapid", group_issues(new.issues))
+
+    def _check_lines(self) -> None:
+        """Refuse lines of the cell that are no RAPID, or that move the robot; set in those that are."""
+        for k, own in self.new.before.items():
+            for line in own:
+                fault = instructions.fault_of(line)
+                if fault is not None:
+                    raise CellError(
+                        f"a line of [gcode] cannot stand in a RAPID program: {line!r}: {fault}",
+                        advice='Write it as RAPID in the cell, for example spindle_on = ["SetDO doSpindle,1;"].',
+                    )
+            self.new.before[k] = [f"    {line}" for line in own]
+
+    def _speeds(self) -> Array:
+        """Return the speeds that the program needs (S,) [mm/s], that of MoveJ first, and note which each target has."""
+        path, millionths = self.new.speeds()
+        steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3))
+        values, which = np.unique(steps, return_inverse=True)
+        self.speed = np.zeros(len(self.targets), dtype=np.int64)
+        self.speed[path] = which + 1
+        return np.concatenate([[self.cell.gcode.rapid_m_per_s * MM_PER_M], values / 10.0**_SPEED_DECIMALS])
+
+    def _note_forces(self) -> None:
+        """Put force comments before the targets that need one."""
+        if self.carried is None:
+            return
+        none = np.full(len(self.targets), -1)
+        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, none, (), np.nan))
+        for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True):
+            self.new.before[k].append(f"    {text}")
+
+    def _head(self, zones: Array, speeds: Array) -> list[str]:
+        """Return the lines down to the start position."""
+        program, cell = self.program, self.cell
+        start = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(cell.start_joints) + 0.0).tolist())
+        base, tool = self.new.frames(0)
+        load = self._load()
+        return [
+            f"MODULE {PREFIX}{program.name}",
+            f"  ! generated by postproc {VERSION} from {WORDS.printable(program.documents[0].name)}",
+            f"  ! {self.new.kind()}, robot {WORDS.printable(PurePath(cell.robot).name)}",
+            *(
+                f"  LOCAL PERS tooldata tool_{row}:=[TRUE,{_frame(pose)},{load}];"
+                for row, pose in enumerate(program.tools)
+            ),
+            *(
+                f'  LOCAL PERS wobjdata wobj_{row}:=[FALSE,TRUE,"",{_frame(pose)},[[0,0,0],[1,0,0,0]]];'
+                for row, pose in enumerate(program.bases)
+            ),
+            *(
+                f"  LOCAL CONST speeddata speed_{row}:=[{number(speed)},{_REORIENTATION}];"
+                for row, speed in enumerate(speeds.tolist())
+            ),
+            *(f"  LOCAL CONST zonedata zone_{row}:={_zone(zone)};" for row, zone in enumerate(zones.tolist()) if row),
+            f"  PROC {program.name}()",
+            *(f"    {line}" for line in BEGIN),
+            f"    MoveAbsJ [[{start}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_{tool}\\WObj:=wobj_{base};",
+        ]
+
+    def _load(self) -> str:
+        """Return the loaddata of the tools: the payload of the cell; without one that of tool0, and tell the user."""
+        payload = self.cell.payload
+        if payload.mass_kg > 0.0:
+            centre = ",".join(number(value) for value in (payload.X, payload.Y, payload.Z))
+            return f"[{number(payload.mass_kg)},[{centre}],[1,0,0,0],0,0,0]"
+        message = (
+            "The tool data have no load: [payload] of the cell has none. Set it in the controller before the program "
+            "runs, by LoadIdentify for example."
+        )
+        self.new.issues.append(Issue("warning", "tool-load", message))
+        return _NO_LOAD
+
+    def _print(self, kind: int) -> bytes:
+        """Return the lines of all targets of a kind."""
+        k = np.flatnonzero(self.targets.kind == kind)
+        return b"".join([self._lines(kind, k[part]) for part in chunks(len(k)) if len(k[part])])
+
+    def _lines(self, kind: int, k: Ints) -> bytes:
+        """Return the lines of some targets of a kind."""
+        motions, motion = self.program.motions, self.targets.motion[k]
+        target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
+        target += [b",", *_columns(self.configuration[k].astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
+        end = [b"[", *_columns(self.targets.pose[k, :3, 3] * MM_PER_M, _MILLIMETRES), *target]
+        via: list[Bytes | bytes] = []
+        if kind == CIRC:
+            via = [b"[", *_columns(self.targets.via[k] * MM_PER_M, _MILLIMETRES), *target, b","]
+        stops = self.zone[k] == 0
+        return lines(
+            [
+                b"    " + _INSTRUCTIONS[kind],
+                *via,
+                *end,
+                b",speed_",
+                fixed(self.speed[k].astype(np.float64), 0),
+                where(b",fine", stops),
+                where(b",zone_", ~stops),
+                fixed(np.where(stops, np.nan, self.zone[k]), 0),
+                b",tool_",
+                fixed(motions.tool[motion].astype(np.float64), 0),
+                b"\\WObj:=wobj_",
+                fixed(motions.base[motion].astype(np.float64), 0),
+                b";\r\n",
+            ]
+        )
+
+
+def _columns(values: Array, decimals: int) -> list[Bytes | bytes]:
+    """Return the parts of ``[…,…]`` for (n, c) numbers."""
+    parts: list[Bytes | bytes] = []
+    for column in values.T:
+        parts += [b"," if parts else b"[", fixed(column, decimals)]
+    return [*parts, b"]"]
+
+
+def _frame(pose: Array) -> str:
+    """Return a pose (4, 4) [m] as RAPID has it: millimetres and a quaternion."""
+    place = ",".join(number(value) for value in (pose[:3, 3] * MM_PER_M).tolist())
+    turn = ",".join(f"{value + 0.0:.{_QUATERNION}f}" for value in quaternions(pose[None, :3, :3])[0].tolist())
+    return f"[[{place}],[{turn}]]"
+
+
+def _zone(distance: float) -> str:
+    """Return zonedata of an approximation distance [m]: reorientation begins where the path does."""
+    mm = number(distance * MM_PER_M)
+    tenth = number(0.1 * distance * MM_PER_M)
+    return f"[FALSE,{mm},{mm},{mm},{tenth},{mm},{tenth}]"
