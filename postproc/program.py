@@ -132,6 +132,8 @@ class Starts:
 
 ForceFrame = Literal["BASE", "TOOL", "FEED"]
 FORCE_FRAMES: tuple[ForceFrame, ...] = ("BASE", "TOOL", "FEED")
+WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+"""Components of a wrench [N, N·m], as columns of files are called."""
 MOST_FORCE = 1e6
 """A force or moment beyond this [N, N·m], a hundred times what any arm carries, is taken for a mistake."""
 

@@ -12,13 +12,12 @@ from postproc import files
 from postproc.errors import MOST, ForceError, together
 from postproc.forces.knots import Knots
 from postproc.frames import Array
-from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program
+from postproc.program import FORCE_FRAMES, MOST_FORCE, WRENCH, Bools, Ints, Program
 from postproc.toolpath import Segments
 
-WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-"""Columns of the wrench; those of its standard deviations have an s before the name."""
 _REQUIRED = ("line", *WRENCH[:3])
 _SIGMAS = tuple(f"s{name}" for name in WRENCH)
+"""Columns of the standard deviations of the wrench."""
 _OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, "sigma_percent")
 _MOST_LINES = 1e9
 

@@ -15,16 +15,15 @@ from postproc.errors import MeasurementError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.identification.experiment import Experiment
 from postproc.identification.measurements import Measurements
-from postproc.program import Ints
+from postproc.program import WRENCH, Ints
 from postproc.robot import JOINTS
 
 COLUMNS = (
     *("config", "load", "repeat", "point"),
     *JOINTS,
-    *("Fx", "Fy", "Fz", "Mx", "My", "Mz"),
+    *WRENCH,
     *("X", "Y", "Z"),
 )
-_ANGLES, _WRENCH = COLUMNS[4:10], COLUMNS[10:16]
 _SAME_ANGLE = 1e-3
 _NO_LOAD = 1e-6
 
@@ -49,16 +48,16 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
                 line=int(lines[row]),
                 advice=f"The experiment names {', '.join(names)}.",
             )
-    angles = np.column_stack([numbers[name] for name in _ANGLES])
-    wrench = np.column_stack([numbers[name] for name in _WRENCH])
+    angles = np.column_stack([numbers[name] for name in JOINTS])
+    wrench = np.column_stack([numbers[name] for name in WRENCH])
     config, inverse = np.unique(numbers["config"], return_inverse=True)
     pairs, first, state = np.unique(
         np.column_stack([inverse, numbers["load"]]), axis=0, return_index=True, return_inverse=True
     )
     state = state.ravel()
     first_of_config = np.array([np.flatnonzero(inverse == c)[0] for c in range(len(config))])
-    _check_same(angles, first_of_config[inverse], _SAME_ANGLE, _ANGLES, numbers["config"], lines, where)
-    _check_same(wrench, first[state], 0.05, _WRENCH, numbers["config"], lines, where)
+    _check_same(angles, first_of_config[inverse], _SAME_ANGLE, JOINTS, numbers["config"], lines, where)
+    _check_same(wrench, first[state], 0.05, WRENCH, numbers["config"], lines, where)
     q = angles[first_of_config]
     data = Measurements(
         file=path.name,

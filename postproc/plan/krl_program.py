@@ -6,7 +6,7 @@ from postproc.cell import Cell
 from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.plan.measurement_plan import PlanResult
-from postproc.program import Document
+from postproc.program import WRENCH, Document
 
 _SPEED_PERCENT = 10
 _DECIMALS = 3
@@ -43,4 +43,4 @@ def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
 
 
 def _vector(force: Array) -> str:
-    return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(("Fx", "Fy", "Fz"), force, strict=True))
+    return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))

@@ -18,13 +18,13 @@ from postproc.errors import PlanError
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.kinematics import UnreachableError
-from postproc.program import PTP, Ints, Program
+from postproc.program import PTP, WRENCH, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 
 _SAMPLES = 4000
 _ROUNDS = 30
 _SHARE_OF_Q2 = 0.3
-_FORCES = ("Fx", "Fy", "Fz")
+_FORCES = WRENCH[:3]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

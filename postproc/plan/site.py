@@ -10,11 +10,11 @@ import numpy as np
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
 from postproc.identification.experiment import Experiment
+from postproc.kinematics.forward import GRAVITY
 from postproc.plan.arm import Arm
 from postproc.plan.shapes import BoxShape, MeshShape
 from postproc.robot import RobotModel
 
-GRAVITY = 9.81
 _RADII = (0.149, 0.085, 0.12, 0.072, 0.055)
 """Radii of column, link 2, elbow, forearm and hand over the reach of the wrist, with motors and hoses: drawings of KUKA
 arms of this class, rounded up. `[body] radius_mm` replaces them.

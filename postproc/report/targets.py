@@ -12,20 +12,21 @@ from postproc.correction import Result
 from postproc.decimals import Bytes
 from postproc.dialects import registry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
-from postproc.program import Bools, Ints
+from postproc.program import WRENCH, Bools, Ints
+from postproc.robot import JOINTS
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
 COLUMNS = (
     "output_line", "source_line", "t", "rapid",
     *_XYZABC, *(f"{name}_cmd" for name in _XYZABC),
-    "Fx", "Fy", "Fz", "Mx", "My", "Mz",
+    *WRENCH,
     "dX", "dY", "dZ", "before_mm", "after_mm", "u95_mm",
-    "A1", "A2", "A3", "A4", "A5", "A6",
+    *JOINTS,
 )  # fmt: skip
 """Columns of the file, in order."""
 
 _NOMINAL = (6, 6, 6, 6, 6, 6)
-_WRENCH = (3, 3, 3, 4, 4, 4)
+_WRENCH_DECIMALS = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 
 
@@ -65,7 +66,7 @@ def _rows(
         decimals.fixed(rapid.astype(float), 0),
         *_block(xyzabc_from_pose(nominal), _NOMINAL),
         *_block(printed, places),
-        *_block(wrench, _WRENCH),
+        *_block(wrench, _WRENCH_DECIMALS),
         *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
         *(decimals.fixed(values * MM_PER_M, _LENGTH) for values in distances),
         *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),

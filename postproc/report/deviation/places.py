@@ -10,9 +10,10 @@ from postproc import kinematics
 from postproc.correction import Result
 from postproc.forces.feed import across
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
-from postproc.program import CIRC, PTP, Bools, Ints
+from postproc.program import CIRC, PTP, WRENCH, Bools, Ints
 from postproc.report.deviation.drawn import drawn_path
 from postproc.report.kit import Columns
+from postproc.robot import JOINTS
 
 MOST = 40_000
 """So many places a page holds at most; of more, each run of targets keeps its first and its worst."""
@@ -114,8 +115,8 @@ def places(result: Result) -> Places:
 _NAMES = {
     "X": ("X", "Y", "Z", "A", "B", "C"),
     "cX": ("cX", "cY", "cZ"),
-    "F": ("Fx", "Fy", "Fz", "Mx", "My", "Mz"),
-    "q": ("A1", "A2", "A3", "A4", "A5", "A6"),
+    "F": WRENCH,
+    "q": JOINTS,
 }
 
 
