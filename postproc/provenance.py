@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Literal
 
@@ -51,12 +51,14 @@ class Provenance:
     :param mode: ``"corrected"`` or ``"nominal"``; empty if it is not said.
     :param version: of postproc; likewise.
     :param line: 1-based line that says it; 0 if there is none.
+    :param sums: `source`, `cell`, `model` and `forces` as in `Origin`, as far as they are said.
     """
 
     state: State
     mode: str = ""
     version: str = ""
     line: int = 0
+    sums: Mapping[str, str] = field(default_factory=dict, compare=False)
 
 
 def digest(contents: Iterable[bytes]) -> str:
@@ -81,7 +83,8 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
         return Provenance("changed", line=line)
     said = dict(part.split("=", 1) for part in content[2].split())
     state: State = "intact" if said.get("text") == _text(documents, found[0]) else "changed"
-    return Provenance(state, said.get("mode", ""), said.get("version", ""), line)
+    sums = {name: value for name, value in said.items() if name in ("source", "cell", "model", "forces")}
+    return Provenance(state, said.get("mode", ""), said.get("version", ""), line, sums)
 
 
 def marked(

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 _COMMANDS = {
+    "compare": "postproc.cli.compare:compare",
     "convert": "postproc.cli.convert:convert",
     "forces": "postproc.cli.forces:forces",
     "identify": "postproc.cli.identify:identify",

@@ -83,14 +83,15 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
         content = {"exit_code": _worst(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
         click.echo(report.to_json(content).decode(), nl=False)
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
-        click.echo(report.of_one(outcomes[0].summary, _styled))
+        click.echo(report.of_one(outcomes[0].summary, styled))
         names = ", ".join(Path(path).name for path in outcomes[0].written)
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
         click.echo(report.of_many([(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]))
 
 
-def _styled(text: str, state: str) -> str:
+def styled(text: str, state: str) -> str:
+    """Return a verdict in the colour of its state."""
     return click.style(text, fg={"ok": "green", "warning": "yellow", "failed": "red"}[state], bold=True)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from postproc import provenance
 from postproc import robot as robots
@@ -11,6 +13,7 @@ from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Settings
+from postproc.program import Document
 from postproc.version import VERSION
 
 
@@ -19,15 +22,27 @@ def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
     source = [document.to_bytes() for document in result.program.documents]
     if not result.documents or [document.to_bytes() for document in result.documents] == source:
         return result
-    folder = robots.find(cell.robot, Path(cell.folder))
-    origin = provenance.Origin(
-        version=VERSION,
-        mode="nominal" if settings.mode == "nominal" else "corrected",
-        source=provenance.digest(source),
-        cell=provenance.digest([settings.cell.read_bytes()]),
-        model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
-        forces="-" if job.forces is None else provenance.digest([job.forces.read_bytes()]),
-    )
+    mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
+    origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
     documents, moved = job.writer.marked(result.documents, origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
+
+
+def origin_of(
+    source: Sequence[Document], path: Path, cell: Cell, forces: Path | None, mode: Literal["corrected", "nominal"]
+) -> provenance.Origin:
+    """Return what is said of a program that is made from a source now.
+
+    :param path: cell file, `cell` its content.
+    :param forces: CSV file, or None.
+    """
+    folder = robots.find(cell.robot, Path(cell.folder))
+    return provenance.Origin(
+        version=VERSION,
+        mode=mode,
+        source=provenance.digest(document.to_bytes() for document in source),
+        cell=provenance.digest([path.read_bytes()]),
+        model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
+        forces="-" if forces is None else provenance.digest([forces.read_bytes()]),
+    )

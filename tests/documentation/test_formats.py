@@ -22,6 +22,7 @@ from postproc.identification.measurements import Measurements
 from postproc.identification.readings import read
 from postproc.machining.process import ProcessFile
 from postproc.plan import milling
+from postproc.report.comparison import PAIR_COLUMNS
 from postproc.report.targets import COLUMNS
 from postproc.robot import ModelFile
 from tests.documentation import pages, schema
@@ -105,8 +106,9 @@ def test_every_column_is_described_and_the_example_is_read(tmp_path, title):
     assert sorted(described(title)) == sorted(valid)
 
 
-def test_columns_of_the_targets_are_those_described():
+def test_columns_of_the_targets_and_of_pairs_are_those_described():
     assert described("part.targets.csv") == list(COLUMNS)
+    assert described("part.compare.pairs.csv") == list(PAIR_COLUMNS)
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +130,10 @@ def results(readme, tmp_path_factory):
     (folder / "cell.toml").write_text(cell, encoding="utf-8")
     for arguments in (
         ["convert", str(samples / "inline.src"), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
+        [
+            *("compare", str(samples / "inline.src"), str(folder / "inline.src")),
+            *("--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)),
+        ],
         ["identify", "elastostatics", of["measurements.csv"], *experiment, "--geometry", "-o", of["model"]],
         ["predict", str(samples / "pocket.nc"), "--cell", str(folder / "cell.toml"), "-o", str(folder)],
         [
@@ -138,12 +144,19 @@ def results(readme, tmp_path_factory):
     ):
         result = CliRunner().invoke(main, arguments)
         assert result.exit_code == 0, result.output
+    faster = (folder / "inline.src").read_bytes().replace(b"CP_PARAMS,0.02", b"CP_PARAMS,0.03")
+    (folder / "faster.src").write_bytes(faster)
+    shutil.copy(folder / "inline.dat", folder / "faster.dat")
+    arguments = ["compare", str(samples / "inline.src"), str(folder / "faster.src")]
+    result = CliRunner().invoke(main, [*arguments, "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)])
+    assert result.exit_code == 3, result.output
     return {
         "part.report.json": [
             readme[0] / "out" / "pocket.report.json",
             folder / "inline.report.json",
             folder / "pocket.predict.report.json",
         ],
+        "part.compare.report.json": [folder / f"{name}.compare.report.json" for name in ("inline", "faster")],
         "identification.json": [
             readme[0] / "my_robot" / "identification.json",
             folder / "model" / "identification.json",
@@ -153,10 +166,11 @@ def results(readme, tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize("title", ["part.report.json", "identification.json", "plan.json"])
+@pytest.mark.parametrize("title", ["part.report.json", "part.compare.report.json", "identification.json", "plan.json"])
 def test_every_key_of_a_result_is_described(results, title):
     found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}
-    found -= {("issues",), ("u95",)}  # nothing to say of a program; a model that states no uncertainty
+    # nothing to say of a program; a model that states no uncertainty; a program that nobody edited
+    found -= {("issues",), ("u95",), ("provenance", "edited")}
     told = [tuple(name.split(".")) for name in described(title)]
     unknown = {way for way in found if not any(matches(name, way) for name in told)}
     assert unknown == set(), f"FORMATS.md, {title}: say what these are"

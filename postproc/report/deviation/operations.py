@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc.correction import Result, Statistics, statistics
 from postproc.frames import norm
-from postproc.program import Ints
+from postproc.program import Ints, Program
 
 _MOST = 60
 """More operations than this are not told apart by comments, but by tools and frames alone."""
@@ -43,9 +43,7 @@ class Operation:
 
 def operations(result: Result) -> list[Operation]:
     """Return the operations that cut, in order; a program without any mark is one."""
-    starts = _starts(result, comments=True)
-    if len(starts) > _MOST:
-        starts = _starts(result, comments=False)
+    starts = operation_starts(result.program, result.motion)
     found = []
     for first, end in pairwise([*sorted(starts), len(result)]):
         rows = slice(first, end)
@@ -72,9 +70,17 @@ def operations(result: Result) -> list[Operation]:
     return found
 
 
-def _starts(result: Result, *, comments: bool) -> dict[int, tuple[str, int]]:
-    """Return the rows at which operations start: row → (name, tool)."""
-    m, events = result.program.motions, result.program.events
+def operation_starts(program: Program, motion: Ints) -> dict[int, tuple[str, int]]:
+    """Return the rows at which operations start: row → (name, tool).
+
+    :param motion: (K,) row of `program.motions`, never decreasing.
+    """
+    starts = _starts(program, motion, comments=True)
+    return starts if len(starts) <= _MOST else _starts(program, motion, comments=False)
+
+
+def _starts(program: Program, rows: Ints, *, comments: bool) -> dict[int, tuple[str, int]]:
+    m, events = program.motions, program.events
     changes = [event for event in events if event.kind == "tool_change"]
     motion = _motions_with_other_frames(m.base, m.tool)
     told = {int(row): "" for row in motion} | {event.before: "" for event in changes}
@@ -85,12 +91,12 @@ def _starts(result: Result, *, comments: bool) -> dict[int, tuple[str, int]]:
         number[event.before :] = int(event.value)
     if not changes:
         number[:-1] = m.tool + 1
-    row = np.searchsorted(result.motion, np.array([0, *told], dtype=np.int64))
+    row = np.searchsorted(rows, np.array([0, *told], dtype=np.int64))
     names = ["", *told.values()]
     out: dict[int, tuple[str, int]] = {}
     for first, name in sorted(zip(row.tolist(), names, strict=True), key=lambda entry: entry[0]):
-        if first < len(result):
-            out[first] = (name or out.get(first, ("", 0))[0], int(number[result.motion[first]]))
+        if first < len(rows):
+            out[first] = (name or out.get(first, ("", 0))[0], int(number[rows[first]]))
     return out
 
 

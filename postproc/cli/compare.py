@@ -1,0 +1,50 @@
+"""`postproc compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from postproc.cli.outcomes import styled
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("nominal", type=_PATH)
+@click.argument("corrected", type=_PATH)
+@click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances.")
+@click.option("--forces", type=_PATH, help="CSV file of cutting forces, by lines of NOMINAL.")
+@click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside NOMINAL.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@click.pass_context
+def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
+    """Compare CORRECTED with NOMINAL: offsets of their targets, and what each would cut.
+
+    NOMINAL is G-code or a robot program, CORRECTED a robot program: of postproc, of another program, or edited by hand.
+    What each would cut is told where forces are known: from --forces, from comments in NOMINAL, or from those in
+    CORRECTED. Tells whether CORRECTED is as postproc wrote it, and if it was made from NOMINAL, cell, robot model and
+    forces as they are, which of its lines were changed. For part.src this writes part.compare.report.json,
+    part.compare.pairs.csv and part.compare.report.html.
+
+    The exit code is 3 when a tolerance is exceeded, or when CORRECTED was changed since postproc wrote it.
+
+    \b
+    Example:
+      postproc convert samples/pocket.nc --cell samples/cell_kr270.toml -o out
+      postproc compare samples/pocket.nc out/pocket.src --cell samples/cell_kr270.toml -o out
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.comparison_files import CompareRequest, compare_programs
+    from postproc.report import to_json
+    from postproc.report.comparison import of_comparison
+
+    done = compare_programs(CompareRequest(**request))
+    if as_json:
+        click.echo(to_json(done.summary).decode(), nl=False)
+    else:
+        click.echo(of_comparison(done.summary, styled))
+        click.echo(f"written to {done.written[0].parent}: {', '.join(path.name for path in done.written)}")
+    ctx.exit(done.code)

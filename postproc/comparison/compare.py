@@ -1,0 +1,284 @@
+"""Two programs compared: targets paired, offsets, and what each would cut under the same force.
+
+Both are seen by the robot: a target is where the flange is sent, so that programs with different `$BASE` or `$TOOL` may
+command the same. Offsets are those of the nominal program's tool, in its `$BASE`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from postproc import elastostatics, forces, kinematics, toolpath
+from postproc.cell import Cell
+from postproc.chunks import in_chunks
+from postproc.comparison.pairing import Track, partners
+from postproc.comparison.result import Comparison, Cuts
+from postproc.correction.root import InRoot
+from postproc.errors import ForceError, Issue, NotConvergedError, ProgramError, group_issues
+from postproc.forces import ForceSource
+from postproc.frames import MM_PER_M, Array, norm, twist_between
+from postproc.kinematics import UnreachableError
+from postproc.program import PTP, Bools, Ints, Program
+from postproc.robot import RobotModel
+from postproc.toolpath import Segments
+
+_BESIDE = 3.0
+"""How far from the path a target may stand to be one inserted on it, in offsets of its neighbours."""
+_OFF_PATH = 1e-4
+"""The same where they have none [m]."""
+_MOST_MOVED = 200
+"""Targets beside the path that are asked whether they were moved: where there are more, another program is meant."""
+_SAME_FRAME = 1e-6
+"""Frames that differ by less [m, rad] are the same."""
+
+
+def compare(
+    nominal: Program, corrected: Program, robot: RobotModel, cell: Cell, source: ForceSource | None = None
+) -> Comparison:
+    """Compare two programs for one part.
+
+    :param nominal: the program as it should be cut.
+    :param corrected: the one to be compared with it.
+    :param robot: the robot model.
+    :param cell: the cell.
+    :param source: forces of the nominal program beside its comments. Without either, the comments of the other program
+        hold.
+    :raises ProgramError: a target is out of reach.
+    :raises ForceError: forces that cannot be given to the motions, or that the arm does not hold.
+    """
+    place = InRoot.of(robot, cell)
+    one, other = (_Side.of(program, place) for program in (nominal, corrected))
+    told_by_nominal = source is not None or bool(nominal.notes)
+    wrench, off = np.zeros((len(one.rows), 6)), np.zeros((len(one.rows), 3))
+    if told_by_nominal:
+        wrench = one.wrench(place, source, one.rows)
+        off = _deviation(place, nominal, one.rows, one.joints[one.rows], wrench)
+    # where forces are known, the second program is expected to aim as far past its targets as the tool gives way
+    partner = partners(one.track(place, -off), other.track(place, np.zeros((len(other.rows), 3))))
+    found = _paired(one, other, partner, place)
+    wrench, off = wrench[partner >= 0], off[partner >= 0]
+    if not told_by_nominal and corrected.notes:
+        wrench = other.wrench(place, None, found.pair[:, 1])
+        off = _deviation(place, nominal, found.pair[:, 0], one.joints[found.pair[:, 0]], wrench)
+    cuts = _cuts(found, place, other, wrench, off) if told_by_nominal or corrected.notes else None
+    return replace(found, cuts=cuts, issues=group_issues(_differences(found)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Side:
+    """One of the programs in its cell.
+
+    :param path: the geometry of its motions.
+    :param rows: (n,) motions with a Cartesian target.
+    :param joints: (M, 6) joint angles at the ends of the motions [rad].
+    """
+
+    program: Program
+    path: Segments
+    rows: Ints
+    joints: Array
+
+    @classmethod
+    def of(cls, program: Program, place: InRoot) -> _Side:
+        m = program.motions
+        path = toolpath.segments(program, place.start_flange)
+        return cls(program, path, np.flatnonzero(np.isnan(m.joints[:, 0])), _joints(program, place))
+
+    def track(self, place: InRoot, offset: Array) -> Track:
+        """Return the Cartesian targets as they stand in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
+        m, rows = self.program.motions, self.rows
+        pose = m.target[rows]
+        step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin[rows]), self.path.length[rows])
+        pose[:, :3, 3] += offset
+        return Track(place.pose(self.program, rows, pose)[:, :3, 3], step, m.kind[rows] == PTP)
+
+    def wrench(self, place: InRoot, source: ForceSource | None, motion: Ints) -> Array:
+        """Return the wrenches (n, 6) at the ends of motions, root axes."""
+        load = forces.along(self.program, self.path, source, place.axis, place.ramp)
+        wrench = load.at(toolpath.at(self.program, self.path, motion, np.ones(len(motion))))
+        return place.wrench(self.program, motion, wrench)
+
+
+def _paired(one: _Side, other: _Side, partner: Ints, place: InRoot) -> Comparison:
+    nominal, corrected, has = one.program, other.program, partner >= 0
+    pair = np.stack([one.rows[has], other.rows[partner[has]]], axis=1)
+    pose, off = _offsets(one, other, pair, place)
+    rest = np.setdiff1d(other.rows, pair[:, 1])
+    on_path = _on_path(one, other, pair, norm(off[:, :3]), rest, place)
+    if (~on_path).any():
+        pair = _moved(one, other, pair, off[:, :3], rest[~on_path], place)
+        pose, off = _offsets(one, other, pair, place)
+        rest = np.setdiff1d(other.rows, pair[:, 1])
+        on_path = _on_path(one, other, pair, norm(off[:, :3]), rest, place)
+    return Comparison(
+        nominal=nominal,
+        corrected=corrected,
+        robot=place.robot.name,
+        pair=pair,
+        inserted=rest[on_path],
+        only_nominal=one.rows[~has],
+        only_corrected=rest[~on_path],
+        pose=pose,
+        rotation=norm(off[:, 3:]),
+        cuts=None,
+        issues=(),
+    )
+
+
+def _offsets(one: _Side, other: _Side, pair: Ints, place: InRoot) -> tuple[Array, Array]:
+    """Return where the second program sends the nominal tool (P, 4, 4), nominal `$BASE`, and the twists (P, 6)."""
+    flange = toolpath.flange_from_tcp(other.program, pair[:, 1], other.program.motions.target[pair[:, 1]])
+    pose = place.back(one.program, pair[:, 0], flange @ place.tool(one.program, pair[:, 0]))
+    return pose, twist_between(one.program.motions.target[pair[:, 0]], pose)
+
+
+def _moved(one: _Side, other: _Side, pair: Ints, offset: Array, rows: Ints, place: InRoot) -> Ints:
+    """Return pairs (P, 2) with targets that were moved in the place of their neighbours.
+
+    A target beside the path (`rows`) next to one that has a partner was moved, and not added, if that other one stands
+    on the path as inserted ones do, and its offset is like that of neither neighbouring pair.
+    """
+    pair, distance = pair.copy(), norm(offset)
+    change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
+    odd = np.minimum(change[:-1], change[1:]) > _OFF_PATH
+    index = {int(row): place for place, row in enumerate(other.rows.tolist())}
+    for row in rows[:_MOST_MOVED].tolist():
+        behind = int(np.searchsorted(pair[:, 1], row))
+        for k in (behind, behind - 1):
+            if not 0 <= k < len(pair) or not odd[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
+                continue
+            released, tried, known = pair[k, 1:], pair.copy(), distance.copy()
+            tried[k, 1], known[k] = row, 0.0
+            if _on_path(one, other, tried, known, released.copy(), place)[0]:
+                pair = tried
+                break
+    return pair
+
+
+def _frames(program: Program) -> tuple[tuple[Array, Ints], tuple[Array, Ints]]:
+    m = program.motions
+    return (program.bases, m.base), (program.tools, m.tool)
+
+
+def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, place: InRoot) -> Bools:
+    """Return which of the second program's targets without partner, `rows` (r,), stand on the nominal path.
+
+    That is: between two pairs that follow one another in the nominal program too, hardly farther from the nominal path
+    than the offsets (P,) there.
+    """
+    out = np.zeros(len(rows), dtype=bool)
+    nominal, kind = one.program, other.program.motions.kind
+    behind = np.searchsorted(pair[:, 1], rows)
+    between = np.flatnonzero((behind > 0) & (behind < len(pair)) & (kind[rows] != PTP))
+    behind = behind[between]
+    along = np.cumsum(other.path.length)
+    here, first, last = (along[motion] for motion in (rows[between], pair[behind - 1, 1], pair[behind, 1]))
+    motion = pair[behind, 0]
+    length = np.maximum(one.path.length[motion], 1e-12)
+    target = other.program.motions.target[rows[between]]
+    flange = toolpath.flange_from_tcp(other.program, rows[between], target)
+    spot = place.back(nominal, motion, flange @ place.tool(nominal, motion))[:, :3, 3]
+    aside = np.full(len(spot), np.inf)
+    in_proportion = (here - first) / np.maximum(last - first, 1e-12)
+    # a detour, where the other program has one, is on one side of it only
+    for share in (in_proportion, (here - first) / length, 1.0 - (last - here) / length):
+        nearest = toolpath.positions(nominal, one.path, motion, np.clip(share, 1e-9, 1.0))
+        aside = np.minimum(aside, norm(spot - nearest))
+    allowed = _OFF_PATH + _BESIDE * np.maximum(distance[behind - 1], distance[behind])
+    follows = (motion - pair[behind - 1, 0] == 1) & (nominal.motions.kind[motion] != PTP)
+    out[between] = follows & (aside <= allowed)
+    return out
+
+
+def _deviation(place: InRoot, program: Program, motion: Ints, q: Array, wrench: Array) -> Array:
+    """Return how far the loaded tip stands from the targets of motions (n,) [m], `$BASE`.
+
+    :param q: (n, 6) joint angles that the controller holds [rad].
+    :param wrench: (n, 6) at the tip, root axes.
+    """
+
+    def off(motion: Ints, q: Array, wrench: Array) -> tuple[Array]:
+        x = elastostatics.spread(place.robot, q.T)
+        tool = kinematics.components(place.tool(program, motion))
+        tip = elastostatics.solve_equilibrium(place.robot, x, tool, wrench.T).tip.T
+        return (place.points_back(program, motion, tip) - program.motions.target[motion, :3, 3],)
+
+    try:
+        return in_chunks(off, motion, q, wrench)[0]
+    except NotConvergedError as cause:
+        line = int(program.motions.line[motion[cause.rows[0]]])
+        problem = f"the arm does not hold this force here: {cause}"
+        raise ForceError(problem, file=program.documents[0].name, line=line) from None
+
+
+def _cuts(found: Comparison, place: InRoot, other: _Side, wrench: Array, nominal: Array) -> Cuts:
+    """Return what both programs cut at the pairs: wrenches (P, 6) in the root, `nominal` (P, 3) found already."""
+    one, two = found.pair.T
+    corrected = _deviation(place, found.nominal, one, other.joints[two], wrench)
+    rotation = found.nominal.bases[found.nominal.motions.base[one], :3, :3]
+    return Cuts(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6), nominal, corrected)
+
+
+def _joints(program: Program, place: InRoot) -> Array:
+    """Return the joint angles (M, 6) at the ends of the motions [rad]."""
+    m = program.motions
+    ptp = np.flatnonzero(m.kind == PTP)
+
+    def flange(rows: Ints) -> Array:
+        return toolpath.flange_from_tcp(program, rows, m.target[rows])
+
+    start = place.cell.start_joints
+    try:
+        return kinematics.follow(place.robot, flange, start, m.kind == PTP, m.joints[ptp], m.status[ptp], m.turn[ptp]).q
+    except UnreachableError as cause:
+        line = int(m.line[cause.rows[0]])
+        name, problem = program.documents[0].name, "out of reach (on the branch of [start] joints)"
+        raise ProgramError(problem, file=name, line=line) from None
+
+
+def _differences(found: Comparison) -> Iterator[Issue]:
+    """Yield what differs besides positions."""
+    one, other = found.nominal.motions, found.corrected.motions
+    for name, bad in (("speed", found.speed_differs), ("kind", found.kind_differs)):
+        where = np.flatnonzero(bad)
+        if len(where):
+            first = where[0]
+            if name == "speed":
+                was, now = found.speeds[first] * MM_PER_M
+                message = f"the speed is {now:.4g} mm/s instead of {was:.4g} mm/s."
+            else:
+                message = "one program moves point to point (PTP) where the other follows a line or an arc."
+            yield _issue(found, name, message, first, len(where))
+    for name, (frames, used), (others, others_used) in zip(
+        ("$BASE", "$TOOL"), _frames(found.nominal), _frames(found.corrected), strict=True
+    ):
+        apart = np.abs(twist_between(frames[:, None], others[None])).max(axis=2) > _SAME_FRAME
+        where = np.flatnonzero(apart[used[found.pair[:, 0]], others_used[found.pair[:, 1]]])
+        if len(where):
+            first = where[0]
+            off = twist_between(frames[used[found.pair[first, 0]]], others[others_used[found.pair[first, 1]]])
+            message = (
+                f"{name} differs, by {norm(off[:3]) * MM_PER_M:.4f} mm and {np.degrees(norm(off[3:])):.4f}°: offsets "
+                "are those of the tool as it stands in the robot's root."
+            )
+            yield _issue(found, name.strip("$").lower(), message, first, len(where))
+    for rows, program, name in (
+        (found.only_nominal, one, "only-nominal"),
+        (found.only_corrected, other, "only-corrected"),
+    ):
+        if len(rows):
+            line = int(program.line[rows[0]])
+            if name == "only-nominal":
+                message = "a target of the nominal program has no partner."
+                yield Issue("warning", name, message, source_line=line, count=len(rows))
+            else:
+                message = "a target of the corrected program has no partner, and does not stand on the nominal path."
+                yield Issue("warning", name, message, output_line=line, count=len(rows))
+
+
+def _issue(found: Comparison, kind: str, message: str, pair: int, count: int) -> Issue:
+    lines = int(found.nominal_line[pair]), int(found.corrected_line[pair])
+    return Issue("warning", kind, message, *lines, count=count)

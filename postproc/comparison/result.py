@@ -1,0 +1,102 @@
+"""How two programs differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.frames import Array, norm
+from postproc.program import PTP, Bools, Ints, Program
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cuts:
+    """Where the tip would stand at the pairs, under the same force, from its nominal position [m].
+
+    :param wrench: (P, 6) at the tip, `$BASE` axes of the nominal program [N, N·m].
+    :param nominal: (P, 3) by the nominal program, its `$BASE`.
+    :param corrected: (P, 3) by the corrected one.
+    """
+
+    wrench: Array
+    nominal: Array
+    corrected: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """The targets of two programs. Row i of the pairs' arrays is the same pair; SI units.
+
+    :param nominal: the first program.
+    :param corrected: the second.
+    :param robot: name of the robot model.
+    :param pair: (P, 2) rows of `nominal.motions` and of `corrected.motions`, in order.
+    :param inserted: rows of `corrected.motions` on the path between two pairs.
+    :param only_nominal: rows of `nominal.motions` without a partner.
+    :param only_corrected: rows of `corrected.motions` without a partner that do not stand on the path.
+    :param pose: (P, 4, 4) where the second program commands the nominal program's tool, in the nominal `$BASE` [m].
+    :param rotation: (P,) angle between the two orientations [rad].
+    :param cuts: what each would cut, where forces are known.
+    :param issues: what the user should know, grouped.
+    """
+
+    nominal: Program
+    corrected: Program
+    robot: str
+    pair: Ints
+    inserted: Ints
+    only_nominal: Ints
+    only_corrected: Ints
+    pose: Array
+    rotation: Array
+    cuts: Cuts | None
+    issues: tuple[Issue, ...]
+
+    @property
+    def nominal_line(self) -> Ints:
+        """(P,) line of each pair in the nominal program."""
+        return np.asarray(self.nominal.motions.line[self.pair[:, 0]])
+
+    @property
+    def corrected_line(self) -> Ints:
+        """(P,) line of each pair in the corrected program."""
+        return np.asarray(self.corrected.motions.line[self.pair[:, 1]])
+
+    @property
+    def rapid(self) -> Bools:
+        """(P,) True for moves without cutting force."""
+        return np.asarray(self.nominal.motions.rapid[self.pair[:, 0]])
+
+    @property
+    def target(self) -> Array:
+        """(P, 4, 4) nominal targets, `$BASE` [m]."""
+        return np.asarray(self.nominal.motions.target[self.pair[:, 0]])
+
+    @property
+    def offset(self) -> Array:
+        """(P, 3) from the nominal to the commanded position, nominal `$BASE` [m]."""
+        return np.asarray(self.pose[:, :3, 3] - self.target[:, :3, 3])
+
+    @property
+    def distance(self) -> Array:
+        """(P,) length of the offsets [m]."""
+        return norm(self.offset)
+
+    @property
+    def speeds(self) -> Array:
+        """(P, 2) programmed speeds of both programs [m/s]; NaN where unknown, as for PTP."""
+        return np.stack([self.nominal.motions.feed[self.pair[:, 0]], self.corrected.motions.feed[self.pair[:, 1]]], 1)
+
+    @property
+    def speed_differs(self) -> Bools:
+        """(P,) True where the speeds differ by more than their digits."""
+        one, other = self.speeds.T
+        return np.asarray(np.abs(one - other) > 1e-3 * np.abs(one) + 1e-6)
+
+    @property
+    def kind_differs(self) -> Bools:
+        """(P,) True where one is a PTP and the other a LIN or CIRC."""
+        one, other = self.nominal.motions.kind[self.pair[:, 0]], self.corrected.motions.kind[self.pair[:, 1]]
+        return np.asarray((one == PTP) != (other == PTP))

@@ -1,0 +1,175 @@
+"""`postproc compare`: from two programs to the files of a comparison."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from postproc import correction, forces, provenance
+from postproc.cell import Cell
+from postproc.comparison import compare
+from postproc.correction import Mode
+from postproc.dialects import registry
+from postproc.errors import InputError, PostprocError
+from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
+from postproc.frames import M_PER_MM
+from postproc.jobs.conversion import read_program
+from postproc.jobs.job import Job
+from postproc.jobs.marking import marked, origin_of
+from postproc.jobs.outcome import EXCEEDED, GOOD, Settings
+from postproc.jobs.outputs import protect
+from postproc.jobs.setup import load_setup
+from postproc.program import Document, Program
+from postproc.report import to_json
+from postproc.report.comparison import (
+    ComparisonSummary,
+    MadeFrom,
+    comparison_page,
+    comparison_summary,
+    pairs_csv,
+)
+from postproc.robot import RobotModel
+from postproc.version import VERSION
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareRequest:
+    """Which programs are compared, and where the comparison is written.
+
+    :param nominal: the program as it should be cut: G-code, or a robot program.
+    :param corrected: the robot program that is compared with it.
+    :param cell: cell file.
+    :param forces: CSV file of cutting forces, by lines of the nominal program.
+    :param output: folder to write into; None = a folder `corrected` beside the nominal program.
+    :param overwrite: replace files that postproc did not write.
+    """
+
+    nominal: Path
+    corrected: Path
+    cell: Path
+    forces: Path | None = None
+    output: Path | None = None
+    overwrite: bool = False
+
+    def reads(self) -> list[Path]:
+        """Return the files that are read."""
+        programs = (self.nominal, self.corrected)
+        beside = [path for each in programs for path in registry.of_file(each).companions(each)]
+        return [*programs, *beside, self.cell, *([] if self.forces is None else [self.forces])]
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonFiles:
+    """A comparison as it was written.
+
+    :param code: exit code: 0 good, 3 a tolerance is exceeded or the corrected program was changed.
+    :param summary: content of `part.compare.report.json`.
+    :param written: its files.
+    """
+
+    code: int
+    summary: ComparisonSummary
+    written: tuple[Path, ...]
+
+
+def compare_programs(request: CompareRequest) -> ComparisonFiles:
+    """Compare two programs and write what differs, whole or not at all.
+
+    :raises PostprocError: an input is unusable, or an output must not be written.
+    """
+    settings = Settings(request.cell)
+    cell, robot = load_setup(settings)
+    nominal = read_program(request.nominal, robot, cell)
+    corrected = read_program(request.corrected, robot, cell)
+    if not corrected.keeps_text:
+        raise InputError(
+            "the second program is compared as the robot drives it, and this one is G-code",
+            file=str(request.corrected),
+            advice="Give the nominal program first and the robot program second.",
+        )
+    folder = request.output or request.nominal.parent / "corrected"
+    stem = f"{request.corrected.stem}.compare"
+    names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
+    protect(request.reads(), folder, names)
+    if not request.overwrite:
+        refuse(foreign(folder, names, record))
+    source = None if request.forces is None else forces.read(request.forces)
+    found = compare(nominal, corrected, robot, cell, source)
+    made = _made_from(request, settings, cell, robot, nominal, corrected)
+    content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
+    contents: dict[str, bytes | Iterable[bytes]] = {
+        pairs: pairs_csv(found),
+        page: comparison_page(found, content),
+    }
+
+    def rendered(entries: list[FileEntry]) -> bytes:
+        content["files"] = entries
+        return to_json(content)
+
+    written = write_whole(folder, with_record(contents, record, rendered))
+    return ComparisonFiles(EXCEEDED if content["verdict"]["state"] == "failed" else GOOD, content, tuple(written))
+
+
+def _made_from(
+    request: CompareRequest, settings: Settings, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program
+) -> MadeFrom:
+    """Return what is known of where the second program comes from."""
+    writer = registry.by_name(corrected.dialect).writer
+    said = provenance.Provenance("none") if writer is None else writer.origin(corrected.documents)
+    if not said.sums:
+        return MadeFrom(said, {})
+    here = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
+    sums = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
+    agrees = {name: said.sums.get(key) == getattr(here, key) for name, key in sums.items()}
+    if said.state != "changed" or said.version != VERSION or not all(agrees.values()):
+        return MadeFrom(said, agrees, () if said.state == "intact" else None)
+    try:
+        again = _written_again(request, settings, cell, robot, nominal, corrected, said.mode)
+    except PostprocError:
+        return MadeFrom(said, agrees)
+    edited: list[tuple[str, int]] = []
+    missing = 0
+    for old, new in zip(again, corrected.documents, strict=True):
+        lines, fewer = _edited(old.text, new.text)
+        edited += [(new.name, line) for line in lines]
+        missing += fewer
+    return MadeFrom(said, agrees, tuple(edited), missing)
+
+
+def _written_again(
+    request: CompareRequest, settings: Settings, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program,
+    mode: str,
+) -> tuple[Document, ...]:  # fmt: skip
+    """Return the files that `convert` writes from the same inputs."""
+    wanted: Mode = "nominal" if mode == "nominal" else "convert"
+    name = request.corrected.stem
+    job = Job(request.nominal, nominal.dialect, request.corrected.parent, request.forces, name, corrected.dialect)
+    source = None if request.forces is None else forces.read(request.forces)
+    program = read_program(request.nominal, robot, cell, name=None if job.keeps_text else name)
+    result = correction.process(program, robot, cell, source, wanted, to=job.to)
+    if job.keeps_text and request.nominal.stem != name:
+        result = replace(result, documents=job.writer.renamed(result.documents, name))
+    return marked(result, job, settings, cell).documents
+
+
+def _edited(written: str, text: str) -> tuple[list[int], int]:
+    """Return the lines of a text that are not as they were written, and how many lines it has no more."""
+    old, new = written.splitlines(), text.splitlines()
+    same = 0
+    while same < min(len(old), len(new)) and old[same] == new[same]:
+        same += 1
+    behind = 0
+    while behind < min(len(old), len(new)) - same and old[-1 - behind] == new[-1 - behind]:
+        behind += 1
+    lines: list[int] = []
+    missing = 0
+    matcher = difflib.SequenceMatcher(
+        None, old[same : len(old) - behind], new[same : len(new) - behind], autojunk=False
+    )
+    for what, first, last, begin, end in matcher.get_opcodes():
+        if what != "equal":
+            lines += range(same + begin + 1, same + end + 1)
+            missing += max(0, (last - first) - (end - begin))
+    return lines, missing

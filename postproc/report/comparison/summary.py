@@ -1,0 +1,250 @@
+"""`part.compare.report.json`: how two programs differ, in numbers, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NotRequired, TypedDict
+
+import numpy as np
+
+from postproc.comparison import Comparison
+from postproc.correction import statistics
+from postproc.files import FileEntry
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
+from postproc.program import Bools
+from postproc.provenance import Provenance, State
+from postproc.report.deviation.operations import operation_starts
+from postproc.report.summary import Distances, IssueEntry, Judged, issue_entry
+
+_MOST = 20
+
+
+@dataclass(frozen=True, slots=True)
+class MadeFrom:
+    """What is known of where the second program comes from.
+
+    :param said: what it says itself.
+    :param agrees: whether it was made from these, by name: program, cell, model, forces. Empty if nothing is said.
+    :param edited: file and line of what was changed since it was written; None if that cannot be told.
+    :param missing: number of lines of the program as written that it has no more.
+    """
+
+    said: Provenance
+    agrees: Mapping[str, bool]
+    edited: tuple[tuple[str, int], ...] | None = None
+    missing: int = 0
+
+
+class Rotations(TypedDict):
+    """Angles between the orientations of pairs, over cutting targets."""
+
+    max_deg: float
+    rms_deg: float
+
+
+class PairEntry(TypedDict):
+    """A pair."""
+
+    nominal_line: int
+    corrected_line: int
+    mm: float
+    deg: float
+
+
+class Cut(TypedDict):
+    """Distances of the loaded tip from nominal, over cutting targets, by each program."""
+
+    nominal: Distances
+    corrected: Distances
+
+
+class OperationEntry(TypedDict):
+    """An operation of the nominal program."""
+
+    name: str
+    tool: int
+    nominal_line: int
+    pairs: int
+    offset: Distances
+    cut: Cut | None
+
+
+class EditedLine(TypedDict):
+    """A line that is not as it was written."""
+
+    file: str
+    line: int
+
+
+class OriginEntry(TypedDict):
+    """Where the second program comes from; None where it is not known."""
+
+    state: State
+    mode: str | None
+    version: str | None
+    made_from_these: dict[str, bool]
+    edited: list[EditedLine] | None
+    missing_lines: int
+
+
+class ComparisonSummary(TypedDict):
+    """Content of `part.compare.report.json`. Statistics are over cutting targets that stand in both programs."""
+
+    nominal: str
+    corrected: str
+    robot: str
+    pairs: int
+    inserted: int
+    only_nominal: int
+    only_corrected: int
+    offset: Distances
+    rotation: Rotations
+    largest: list[PairEntry]
+    differences: dict[str, int]
+    cut: Cut | None
+    tolerance_mm: float
+    operations: list[OperationEntry]
+    provenance: OriginEntry
+    issues: list[IssueEntry]
+    verdict: Judged
+    files: NotRequired[list[FileEntry]]
+
+
+def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limit: float) -> ComparisonSummary:
+    """Return the content of `part.compare.report.json`.
+
+    :param made: where the second program comes from.
+    :param tolerance: what the tip may leave the nominal path by [m].
+    :param limit: the largest correction that is allowed [m].
+    """
+    rapid, distance = found.rapid, found.distance
+    turned = statistics(found.rotation, rapid)
+    count = {issue.kind: issue.count for issue in found.issues}
+    state = made.said.state
+    content = ComparisonSummary(
+        nominal=found.nominal.documents[0].name,
+        corrected=found.corrected.documents[0].name,
+        robot=found.robot,
+        pairs=len(found.pair),
+        inserted=len(found.inserted),
+        only_nominal=len(found.only_nominal),
+        only_corrected=len(found.only_corrected),
+        offset=_distances(distance, rapid),
+        rotation={"max_deg": turned.largest * DEG_PER_RAD, "rms_deg": turned.rms * DEG_PER_RAD},
+        largest=_largest(found),
+        differences={name: count.get(name, 0) for name in ("speed", "kind", "base", "tool")},
+        cut=_cut(found, slice(None)),
+        tolerance_mm=tolerance * MM_PER_M,
+        operations=[*_operations(found)],
+        provenance={
+            "state": state,
+            "mode": made.said.mode or None,
+            "version": made.said.version or None,
+            "made_from_these": dict(made.agrees),
+            "edited": None if made.edited is None else [{"file": f, "line": n} for f, n in made.edited[:_MOST]],
+            "missing_lines": made.missing,
+        },
+        issues=[issue_entry(issue) for issue in found.issues],
+        verdict={"state": "ok", "reasons": []},
+    )
+    failed, doubtful = [*_failed(content, limit * MM_PER_M)], [*_doubtful(content)]
+    holds = ["every target has its partner", *(["the text is as postproc wrote it"] if state == "intact" else [])]
+    if content["cut"] is not None:
+        told = (
+            f"the corrected program stays within {content['tolerance_mm']:g} mm at its targets under the forces given"
+        )
+        holds.append(told)
+    content["verdict"] = {
+        "state": "failed" if failed else "warning" if doubtful else "ok",
+        "reasons": failed + doubtful or holds,
+    }
+    return content
+
+
+def _failed(content: ComparisonSummary, limit_mm: float) -> Iterator[str]:
+    origin, cut = content["provenance"], content["cut"]
+    if origin["state"] == "changed":
+        edited = origin["edited"]
+        where = "where, is not known" if edited is None else _listed(edited, origin["missing_lines"])
+        yield f"{content['corrected']} was changed since postproc wrote it: {where}"
+    if cut is not None and not cut["corrected"]["max_mm"] <= content["tolerance_mm"]:
+        yield (
+            f"{content['corrected']} leaves {cut['corrected']['max_mm']:.4f} mm at a target under the forces given "
+            f"(tolerance {content['tolerance_mm']:g} mm)"
+        )
+    if not content["offset"]["max_mm"] <= limit_mm:
+        yield f"a target is {content['offset']['max_mm']:.3f} mm off: more than max_correction_mm = {limit_mm:g}"
+    if not content["pairs"]:
+        yield "no target of one program belongs to one of the other"
+
+
+def _listed(edited: list[EditedLine], missing: int) -> str:
+    told = [", ".join(f"{entry['file']}:{entry['line']}" for entry in edited)] if edited else []
+    told += [f"{missing} line{'s' if missing > 1 else ''} of it missing"] if missing else []
+    return "; ".join(told) or "in its line ends or its encoding"
+
+
+def _doubtful(content: ComparisonSummary) -> Iterator[str]:
+    origin = content["provenance"]
+    others = [name for name, same in origin["made_from_these"].items() if not same]
+    if others:
+        yield f"{content['corrected']} was made with {' and '.join(f'another {name}' for name in others)}"
+    if origin["mode"] == "nominal" and content["cut"] is not None:
+        yield f"{content['corrected']} is nominal: it was written without correction"
+    for issue in content["issues"]:
+        if issue["level"] == "warning":
+            more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
+            where = "" if issue["source_line"] is None else f"{content['nominal']}:{issue['source_line']}: "
+            yield f"{where}{issue['message'].rstrip('.')}{more}"
+
+
+def _distances(values: Array, rapid: Bools) -> Distances:
+    told = statistics(values, rapid)
+    return {
+        "max_mm": told.largest * MM_PER_M,
+        "rms_mm": told.rms * MM_PER_M,
+        "mean_mm": told.mean * MM_PER_M,
+        "p95_mm": told.p95 * MM_PER_M,
+    }
+
+
+def _cut(found: Comparison, rows: slice) -> Cut | None:
+    if found.cuts is None:
+        return None
+    rapid = found.rapid[rows]
+    one, other = (_distances(norm(off[rows]), rapid) for off in (found.cuts.nominal, found.cuts.corrected))
+    return {"nominal": one, "corrected": other}
+
+
+def _largest(found: Comparison) -> list[PairEntry]:
+    size = np.where(found.rapid, -1.0, found.distance)
+    order = np.argsort(-size, kind="stable")[:_MOST]
+    return [
+        {
+            "nominal_line": int(found.nominal_line[row]),
+            "corrected_line": int(found.corrected_line[row]),
+            "mm": float(found.distance[row]) * MM_PER_M,
+            "deg": float(found.rotation[row]) * DEG_PER_RAD,
+        }
+        for row in order[size[order] >= 0.0].tolist()
+    ]
+
+
+def _operations(found: Comparison) -> Iterator[OperationEntry]:
+    starts = operation_starts(found.nominal, found.pair[:, 0])
+    for first, end in pairwise([*sorted(starts), len(found.pair)]):
+        rows = slice(first, end)
+        cutting = int(np.count_nonzero(~found.rapid[rows]))
+        if not cutting:
+            continue
+        name, tool = starts[first]
+        yield {
+            "name": name,
+            "tool": tool,
+            "nominal_line": int(found.nominal_line[first + int(np.argmin(found.rapid[rows]))]),
+            "pairs": cutting,
+            "offset": _distances(found.distance[rows], found.rapid[rows]),
+            "cut": _cut(found, rows),
+        }

@@ -1,0 +1,56 @@
+"""What a comparison says, for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from postproc.report.comparison.summary import ComparisonSummary
+from postproc.report.tables import table
+from postproc.report.text import millimetres
+from postproc.report.verdict import State
+
+WORDS: dict[State, str] = {
+    "ok": "They belong together.",
+    "warning": "Look at the differences.",
+    "failed": "Do not run the corrected one.",
+}
+"""The verdict in a word."""
+_ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
+_SHOWN = 5
+
+
+def of_comparison(content: ComparisonSummary, styled: Callable[[str, State], str] = lambda text, _: text) -> str:
+    """Return the summary of a comparison on one screen.
+
+    :param styled: the verdict as the terminal is to show it, for its state.
+    """
+    verdict, cut = content["verdict"], content["cut"]
+    lines = [
+        f"{content['corrected']} against {content['nominal']}  on {content['robot']}: {counted(content)}",
+        styled(WORDS[verdict["state"]], verdict["state"]),
+        *(f"  - {reason}" for reason in verdict["reasons"]),
+        "",
+    ]
+    head = ["at cutting targets [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
+    sources = [content["offset"]] + ([cut["nominal"], cut["corrected"]] if cut is not None else [])
+    rows = [(label, *(millimetres(source[key]) for source in sources)) for label, key in _ROWS]  # type: ignore[literal-required]
+    lines += [table(head, rows, range(1, len(head)), "  "), ""]
+    lines.append(f"  orientation: {content['rotation']['max_deg']:.4f}° at most")
+    for pair in content["largest"][:_SHOWN]:
+        if pair["mm"] > 0.0:
+            where = f"{content['nominal']}:{pair['nominal_line']} and {content['corrected']}:{pair['corrected_line']}"
+            lines.append(f"  {millimetres(pair['mm'])} mm between {where}")
+    origin = content["provenance"]
+    if origin["state"] == "none":
+        lines.append(f"  {content['corrected']} does not say where it comes from: it is not as postproc wrote it")
+    elif origin["version"] is not None:
+        told = "unchanged since" if origin["state"] == "intact" else "changed since"
+        lines.append(f"  {content['corrected']} was written by postproc {origin['version']} ({origin['mode']}), {told}")
+    return "\n".join(lines)
+
+
+def counted(content: ComparisonSummary) -> str:
+    """Return how many targets belong together, and how many do not."""
+    told = f"{content['pairs']} pairs, {content['inserted']} inserted"
+    told += f", {content['only_nominal']} missing" if content["only_nominal"] else ""
+    return told + (f", {content['only_corrected']} added" if content["only_corrected"] else "")

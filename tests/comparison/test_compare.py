@@ -1,0 +1,270 @@
+"""`postproc compare` on pairs of programs with a difference planted."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+from tests.html_page import read_page
+
+CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+GCODE = """G21 G90 G17
+(ROUGHING)
+G0 X0 Y0 Z20
+(FORCE FX=-250 FY=180 FZ=120)
+G1 Z-2 F600
+X40 F1500
+X40 Y30
+G3 X30 Y40 I-10 J0
+G1 X0
+(FORCE FX=-90 FY=60 FZ=40)
+(FINISHING)
+G1 X0 Y0
+X25 Y12
+X40 Y0
+(FORCE OFF)
+G0 Z30
+M30
+"""
+OTHERS = """DEF OTHER( )
+BAS (#INITMOV,0 )
+$VEL.CP = 0.05
+$BASE = {X 1500,Y -200,Z 700,A 0,B 0,C 0}
+$TOOL = {X 0,Y 0,Z 350,A 0,B 0,C 0}
+PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
+LIN {X 0.000,Y 0.000,Z 5.000,A 180.000,B 0.000,C 180.000} C_DIS
+LIN {X 0.000,Y 0.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS
+LIN {X 40.000,Y 0.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS
+LIN {X 40.000,Y 30.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS
+LIN {X 20.000,Y 35.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS
+LIN {X 0.000,Y 30.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS
+LIN {X 0.000,Y 30.000,Z 20.000,A 180.000,B 0.000,C 180.000}
+END
+"""
+"""A program of another post-processor: no comment of ours, no forces."""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("part.nc").write_text(GCODE)
+    Path("other.src").write_text(OTHERS)
+    return tmp_path
+
+
+def run(*arguments, code=0):
+    done = CliRunner().invoke(main, [*arguments, "--cell", CELL])
+    assert done.exit_code == code, done.output
+    return done.output
+
+
+def convert(*arguments):
+    run("convert", *(arguments or ("part.nc",)), "-o", "out")
+    return Path("out/part.src").read_bytes().decode()
+
+
+def edited(text, before, after, count=1):
+    assert before in text
+    Path("out/edited.src").write_bytes(text.replace(before, after, count).replace("DEF part", "DEF edited").encode())
+    return "out/edited.src"
+
+
+def compare(nominal, corrected, *more, code=0):
+    return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", *more, code=code))
+
+
+def line_of(text, part):
+    return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)
+
+
+def targets():
+    with Path("out/part.targets.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_corrected_program_against_its_gcode_is_what_convert_said_of_it():
+    convert()
+    content = compare("part.nc", "out/part.src")
+    said = json.loads(Path("out/part.report.json").read_text())
+    rows = targets()
+    assert (content["pairs"], content["inserted"]) == (len(rows) - said["inserted_targets"], said["inserted_targets"])
+    assert (content["only_nominal"], content["only_corrected"]) == (0, 0)
+    assert content["provenance"]["state"] == "intact"
+    assert set(content["provenance"]["made_from_these"].values()) == {True}
+    assert content["verdict"]["state"] == "ok"
+    ends = [row for row in rows if float(row["t"]) == 1.0 and row["rapid"] == "0"]
+    offsets = [np.linalg.norm([float(row[k]) - float(row[f"{k}_cmd"]) for k in "XYZ"]) for row in ends]
+    assert content["offset"]["max_mm"] == pytest.approx(max(offsets), abs=1e-6)
+    assert content["largest"][0]["corrected_line"] == int(ends[int(np.argmax(offsets))]["output_line"])
+    for which, column in (("nominal", "before_mm"), ("corrected", "after_mm")):
+        values = [float(row[column]) for row in ends]
+        assert content["cut"][which]["max_mm"] == pytest.approx(max(values), abs=2e-6)
+        assert content["cut"][which]["rms_mm"] == pytest.approx(np.sqrt(np.mean(np.square(values))), abs=2e-6)
+
+
+def test_every_pair_is_the_one_that_convert_made():
+    convert()
+    compare("part.nc", "out/part.src")
+    made = {int(row["output_line"]): (int(row["source_line"]), float(row["t"])) for row in targets()}
+    with Path("found/part.compare.pairs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["corrected_line"]) for row in rows] == sorted(made)
+    for row in rows:
+        source, t = made[int(row["corrected_line"])]
+        assert (row["state"] == "pair") == (t == 1.0)
+        assert row["state"] == "inserted" or int(row["nominal_line"]) == source
+
+
+def test_operations_are_told_apart():
+    convert()
+    one, other = compare("part.nc", "out/part.src")["operations"]
+    assert (one["name"], other["name"]) == ("ROUGHING", "FINISHING")
+    assert one["offset"]["max_mm"] > other["offset"]["max_mm"] > 0.0
+    assert one["cut"]["nominal"]["max_mm"] > 2.0 * other["cut"]["nominal"]["max_mm"]
+
+
+def test_a_moved_point_is_the_largest_offset_and_its_line_is_named():
+    text = convert()
+    row = [row for row in targets() if row["source_line"] == "13"][-1]
+    old = f"X {row['X_cmd']},"
+    edited_file = edited(text, old, f"X {float(row['X_cmd']) + 3.0:.4f},")
+    content = compare("part.nc", edited_file, code=3)
+    assert content["largest"][0]["nominal_line"] == 13
+    assert content["largest"][0]["corrected_line"] == int(row["output_line"])
+    assert content["largest"][0]["mm"] == pytest.approx(3.0, abs=0.5)
+    assert content["cut"]["corrected"]["max_mm"] == pytest.approx(3.0, abs=0.05)
+    assert content["provenance"]["state"] == "changed"
+    assert content["verdict"]["state"] == "failed"
+
+
+@pytest.mark.parametrize("digit", range(3))
+def test_one_digit_edited_is_found_with_its_line(digit):
+    text = convert()
+    row = [row for row in targets() if row["rapid"] == "0"][3 * digit + 2]
+    line = int(row["output_line"])
+    lines = text.splitlines(keepends=True)
+    changed = re.sub(r"(Y -?\d+\.\d{3})(\d)", lambda m: m[1] + str((int(m[2]) + 1) % 10), lines[line - 1], count=1)
+    assert changed != lines[line - 1]
+    Path("out/part.src").write_bytes("".join([*lines[: line - 1], changed, *lines[line:]]).encode())
+    content = compare("part.nc", "out/part.src", code=3)
+    assert content["provenance"]["state"] == "changed"
+    assert content["provenance"]["edited"] == [{"file": "part.src", "line": line}]
+    assert content["provenance"]["missing_lines"] == 0
+    assert f"part.src:{line}" in content["verdict"]["reasons"][0]
+
+
+def test_a_changed_speed_is_named_with_both_lines():
+    text = convert()
+    first = re.search(r"\$VEL\.CP ?= ?0\.0250*\b.*", text)
+    assert first is not None
+    content = compare("part.nc", edited(text, first[0], "$VEL.CP=0.04"), code=3)
+    assert content["differences"]["speed"] >= 1
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "speed"]
+    assert issue["source_line"] == 6
+    assert "40 mm/s instead of 25 mm/s" in issue["message"]
+    assert content["offset"]["max_mm"] < 1.0
+
+
+def test_a_missing_line_leaves_its_target_alone():
+    text = convert()
+    row = [row for row in targets() if row["source_line"] == "13"][-1]
+    line = text.splitlines(keepends=True)[int(row["output_line"]) - 1]
+    Path("out/part.src").write_bytes(text.replace(line, "").encode())
+    content = compare("part.nc", "out/part.src", code=3)
+    assert content["only_nominal"] == 1
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
+    assert issue["source_line"] == 13
+    assert content["offset"]["max_mm"] < 1.0
+    assert (content["provenance"]["edited"], content["provenance"]["missing_lines"]) == ([], 1)
+
+
+def test_another_base_is_named_and_moves_every_target():
+    text = convert()
+    found = re.search(r"\$BASE ?= ?\{X 1500[^}]*\}", text)
+    assert found is not None
+    content = compare("part.nc", edited(text, found[0], found[0].replace("X 1500", "X 1502")), code=3)
+    assert content["differences"]["base"] == content["pairs"]
+    assert content["offset"]["mean_mm"] == pytest.approx(2.0, abs=0.6)
+    assert "2.0000 mm" in next(issue["message"] for issue in content["issues"] if issue["kind"] == "base")
+
+
+def test_the_same_path_in_another_base_has_no_offset():
+    """Bases that differ while the targets make up for it: the robot goes to the same places."""
+    moved = re.sub(
+        r"LIN \{X (-?[\d.]+)", lambda m: f"LIN {{X {float(m[1]) - 10.0:.3f}", OTHERS.replace("X 1500", "X 1510")
+    )
+    Path("moved.src").write_text(moved.replace("OTHER", "MOVED"))
+    content = compare("other.src", "moved.src")
+    assert content["offset"]["max_mm"] < 1e-9
+    assert content["differences"]["base"] == content["pairs"] == 7
+
+
+def test_an_added_line_is_told_apart_from_inserted_ones():
+    line = "LIN {X 40.000,Y 30.000"
+    added = "LIN {X 40.000,Y 15.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS\n"
+    beside = "LIN {X 46.000,Y 15.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS\n"
+    for text, inserted, alone in ((added, 1, 0), (beside, 0, 1)):
+        Path("more.src").write_text(OTHERS.replace(line, text + line).replace("OTHER", "MORE"))
+        content = compare("other.src", "more.src", "--overwrite")
+        assert (content["pairs"], content["inserted"], content["only_corrected"]) == (7, inserted, alone)
+        assert content["only_nominal"] == 0
+
+
+def test_another_program_s_krl_is_compared_without_provenance_and_forces():
+    turned = "X 20.000,Y 35.000,Z -2.000,A 179.500"
+    Path("turned.src").write_text(OTHERS.replace("X 20.000,Y 35.000,Z -2.000,A 180.000", turned))
+    content = compare("other.src", "turned.src")
+    assert content["provenance"]["state"] == "none"
+    assert content["cut"] is None
+    assert content["rotation"]["max_deg"] == pytest.approx(0.5, abs=1e-9)
+    assert content["offset"]["max_mm"] < 1e-9
+
+
+def test_forces_of_a_file_tell_what_both_would_cut():
+    Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n9,-250,180,120,12\n")
+    run("convert", "other.src", "--forces", "forces.csv", "-o", "out")
+    content = compare("other.src", "out/other.src", "--forces", "forces.csv")
+    assert content["cut"]["corrected"]["max_mm"] < 0.002 < 0.1 < content["cut"]["nominal"]["max_mm"]
+    content = compare("other.src", "other.src", "--forces", "forces.csv", code=3)
+    assert content["cut"]["corrected"] == content["cut"]["nominal"]
+    assert "tolerance" in content["verdict"]["reasons"][0]
+
+
+def test_a_nominal_program_and_one_made_from_another_are_called_that():
+    run("convert", "part.nc", "--nominal", "-o", "out")
+    content = compare("part.nc", "out/part.src", code=3)
+    assert content["provenance"]["mode"] == "nominal"
+    assert content["offset"]["max_mm"] < 1e-3
+    Path("part.nc").write_text(GCODE.replace("X25 Y12", "X25 Y12.5"))
+    content = compare("part.nc", "out/part.src", "--overwrite", code=3)
+    assert content["provenance"]["made_from_these"]["program"] is False
+    assert any("another program" in reason for reason in content["verdict"]["reasons"])
+
+
+def test_gcode_is_no_second_program_and_inputs_are_not_replaced():
+    assert "this one is G-code" in run("compare", "other.src", "part.nc", code=1)
+    convert()
+    run("compare", "part.nc", "out/part.src", "-o", "found")
+    Path("found/part.compare.pairs.csv").write_text("mine\n")
+    assert "part.compare.pairs.csv" in run("compare", "part.nc", "out/part.src", "-o", "found", code=1)
+    assert Path("found/part.compare.pairs.csv").read_text() == "mine\n"
+
+
+def test_page_and_terminal_say_what_the_json_says():
+    convert()
+    content = compare("part.nc", "out/part.src")
+    shown = run("compare", "part.nc", "out/part.src", "-o", "found")
+    assert f"{content['pairs']} pairs, {content['inserted']} inserted" in shown
+    assert f"{content['offset']['max_mm']:.4f}" in shown
+    page = read_page(Path("found/part.compare.report.html").read_bytes())
+    assert {"verdict", "view3d", "along", "histogram", "worst", "issues", "operations"} <= set(page.ids)
+    assert f"{content['offset']['max_mm']:.4f}" in page.text("numbers")
+    assert str(content["largest"][0]["corrected_line"]) in page.text("worst")
+    assert "ROUGHING" in page.text("operations")
