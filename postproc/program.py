@@ -321,6 +321,11 @@ class Targets:
     def __len__(self) -> int:
         return len(self.motion)
 
+    @property
+    def begin(self) -> Array:
+        """(K,) where on its motion the piece to each target begins."""
+        return np.where(np.diff(self.motion, prepend=-1) != 0, 0.0, np.roll(self.t, 1))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetJoints:

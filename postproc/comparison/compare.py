@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from postproc import elastostatics, forces, kinematics, toolpath
+from postproc import forces, kinematics, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.comparison.pairing import Track, partners
 from postproc.comparison.result import Comparison, Cuts
-from postproc.correction.root import InRoot
 from postproc.errors import ForceError, Issue, NotConvergedError, ProgramError, group_issues
 from postproc.forces import ForceSource
 from postproc.frames import MM_PER_M, Array, norm, twist_between
@@ -24,6 +23,7 @@ from postproc.kinematics import UnreachableError
 from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import RobotModel
 from postproc.toolpath import Segments
+from postproc.under_load import RobotInCell
 
 _BESIDE = 3.0
 """How far from the path a target may stand to be one inserted on it, in offsets of its neighbours."""
@@ -49,7 +49,7 @@ def compare(
     :raises ProgramError: a target is out of reach.
     :raises ForceError: forces that cannot be given to the motions, or that the arm does not hold.
     """
-    place = InRoot.of(robot, cell)
+    place = RobotInCell.of(robot, cell)
     one, other = (_Side.of(program, place) for program in (nominal, corrected))
     told_by_nominal = source is not None or bool(nominal.notes)
     wrench, off = np.zeros((len(one.rows), 6)), np.zeros((len(one.rows), 3))
@@ -82,27 +82,27 @@ class _Side:
     joints: Array
 
     @classmethod
-    def of(cls, program: Program, place: InRoot) -> _Side:
+    def of(cls, program: Program, place: RobotInCell) -> _Side:
         m = program.motions
         path = toolpath.segments(program, place.start_flange)
         return cls(program, path, np.flatnonzero(np.isnan(m.joints[:, 0])), _joints(program, place))
 
-    def track(self, place: InRoot, offset: Array) -> Track:
+    def track(self, place: RobotInCell, offset: Array) -> Track:
         """Return the Cartesian targets as they stand in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
         m, rows = self.program.motions, self.rows
         pose = m.target[rows]
         step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin[rows]), self.path.length[rows])
         pose[:, :3, 3] += offset
-        return Track(place.pose(self.program, rows, pose)[:, :3, 3], step, m.kind[rows] == PTP)
+        return Track(toolpath.pose_in_root(self.program, rows, pose)[:, :3, 3], step, m.kind[rows] == PTP)
 
-    def wrench(self, place: InRoot, source: ForceSource | None, motion: Ints) -> Array:
+    def wrench(self, place: RobotInCell, source: ForceSource | None, motion: Ints) -> Array:
         """Return the wrenches (n, 6) at the ends of motions, root axes."""
-        load = forces.along(self.program, self.path, source, place.axis, place.ramp)
+        load = forces.along(self.program, self.path, source, place.spindle, place.ramp)
         wrench = load.at(toolpath.at(self.program, self.path, motion, np.ones(len(motion))))
-        return place.wrench(self.program, motion, wrench)
+        return toolpath.wrench_in_root(self.program, motion, wrench)
 
 
-def _paired(one: _Side, other: _Side, partner: Ints, place: InRoot) -> Comparison:
+def _paired(one: _Side, other: _Side, partner: Ints, place: RobotInCell) -> Comparison:
     nominal, corrected, has = one.program, other.program, partner >= 0
     pair = np.stack([one.rows[has], other.rows[partner[has]]], axis=1)
     pose, off = _offsets(one, other, pair, place)
@@ -128,14 +128,14 @@ def _paired(one: _Side, other: _Side, partner: Ints, place: InRoot) -> Compariso
     )
 
 
-def _offsets(one: _Side, other: _Side, pair: Ints, place: InRoot) -> tuple[Array, Array]:
+def _offsets(one: _Side, other: _Side, pair: Ints, place: RobotInCell) -> tuple[Array, Array]:
     """Return where the second program sends the nominal tool (P, 4, 4), nominal `$BASE`, and the twists (P, 6)."""
     flange = toolpath.flange_from_tcp(other.program, pair[:, 1], other.program.motions.target[pair[:, 1]])
-    pose = place.back(one.program, pair[:, 0], flange @ place.tool(one.program, pair[:, 0]))
+    pose = toolpath.pose_in_base(one.program, pair[:, 0], flange @ toolpath.tool_of(one.program, pair[:, 0]))
     return pose, twist_between(one.program.motions.target[pair[:, 0]], pose)
 
 
-def _moved(one: _Side, other: _Side, pair: Ints, offset: Array, rows: Ints, place: InRoot) -> Ints:
+def _moved(one: _Side, other: _Side, pair: Ints, offset: Array, rows: Ints, place: RobotInCell) -> Ints:
     """Return pairs (P, 2) with targets that were moved in the place of their neighbours.
 
     A target beside the path (`rows`) next to one that has a partner was moved, and not added, if that other one stands
@@ -163,7 +163,7 @@ def _frames(program: Program) -> tuple[tuple[Array, Ints], tuple[Array, Ints]]:
     return (program.bases, m.base), (program.tools, m.tool)
 
 
-def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, place: InRoot) -> Bools:
+def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, place: RobotInCell) -> Bools:
     """Return which of the second program's targets without partner, `rows` (r,), stand on the nominal path.
 
     That is: between two pairs that follow one another in the nominal program too, hardly farther from the nominal path
@@ -180,7 +180,7 @@ def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, 
     length = np.maximum(one.path.length[motion], 1e-12)
     target = other.program.motions.target[rows[between]]
     flange = toolpath.flange_from_tcp(other.program, rows[between], target)
-    spot = place.back(nominal, motion, flange @ place.tool(nominal, motion))[:, :3, 3]
+    spot = toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion))[:, :3, 3]
     aside = np.full(len(spot), np.inf)
     in_proportion = (here - first) / np.maximum(last - first, 1e-12)
     # a detour, where the other program has one, is on one side of it only
@@ -193,7 +193,7 @@ def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, 
     return out
 
 
-def _deviation(place: InRoot, program: Program, motion: Ints, q: Array, wrench: Array) -> Array:
+def _deviation(place: RobotInCell, program: Program, motion: Ints, q: Array, wrench: Array) -> Array:
     """Return how far the loaded tip stands from the targets of motions (n,) [m], `$BASE`.
 
     :param q: (n, 6) joint angles that the controller holds [rad].
@@ -201,10 +201,8 @@ def _deviation(place: InRoot, program: Program, motion: Ints, q: Array, wrench: 
     """
 
     def off(motion: Ints, q: Array, wrench: Array) -> tuple[Array]:
-        x = elastostatics.spread(place.robot, q.T)
-        tool = kinematics.components(place.tool(program, motion))
-        tip = elastostatics.solve_equilibrium(place.robot, x, tool, wrench.T).tip.T
-        return (place.points_back(program, motion, tip) - program.motions.target[motion, :3, 3],)
+        tip = place.tip(q, toolpath.tool_of(program, motion), wrench)
+        return (toolpath.points_in_base(program, motion, tip) - program.motions.target[motion, :3, 3],)
 
     try:
         return in_chunks(off, motion, q, wrench)[0]
@@ -214,7 +212,7 @@ def _deviation(place: InRoot, program: Program, motion: Ints, q: Array, wrench: 
         raise ForceError(problem, file=program.documents[0].name, line=line) from None
 
 
-def _cuts(found: Comparison, place: InRoot, other: _Side, wrench: Array, nominal: Array) -> Cuts:
+def _cuts(found: Comparison, place: RobotInCell, other: _Side, wrench: Array, nominal: Array) -> Cuts:
     """Return what both programs cut at the pairs: wrenches (P, 6) in the root, `nominal` (P, 3) found already."""
     one, two = found.pair.T
     corrected = _deviation(place, found.nominal, one, other.joints[two], wrench)
@@ -222,7 +220,7 @@ def _cuts(found: Comparison, place: InRoot, other: _Side, wrench: Array, nominal
     return Cuts(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6), nominal, corrected)
 
 
-def _joints(program: Program, place: InRoot) -> Array:
+def _joints(program: Program, place: RobotInCell) -> Array:
     """Return the joint angles (M, 6) at the ends of the motions [rad]."""
     m = program.motions
     ptp = np.flatnonzero(m.kind == PTP)

@@ -14,10 +14,9 @@ import numpy as np
 
 from postproc import toolpath
 from postproc.cell import Cell
-from postproc.correction.select import circle_through
 from postproc.frames import M_PER_MM, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Program, Targets
-from postproc.toolpath import Segments
+from postproc.toolpath import Segments, circle_through
 
 _SHARE = 0.2
 """Of the tolerance, what rounding may use up at inserted targets."""

@@ -42,12 +42,6 @@ def _first(
         yield Issue(level, kind, message, source_line=line, count=len(np.unique(motion[rows])))
 
 
-def unreachable(program: Program, motion: Ints, bad: Bools) -> Iterator[Issue]:
-    """Every place (N,) must be reached."""
-    message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
-    yield from _first(program, motion, bad, "unreachable", message)
-
-
 def _turn_the_tool(program: Program) -> str:
     return "turn the tool about its axis" + ("" if program.keeps_text else " ([gcode] redundancy_deg)")
 

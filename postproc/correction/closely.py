@@ -12,12 +12,10 @@ import numpy as np
 
 from postproc import kinematics, toolpath
 from postproc.correction import checks
-from postproc.correction.root import InRoot
 from postproc.errors import Issue
 from postproc.frames import RAD_PER_DEG, Array, largest
-from postproc.kinematics import JointPath
-from postproc.program import CIRC, Ints, Program
-from postproc.toolpath import Segments, Toolpath
+from postproc.program import CIRC, Ints
+from postproc.under_load import PathUnderLoad, unreachable
 
 _SPACING = 5.0 * RAD_PER_DEG
 _SHARE_OF_SPEED = 0.75
@@ -33,17 +31,18 @@ _STEPS = 2.0
 """What changes smoothly passes its values at the samples by less than one of its steps between them."""
 
 
-def needed(program: Program, place: InRoot, sample: Toolpath, q: Array, speed: Array) -> Ints:
+def needed(path: PathUnderLoad, q: Array, speed: Array) -> Ints:
     """Return the arcs (A,), rows of `Motions`, that need a closer look.
 
     :param q: (N, 6) commanded joint angles of the samples [rad].
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
-    rows = np.flatnonzero(program.motions.kind[sample.motion] == CIRC)
+    sample = path.sample
+    rows = np.flatnonzero(path.program.motions.kind[sample.motion] == CIRC)
     if len(rows) == 0:
         return rows
-    robot, form = place.robot, kinematics.closed_form(place.robot)
-    before = np.concatenate([place.cell.start_joints[None], q])[rows]
+    robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
+    before = np.concatenate([path.setting.cell.start_joints[None], q])[rows]
     here, speed = q[rows], speed[rows]
     turned, reach = np.abs(here - before), form.reach(here)
     begins = np.diff(sample.motion[rows], prepend=-1) != 0
@@ -58,22 +57,13 @@ def needed(program: Program, place: InRoot, sample: Toolpath, q: Array, speed: A
     return np.unique(sample.motion[rows[close]])
 
 
-def look(
-    program: Program,
-    place: InRoot,
-    path: Segments,
-    sample: Toolpath,
-    q: Array,
-    position: Array,
-    joints: JointPath,
-    arcs: Ints,
-) -> Iterator[Issue]:
+def look(path: PathUnderLoad, q: Array, position: Array, arcs: Ints) -> Iterator[Issue]:
     """Yield what the checks of joints find on arcs (A,) looked at every 5°.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m]: the
         correction of both is taken for linear between samples.
-    :param joints: of the nominal samples.
     """
+    program, robot, sample, joints = path.program, path.setting.robot, path.sample, path.joints
     if len(arcs) == 0:
         return
     last = np.flatnonzero(sample.ends)
@@ -85,16 +75,18 @@ def look(
         which = np.repeat(part, count[part])
         index = np.arange(len(which)) - np.flatnonzero(np.diff(which, prepend=-1))[which - part[0]]
         motion, t = arcs[which], index / (count[which] - 1)
-        close = toolpath.at(program, path, motion, t)
+        close = toolpath.at(program, path.motions.segments, motion, t)
         flange = toolpath.flange_from_tcp(program, motion, close.pose)
-        exact = kinematics.on_branch(place.robot, flange, joints.branch[last[motion]])
+        exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
         bad = np.asarray(np.isnan(exact).any(axis=1))
         if bad.any():
-            yield from checks.unreachable(program, motion, bad)
+            yield unreachable(program, motion[bad])
             return
         between = np.column_stack([np.interp(motion + t, known, column) for column in values.T])
         exact += 2.0 * np.pi * np.round((between[:, :6] - exact) / (2.0 * np.pi)) + between[:, 6:12]
-        yield from checks.joint_limits(program, place.robot, close, exact)
-        yield from checks.singularities(program, place.robot, close, exact, arcs[:0])
-        speed = checks.joint_speed(program, close, path.turn, exact, close.pose[:, :3, 3] + between[:, 12:])
-        yield from checks.joint_speeds(program, place.robot, close, speed)
+        yield from checks.joint_limits(program, robot, close, exact)
+        yield from checks.singularities(program, robot, close, exact, arcs[:0])
+        speed = checks.joint_speed(
+            program, close, path.motions.segments.turn, exact, close.pose[:, :3, 3] + between[:, 12:]
+        )
+        yield from checks.joint_speeds(program, robot, close, speed)

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from postproc.errors import Issue
+from postproc.errors import Issue, group_issues
 from postproc.forces import Knots
 from postproc.frames import Array, norm
 from postproc.program import Bools, Document, Ints, Program
@@ -71,6 +71,37 @@ class Result:
     carried: Knots | None
     largest_correction: float
     issues: tuple[Issue, ...]
+
+    @classmethod
+    def without_targets(cls, program: Program, robot: RobotModel, axis: str, mode: Mode, issue: Issue) -> Result:
+        """Return the result of a program that could not be computed at all."""
+        none, rows = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return cls(
+            program=program,
+            robot=robot,
+            axis=axis,
+            mode=mode,
+            documents=(),
+            motion=rows,
+            t=none,
+            output_line=rows,
+            nominal=np.zeros((0, 4, 4)),
+            printed=np.zeros((0, 6)),
+            wrench=np.zeros((0, 6)),
+            deflection=np.zeros((0, 3)),
+            deviation_before=np.zeros((0, 3)),
+            deviation_after=np.zeros((0, 3)),
+            bound=None,
+            q=np.zeros((0, 6)),
+            joint_margin=np.full(6, np.nan),
+            singular_value=np.nan,
+            between=np.nan,
+            rounding=none,
+            programmed=none,
+            carried=None,
+            largest_correction=np.nan,
+            issues=group_issues([*program.issues, issue]),
+        )
 
     def __len__(self) -> int:
         return len(self.motion)

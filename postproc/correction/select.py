@@ -13,7 +13,7 @@ import numpy as np
 
 from postproc.frames import Array, norm
 from postproc.program import CIRC, LIN, Bools, Ints
-from postproc.toolpath import Pieces, Toolpath
+from postproc.toolpath import Pieces, Toolpath, circle_through
 
 _FLAT = 1e-6
 """Sagitta [m] below which a piece of an arc is written as a line."""
@@ -149,24 +149,3 @@ def _is_flat(a: Array, b: Array, c: Array) -> Bools:
     length = norm(chord)
     height = norm(np.cross(chord, b - a)) / np.where(length > 0.0, length, 1.0)
     return np.asarray((length > 0.0) & (height < _FLAT))
-
-
-def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the arcs from a through b to c (each (n, 3)).
-
-    :returns: centre (n, 3), radius vector to a (n, 3), the vector square to it in the direction of travel (n, 3), and
-        the angle from a to c (n,) in (0, 2π). Points on one line give a circle of very large radius.
-    """
-    ab, ac = b - a, c - a
-    normal = np.cross(ab, ac)
-    square = np.einsum("ni,ni->n", normal, normal)[:, None]
-    flat = square[:, 0] <= 1e-24 * np.einsum("ni,ni->n", ac, ac) ** 2
-    square = np.where(flat[:, None], 1.0, square)
-    ab2, ac2 = np.einsum("ni,ni->n", ab, ab)[:, None], np.einsum("ni,ni->n", ac, ac)[:, None]
-    centre = a + np.cross(ab2 * ac - ac2 * ab, normal) / (2.0 * square)
-    unit = normal / np.sqrt(square)
-    radial = a - centre
-    across = np.cross(unit, radial)
-    to_c = c - centre
-    angle = np.arctan2(np.einsum("ni,ni->n", to_c, across), np.einsum("ni,ni->n", to_c, radial)) % (2.0 * np.pi)
-    return centre, radial, across, angle

@@ -1,4 +1,4 @@
-"""The written program is read back by our own reader and simulated with the numbers as printed.
+"""The written program is simulated with the numbers as printed.
 
 Nothing of the computation that made the program is trusted here but the branch of the inverse kinematics: poses come
 from the text, joint angles from these poses by the nominal geometry, the tip from the loaded equilibrium.
@@ -7,23 +7,21 @@ from the text, joint angles from these poses by the nominal geometry, the tip fr
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from postproc import elastostatics, kinematics, toolpath
+from postproc import kinematics, toolpath
 from postproc.chunks import in_chunks
 from postproc.correction import blending, checks
-from postproc.correction.root import InRoot
-from postproc.dialects import registry
-from postproc.errors import Issue, NotConvergedError, ProgramError
-from postproc.forces import BEHIND_STEP, PathForces
-from postproc.frames import MM_PER_M, Array, largest, norm, twist_between
-from postproc.program import CIRC, PTP, Bools, Ints, Motions, Program, Targets, Written
-from postproc.toolpath import Segments
+from postproc.correction.read_back import ReadBack, UnusableTextError
+from postproc.correction.targets import Chosen
+from postproc.errors import Issue, Level, NotConvergedError
+from postproc.forces import BEHIND_STEP
+from postproc.frames import MM_PER_M, Array, norm
+from postproc.program import CIRC, PTP, Bools, Ints
+from postproc.under_load import PathUnderLoad
 
-_PRINTED = 1e-6
-"""What printing may move a commanded pose by [m, rad]; the text has at least 1e-4 mm and 1e-5°."""
 _HELD = 1e-6
 """How far from nominal the tip may stand at a target of a corrected program [m], rounding included."""
 _SAFE = 0.8
@@ -44,253 +42,219 @@ _ON_RAMPS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Missed:
+    """Places where the path uses up too much of the tolerance, and more targets may help.
+
+    :param motion: (n,) row of `Motions`, `t` (n,) the place on it.
+    :param distance: (n,) how far the tip is from the path there [m].
+    """
+
+    motion: Ints
+    t: Array
+    distance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
     """What the written program would do.
 
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
-    :param printed: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
     :param rounding: (K,) how far approximate positioning passes each target [m].
-    :param missed: motion (n,), t (n,) and distance (n,) [m] of places where the path uses up too much of the
-        tolerance, and more targets may help.
-    :param written: the program as read back, its geometry, and the motion (K,) of each target; None if it cannot be
-        used.
+    :param missed: where more targets may help.
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
     deviation: Array
     between: float
-    printed: Array
     rounding: Array
-    missed: tuple[Ints, Array, Array]
-    written: tuple[Program, Segments, Ints] | None
+    missed: Missed
     issues: tuple[Issue, ...]
 
 
-def simulate(
-    program: Program,
-    path: Segments,
-    load: PathForces,
-    targets: Targets,
-    ends: Array,
-    text: Written,
-    place: InRoot,
-    sample: Ints,
-    theta: Array,
-    branch: Ints,
-    *,
-    corrected: bool,
-) -> Simulated:
-    """Read a written program back and simulate it against the nominal path of the program it was made from.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Probes:
+    """Places of the written program where it is looked at, n of them.
 
-    :param program: the nominal program, `path` and `load` its geometry and forces.
-    :param targets: what was to be written (K rows).
-    :param ends: (K, 3) their nominal positions, `$BASE` [m].
-    :param text: the program as written.
-    :param place: robot, cell and start.
-    :param sample: (K,) which of the N samples of the path each target is.
-    :param theta: (N, nv) deflections of the springs as computed: where the search for those of the text begins.
-    :param branch: (N,) branch of the inverse kinematics of each.
-    :param corrected: the program claims to hold the tolerance.
+    :param target: (n,) row of the target at the end of the piece.
+    :param share: (n,) place on the piece, in (0, 1].
+    :param motion: (n,) motion of the nominal program, and `t` (n,) the place on it.
+    :param begin: (n,) where on that motion the piece begins, and `end` (n,) where it ends.
     """
-    try:
-        written = registry.by_name(text.dialect).read(text.documents, place.cell, place.forward, program.name)
-    except ProgramError as cause:
-        message = (
-            f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
-            f"[gcode] in the cell, write it there in {text.dialect}; else it is a fault of postproc, please report it."
-        )
-        return _unusable(targets, Issue("error", "read-back", message, output_line=cause.line))
-    m = written.motions
-    row = np.flatnonzero(np.isnan(m.joints[:, 0]))
-    mismatch = _mismatch(program, targets, written, row)
-    if mismatch is not None:
-        return _unusable(targets, mismatch)
-    printed = written.numbers_as_written()[row]
-    written = replace(written, documents=(), layout=None)  # the text is done with: its places fill much memory
-    written_path = toolpath.segments(written, place.start_flange)
-    correction = targets.pose[:, :3, 3] - ends
-    changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
-    begin = np.where(np.concatenate([[True], np.diff(targets.motion) != 0]), 0.0, np.roll(targets.t, 1))
-    curved = np.flatnonzero((program.motions.kind[targets.motion] == CIRC) | (m.kind[row] == CIRC))
 
-    def unevenness(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
+    target: Ints
+    share: Array
+    motion: Ints
+    t: Array
+    begin: Array
+    end: Array
+
+    @property
+    def inside(self) -> Bools:
+        """(n,) True before the end of the piece."""
+        return np.asarray(self.share < 1.0)
+
+
+def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, *, corrected: bool) -> Simulated:
+    """Simulate a written program against the nominal path of the program it was made from.
+
+    :param chosen: what was to be written.
+    :param theta: (N, nv) deflections of the springs as computed: where the search for those of the text begins.
+    :param back: the program as written.
+    :param corrected: the program claims to hold the tolerance.
+    :raises UnusableTextError: it cannot be simulated.
+    """
+    probes = _probes(path, chosen, back)
+    off = _deviation(path, chosen, theta, back, probes)
+    distance = norm(off)
+    written = back.program.motions
+    rounding = blending.of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
+    step = path.motions.forces.behind_step(probes.motion, probes.end) & probes.inside
+    settled = (~probes.inside | ~_starts_uncorrected(path)[probes.motion]) & ~step
+    length = path.motions.segments.length[probes.motion] * (probes.end - probes.begin)
+    jump = (length < _AT_ONCE) & probes.inside
+    issues: list[Issue] = []
+    if corrected:
+        issues += _steps(path, probes.motion[step], distance[step])
+        issues += _jumps(path, probes.motion, distance, settled & jump)
+        issues += _not_held(path, chosen, probes, distance, settled & ~jump)
+        if path.program.keeps_text:
+            more = rounding - blending.programmed(path.program, path.motions.segments, chosen.targets.motion)
+            issues += checks.blending(path.program, chosen.targets.motion, more, path.setting.tolerance)
+    bad = settled & probes.inside & ~(distance <= _SAFE * path.setting.tolerance) & ~jump
+    return Simulated(
+        off[~probes.inside],
+        float(distance[settled].max(initial=0.0)),
+        rounding,
+        Missed(probes.motion[bad], probes.t[bad], distance[bad]),
+        tuple(issues),
+    )
+
+
+def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes) -> Array:
+    """Return where the loaded tip stands (n, 3) seen from nominal, `$BASE` [m].
+
+    :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
+    """
+    setting, written = path.setting, back.program
+    sample = chosen.row[probes.target]
+
+    def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
+        nominal = toolpath.at(path.program, path.motions.segments, motion, t)
+        wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
+        flange = toolpath.flange_from_tcp(written, on, toolpath.at(written, back.segments, on, share).pose)
+        q = kinematics.on_branch(setting.robot, flange, path.joints.branch[sample])
+        if np.isnan(q).any():
+            raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
+        tip = setting.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
+        return (toolpath.points_in_base(written, on, tip) - nominal.pose[:, :3, 3],)
+
+    try:
+        (off,) = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
+    except NotConvergedError as cause:
+        line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
+        message = f"the written program cannot be simulated: {cause}"
+        raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
+    return off
+
+
+def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
+    """Return where to look.
+
+    A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
+    are long or turn, and pieces of arcs, are looked at between; closer where the correction changes much over the run.
+    """
+    targets, m = chosen.targets, back.program.motions
+    begin = targets.begin
+    correction = targets.pose[:, :3, 3] - path.sample.pose[chosen.row, :3, 3]
+    changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
+    curved = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[back.row] == CIRC))
+    uneven = np.zeros(len(targets))
+    uneven[curved] = _unevenness(path, chosen, back, curved, correction[curved])
+    steep = (changed > _STEEP) | (uneven > _UNEVEN * path.setting.tolerance)
+    length, turn = back.segments.length[back.row], back.segments.turn[back.row]
+    number = np.ones(len(targets), dtype=np.int64)
+    number[curved] = 2
+    wide = (length > _LONG) | (turn > _TURNED)
+    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
+    number[steep] = np.maximum(number[steep], _ON_RAMPS)
+    number[m.kind[back.row] == PTP] = 1
+    target = np.repeat(np.arange(len(targets)), number)
+    inside = np.arange(len(target)) - np.repeat(np.cumsum(number) - number, number) + 1
+    share = inside / number[target]
+    begin, end = begin[target], targets.t[target]
+    t = np.where(share == 1.0, end, begin + share * (targets.t - targets.begin)[target])
+    return _Probes(target, share, targets.motion[target], t, begin, end)
+
+
+def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Ints, correction: Array) -> Array:
+    """Return how far pieces (n,) are displaced more at a quarter than they are at their end, by (n, 3) [m]."""
+
+    def in_chunk(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
         quarters = (
-            toolpath.positions(written, written_path, on, np.full(len(on), share))
-            - toolpath.positions(program, path, of, begin + share * (end - begin))
+            toolpath.positions(back.program, back.segments, on, np.full(len(on), share))
+            - toolpath.positions(path.program, path.motions.segments, of, begin + share * (end - begin))
             for share in (0.25, 0.75)
         )
         one, other = (norm(displaced - correction) for displaced in quarters)
         return (np.maximum(one, other),)
 
-    uneven = np.zeros(len(targets))
-    (uneven[curved],) = in_chunks(
-        unevenness, targets.motion[curved], begin[curved], targets.t[curved], row[curved], correction[curved]
-    )
-    steep = (changed > _STEEP) | (uneven > _UNEVEN * place.tolerance)
-    index, share = _probes(m, row, written_path, curved, steep)
-    t = begin[index] + share * (targets.t - begin)[index]
-    t = np.where(share == 1.0, targets.t[index], t)
-    motion, on = targets.motion[index], row[index]
-
-    def simulated(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
-        nominal = toolpath.at(program, path, motion, t)
-        wrench = load.at(nominal)
-        commanded = toolpath.at(written, written_path, on, share).pose
-        q = kinematics.on_branch(place.robot, toolpath.flange_from_tcp(written, on, commanded), branch[sample])
-        if np.isnan(q).any():
-            raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        force, tool = place.wrench(written, on, wrench), kinematics.components(place.tool(written, on))
-        x = elastostatics.spread(place.robot, q.T)
-        tip = elastostatics.solve_equilibrium(place.robot, x, tool, force.T, theta[sample].T).tip.T
-        return (place.points_back(written, on, tip) - nominal.pose[:, :3, 3],)
-
-    try:
-        (off,) = in_chunks(simulated, motion, t, on, share, sample[index])
-    except NotConvergedError as cause:
-        line = int(program.motions.line[motion[cause.rows[0]]])
-        issue = Issue("error", "read-back", f"the written program cannot be simulated: {cause}", source_line=line)
-        return _unusable(targets, issue)
-    distance = norm(off)
-    after = distance[share == 1.0]
-    rounding = blending.of_motions(written, written_path, row).rounding(m.blend[row])
-    settled = (share == 1.0) | ~_starts_uncorrected(program, place)[motion]
-    step = load.behind_step(motion, targets.t[index]) & (share < 1.0)
-    settled &= ~step
-    jump = (path.length[motion] * (targets.t - begin)[index] < _AT_ONCE) & (share < 1.0)
-    issues: list[Issue] = []
-    if corrected:
-        issues += _steps(program, place, motion[step], distance[step])
-        issues += _not_held(program, place, targets, after, motion, distance, settled, jump)
-        if program.keeps_text:
-            more = rounding - blending.programmed(program, path, targets.motion)
-            issues += checks.blending(program, targets.motion, more, place.tolerance)
-    bad = settled & (share < 1.0) & ~(distance <= _SAFE * place.tolerance) & ~jump
-    between = float(distance[settled].max(initial=0.0))
-    return Simulated(
-        off[share == 1.0],
-        between,
-        printed,
-        rounding,
-        (motion[bad], t[bad], distance[bad]),
-        (written, written_path, row),
-        tuple(issues),
-    )
+    targets = chosen.targets
+    pieces = targets.motion[curved], targets.begin[curved], targets.t[curved], back.row[curved]
+    return in_chunks(in_chunk, *pieces, correction)[0]
 
 
-def _unusable(targets: Targets, issue: Issue) -> Simulated:
-    count = len(targets)
-    nowhere = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
-    unknown = np.full(count, np.nan)
-    return Simulated(np.full((count, 3), np.nan), np.inf, np.full((count, 6), np.nan), unknown, nowhere, None, (issue,))
-
-
-def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
-    """Return an issue if the text does not say what it was to say."""
-    m, nominal = written.motions, program.motions
-    if len(row) != len(targets):
-        return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
-
-    def apart(row: Ints, pose: Array) -> tuple[Array]:
-        return (largest(twist_between(m.target[row], pose)),)
-
-    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, row, targets.pose)[0] > _PRINTED)
-    for frames, other, used, wanted in (
-        (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
-        (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
-    ):
-        differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
-        wrong |= differ[used, wanted]
-    if wrong.any():
-        first = int(np.argmax(wrong))
-        line = int(program.motions.line[targets.motion[first]])
-        return Issue(
-            "error",
-            "read-back",
-            "the written program reads differently from what was computed: a fault of postproc, please report it",
-            source_line=line,
-            count=int(wrong.sum()),
-        )
-    return None
-
-
-def _probes(m: Motions, row: Ints, path: Segments, curved: Ints, steep: Bools) -> tuple[Ints, Array]:
-    """Return where to look: target index (n,) and share (n,) in (0, 1] of the run that ends at that target.
-
-    A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
-    are long or turn, and pieces of arcs, are looked at between.
-
-    :param curved: targets on arcs.
-    :param steep: (K,) where the correction changes so much over the run that it needs a closer look.
-    """
-    length, turn = path.length[row], path.turn[row]
-    number = np.ones(len(row), dtype=np.int64)
-    number[curved] = 2
-    wide = (length > _LONG) | (turn > _TURNED)
-    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
-    number[steep] = np.maximum(number[steep], _ON_RAMPS)
-    number[m.kind[row] == PTP] = 1
-    index = np.repeat(np.arange(len(row)), number)
-    inside = np.arange(len(index)) - np.repeat(np.cumsum(number) - number, number) + 1
-    return index, inside / number[index]
-
-
-def _starts_uncorrected(program: Program, place: InRoot) -> Bools:
+def _starts_uncorrected(path: PathUnderLoad) -> Bools:
     """(M,) True for motions that start where no correction was possible: at the start, or at an axis target."""
-    axis = np.isfinite(program.motions.joints[:, 0])
+    axis = np.isfinite(path.program.motions.joints[:, 0])
     out = np.concatenate([[True], axis[:-1]])
-    return np.asarray(out & (not place.rest_is_nominal))
+    return np.asarray(out & (not path.setting.rest_is_nominal))
 
 
-def _steps(program: Program, place: InRoot, motion: Ints, distance: Array) -> Iterator[Issue]:
+def _steps(path: PathUnderLoad, motion: Ints, distance: Array) -> Iterator[Issue]:
     """Tell where the force begins with a step: distances (n,) [m] from the path just behind it, on motions (n,)."""
-    felt = ~(distance <= place.tolerance)
+    felt = ~(distance <= path.setting.tolerance)
     if felt.any():
-        yield Issue(
-            "warning",
-            "force-step",
+        message = (
             "the force of this move begins with a step from that at the end of the move before: there the tool leaves "
             f"its path by up to {np.nanmax(distance[felt]) * MM_PER_M:.4f} mm for the {BEHIND_STEP * MM_PER_M:g} mm "
             "over which the correction follows. Let the move begin (t = 0) with the force with which the one before "
-            "ends; or give one force without t: it comes up over force_ramp_mm.",
-            source_line=int(program.motions.line[motion[int(np.argmax(felt))]]),
-            count=len(np.unique(motion[felt])),
+            "ends; or give one force without t: it comes up over force_ramp_mm."
         )
+        yield _at_first(path, "warning", "force-step", message, motion[felt])
 
 
-def _not_held(
-    program: Program,
-    place: InRoot,
-    targets: Targets,
-    after: Array,
-    motion: Ints,
-    distance: Array,
-    settled: Bools,
-    jump: Bools,
-) -> Iterator[Issue]:
-    between = settled & ~(distance <= place.tolerance)
-    if (between & jump).any():
-        yield Issue(
-            "error",
-            "force-jump",
+def _jumps(path: PathUnderLoad, motion: Ints, distance: Array, jump: Bools) -> Iterator[Issue]:
+    """A force that jumps within a move must not make the tool leave the tolerance there: at places (n,)."""
+    tolerance = path.setting.tolerance
+    bad = jump & ~(distance <= tolerance)
+    if bad.any():
+        message = (
             "the force jumps within this move, as one in FEED axes does where the travel passes the direction of the "
-            f"spindle: it leaves {np.nanmax(distance[between & jump]) * MM_PER_M:.4f} mm (allowed "
-            f"{place.tolerance * MM_PER_M:g} mm), however close the targets. Divide the move there and give each part "
-            "its force, or give the force in BASE or TOOL axes.",
-            source_line=int(program.motions.line[motion[int(np.argmax(between & jump))]]),
-            count=len(np.unique(motion[between & jump])),
+            f"spindle: it leaves {np.nanmax(distance[bad]) * MM_PER_M:.4f} mm (allowed {tolerance * MM_PER_M:g} mm), "
+            "however close the targets. Divide the move there and give each part its force, or give the force in BASE "
+            "or TOOL axes."
         )
-    for bad, limit, rows, what in (
-        (~(after <= _HELD), _HELD, targets.motion, "at a target"),
-        (between & ~jump, place.tolerance, motion, "between targets"),
+        yield _at_first(path, "error", "force-jump", message, motion[bad])
+
+
+def _not_held(path: PathUnderLoad, chosen: Chosen, probes: _Probes, distance: Array, settled: Bools) -> Iterator[Issue]:
+    """The tip must stand at every target, and stay within the tolerance between them."""
+    after, tolerance = distance[~probes.inside], path.setting.tolerance
+    for bad, limit, motion, values, what in (
+        (~(after <= _HELD), _HELD, chosen.targets.motion, after, "at a target"),
+        (settled & ~(distance <= tolerance), tolerance, probes.motion, distance, "between targets"),
     ):
         if bad.any():
-            values = after if rows is targets.motion else distance
-            yield Issue(
-                "error",
-                "tolerance",
+            message = (
                 f"simulating the written program leaves {np.nanmax(values[bad]) * MM_PER_M:.4f} mm {what} "
-                f"(allowed {limit * MM_PER_M:g} mm)",
-                source_line=int(program.motions.line[rows[int(np.argmax(bad))]]),
-                count=int(bad.sum()),
+                f"(allowed {limit * MM_PER_M:g} mm)"
             )
+            line = int(path.program.motions.line[motion[int(np.argmax(bad))]])
+            yield Issue("error", "tolerance", message, source_line=line, count=int(bad.sum()))
+
+
+def _at_first(path: PathUnderLoad, level: Level, kind: str, message: str, motion: Ints) -> Issue:
+    """Return an issue that names the first of motions (n,) and counts them."""
+    line = int(path.program.motions.line[motion[0]])
+    return Issue(level, kind, message, source_line=line, count=len(np.unique(motion)))

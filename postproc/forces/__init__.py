@@ -8,6 +8,7 @@ from postproc.forces.along import BEHIND_STEP, PathForces, along
 from postproc.forces.axes import Axes
 from postproc.forces.estimate import estimate
 from postproc.forces.feed import last_travel
+from postproc.forces.followed import followed
 from postproc.forces.knots import ForceSource, Knots
 from postproc.forces.sources import read
 from postproc.forces.table import read_force_csv
@@ -21,6 +22,7 @@ __all__ = [
     "PathForces",
     "along",
     "estimate",
+    "followed",
     "last_travel",
     "of_pieces",
     "of_targets",

@@ -63,7 +63,7 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, writte
     target, share = _places(forces, targets)
     whole = ramped[target]
     frame = np.where(whole, at_end.frame[target], _frame(forces, targets)[target])
-    begin, end = _begin(targets)[target], targets.t[target]
+    begin, end = targets.begin[target], targets.t[target]
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
     there = at(written.program, written.path, row[target], share)
@@ -76,18 +76,12 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, writte
     return _shortened(Knots(target, share, wrench, frame, sigma, whole))
 
 
-def _begin(targets: Targets) -> Array:
-    """Return where on its motion each piece (K,) begins."""
-    first = np.diff(targets.motion, prepend=-1) != 0
-    return np.where(first, 0.0, np.roll(targets.t, 1))
-
-
 def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     """Return where on the pieces the force is given: row of the target (p,) and place on its piece.
 
     That is its end where the force comes up over the ramp, else its start, its end and the knots between.
     """
-    begin, end = _begin(targets), targets.t
+    begin, end = targets.begin, targets.t
     low = np.searchsorted(forces.place, targets.motion + begin + _APART)
     high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _APART), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)

@@ -11,7 +11,6 @@ import numpy as np
 
 from postproc import cell as cells
 from postproc import machining, toolpath
-from postproc.correction.root import InRoot
 from postproc.errors import InputError, Issue
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import Array
@@ -22,6 +21,7 @@ from postproc.machining import Process, ProcessForces
 from postproc.machining.stock import as_trimesh
 from postproc.program import Ints, Program
 from postproc.report import process_forces
+from postproc.under_load import RobotInCell
 
 _MESHES = (".stl", ".glb", ".ply", ".obj")
 
@@ -67,7 +67,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     cell = cells.load(request.cell)
     robot = load_robot(cell.robot, cell.folder)
     program = read_program(request.program, robot, cell, request.dialect)
-    place = InRoot.of(robot, cell)
+    place = RobotInCell.of(robot, cell)
     path = toolpath.segments(program, place.start_flange)
     folder, names = _names(request)
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
@@ -76,7 +76,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     found = None
     if process.material is not None:
         found = machining.estimate(
-            program, path, process, place.axis, stock=request.stock, base_axes=request.base_axes, progress=progress
+            program, path, process, place.spindle, stock=request.stock, base_axes=request.base_axes, progress=progress
         )
     knots = _joined(program, process, found)
     content: dict[str, Any] = {} if found is None else process_forces.summary(program, found)

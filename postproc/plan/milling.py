@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from postproc import files, forces, kinematics, toolpath
+from postproc import files, kinematics
 from postproc.cell import Cell
-from postproc.elastostatics import linear_deflection, softness
+from postproc.elastostatics import linear_deflection
 from postproc.errors import PlanError
 from postproc.forces import ForceSource
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
-from postproc.kinematics import UnreachableError
-from postproc.program import PTP, WRENCH, Ints, Program
+from postproc.frames import RAD_PER_DEG, Array
+from postproc.program import WRENCH, Ints, Program
 from postproc.robot import JOINTS, RobotModel
+from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
 _SAMPLES = 4000
 _ROUNDS = 30
@@ -81,37 +81,16 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     :raises PlanError: no cutting move carries a force, or the robot cannot reach one.
     :raises ForceError: forces that cannot be given to the motions.
     """
-    name = program.documents[0].name
-    start = kinematics.tcp(robot.nominal, cell.start_joints[None], np.eye(4))[0][0]
-    path = toolpath.segments(program, start)
-    load = forces.along(program, path, source, cell.tool.axis, cell.output.force_ramp_mm * M_PER_MM)
-    estimate = forces.estimate(load, softness(robot, cell.start_joints, program.tools[0]))
-    arcs = toolpath.pieces(program, path, cell.tolerance, estimate)
-    motion, t = toolpath.places(program, path, cell.tolerance, estimate, arcs)
-    sample = toolpath.at(program, path, motion, t)
-    wrench = load.at(sample)
-    m = program.motions
-    flange = toolpath.flange_from_tcp(program, motion, sample.pose)
-    free = sample.ends & (m.kind[motion] == PTP)
-    ptp = motion[free]
+    name, m = program.documents[0].name, program.motions
     try:
-        joints = kinematics.follow(
-            robot, flange.__getitem__, cell.start_joints, free, m.joints[ptp], m.status[ptp], m.turn[ptp]
-        )
-    except UnreachableError as cause:
-        line = int(m.line[motion[list(cause.rows)]].min())
-        raise PlanError(
-            "out of reach (on the branch of [start] joints)",
-            file=name,
-            line=line,
-            advice="Move the part or start in another configuration.",
-        ) from None
-    before = np.concatenate([[0.0], sample.distance[:-1]])
-    way = np.where(np.concatenate([[True], np.diff(motion) != 0]), sample.distance, sample.distance - before)
-    rotation = program.bases[m.base[motion], :3, :3]
-    in_root = np.concatenate(
-        [np.einsum("nij,nj->ni", rotation, part) for part in (wrench[:, :3], wrench[:, 3:])], axis=1
-    )
+        motions = MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source)
+        path = PathUnderLoad.of(motions, motions.pieces())
+    except ImpossiblePathError as cause:
+        raise PlanError(cause.issue.message.rstrip("."), file=name, line=cause.issue.source_line) from None
+    motion, distance = path.sample.motion, path.sample.distance
+    before = np.concatenate([[0.0], distance[:-1]])
+    way = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - before)
+    in_root = path.wrench_in_root
     cutting = np.flatnonzero(~m.rapid[motion] & (way > 0.0) & (np.abs(in_root).max(axis=1) > 0.0))
     if len(cutting) == 0:
         raise PlanError(
@@ -120,7 +99,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
     chosen, shares = _merged(cutting, way[cutting])
-    return evaluated(robot, joints.q[chosen], program.tools[m.tool[motion[chosen]]], in_root[chosen], shares, name)
+    return evaluated(robot, path.joints.q[chosen], program.tools[m.tool[motion[chosen]]], in_root[chosen], shares, name)
 
 
 def _merged(rows: Ints, way: Array) -> tuple[Ints, Array]:

@@ -4,19 +4,19 @@ A place on the path is (motion, t), t in (0, 1] along the motion. Row i of a `To
 motion stand together in order, and its end (t = 1) is always among them.
 """
 
-from postproc.toolpath.path import (
-    Arcs,
-    Segments,
-    Toolpath,
-    at,
+from postproc.toolpath.circles import circle_through
+from postproc.toolpath.path import Arcs, Segments, Toolpath, at, positions, segments, starts, tangent
+from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places
+from postproc.toolpath.root import (
+    columns_in_root,
     flange_from_tcp,
     flange_points,
-    positions,
-    segments,
-    starts,
-    tangent,
+    points_in_base,
+    pose_in_base,
+    pose_in_root,
+    tool_of,
+    wrench_in_root,
 )
-from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places
 
 __all__ = [
     "Arcs",
@@ -25,12 +25,19 @@ __all__ = [
     "Segments",
     "Toolpath",
     "at",
+    "circle_through",
+    "columns_in_root",
     "flange_from_tcp",
     "flange_points",
     "pieces",
     "places",
+    "points_in_base",
+    "pose_in_base",
+    "pose_in_root",
     "positions",
     "segments",
     "starts",
     "tangent",
+    "tool_of",
+    "wrench_in_root",
 ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.chunks import in_chunks
-from postproc.frames import Array, angle_between, interpolated, inverse, norm
+from postproc.frames import Array, angle_between, interpolated, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
 
 _STILL = 1e-6
@@ -99,25 +99,6 @@ class Toolpath:
     def ends(self) -> Bools:
         """(N,) True at the ends of motions."""
         return np.asarray(self.t == 1.0)
-
-
-def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array) -> Array:
-    """Return flange poses in the robot root (N, 4, 4) for tool frames in `$BASE` of the given motions."""
-    moved = program.motions
-    if len(program.bases) == len(program.tools) == 1:
-        return np.asarray(program.bases[0] @ pose_tcp_in_base @ inverse(program.tools[0]))
-    return np.asarray(program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]])
-
-
-def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array) -> Array:
-    """Return where a point (3,) of the flange frame stands in the robot root (N, 3) [m]; poses as `flange_from_tcp`."""
-    m = program.motions
-    in_tool = inverse(program.tools) @ np.append(point, 1.0)
-    if len(program.bases) == len(program.tools) == 1:
-        in_base = np.einsum("nij,j->ni", pose_tcp_in_base, in_tool[0])
-        return np.asarray(np.einsum("ij,nj->ni", program.bases[0, :3], in_base))
-    placed = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
-    return np.asarray((program.bases[m.base[motion], :3] @ placed)[..., 0])
 
 
 def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:

@@ -28,7 +28,7 @@ STAGES = {
     "/correction/checks.py": "checks",
     "/correction/closely.py": "checks",
     "/correction/blending.py": "checks",
-    "/correction/bounds.py": "checks",
+    "/under_load/bounds.py": "checks",
     "/correction/select.py": "targets",
     "/dialects/krl/write/": "write",
     "/provenance.py": "write",

@@ -79,9 +79,9 @@ def test_a_result_with_an_error_holds_no_documents():
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_what_the_text_says_is_what_counts(monkeypatch, factor):
     """If the writer wrote other numbers than computed, the program is not released."""
-    from postproc.dialects import krl
+    from postproc.dialects.krl import write
 
-    honest = krl.emit
+    honest = write.emit
 
     def wrong(made, targets, *others):
         targets.pose[2:, 0, 3] += 1e-5 * factor
@@ -89,7 +89,7 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
         targets.pose[2:, 0, 3] -= 1e-5 * factor
         return written
 
-    monkeypatch.setattr(krl, "emit", wrong)
+    monkeypatch.setattr(write, "emit", wrong)
     result = correction.process(
         program(FINE, notes=[(2, (0.0, 50.0, 90.0, 0, 0, 0))], orientation=DOWN), MODEL, CELL, mode="convert"
     )
@@ -188,7 +188,7 @@ def test_advice_for_g_code_is_not_given_for_krl():
     from dataclasses import replace
 
     made = program(FINE, orientation=DOWN)
-    for dialect, given in (("gcode", True), ("krl", False)):
+    for dialect, layout, given in (("gcode", None, True), ("krl", object(), False)):
         tight = replace(MODEL, upper=np.radians([180.0, -120.0, 150.0, 350.0, 125.0, 350.0]))
-        issues = correction.process(replace(made, dialect=dialect), tight, CELL, mode="nominal").issues
+        issues = correction.process(replace(made, dialect=dialect, layout=layout), tight, CELL, mode="nominal").issues
         assert any("redundancy_deg" in issue.message for issue in issues) is given

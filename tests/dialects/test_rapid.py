@@ -17,13 +17,13 @@ from scipy.spatial.transform import Rotation
 from postproc import kinematics, robot
 from postproc.cell import load as load_cell
 from postproc.cli import main
-from postproc.correction.root import InRoot
 from postproc.dialects import krl
 from postproc.dialects.rapid import conventions, names
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
 from postproc.program import CIRC, LIN, PTP, TargetJoints
+from postproc.under_load import RobotInCell
 from tests.dialects.rapid_grammar import confdata, elbow_and_wrist, frame, parse
 from tests.oracle.arm import Arm
 
@@ -65,7 +65,7 @@ def rows_of(folder, name="pocket"):
 
 def place():
     cell = load_cell(CELL)
-    return InRoot.of(robot.load(robot.find(MODEL)), cell)
+    return RobotInCell.of(robot.load(robot.find(MODEL)), cell)
 
 
 def read(text, name="part"):

@@ -8,7 +8,7 @@ import numpy as np
 
 import postproc
 from postproc import machining, toolpath
-from postproc.correction.root import InRoot
+from postproc.under_load import RobotInCell
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = postproc.load_cell(SAMPLES / "cell_kr270.toml")
@@ -42,9 +42,9 @@ def forces(folder, text, process_text, cell=CELL, name="part.nc", **options):
     """Return the program and its `ProcessForces`."""
     program = read(folder, text, name, cell)
     (folder / "process.toml").write_text(process_text)
-    place = InRoot.of(ROBOT, cell)
+    place = RobotInCell.of(ROBOT, cell)
     path = toolpath.segments(program, place.start_flange)
-    return program, machining.estimate(program, path, machining.load(folder / "process.toml"), place.axis, **options)
+    return program, machining.estimate(program, path, machining.load(folder / "process.toml"), place.spindle, **options)
 
 
 def on_line(program, found, line, t):

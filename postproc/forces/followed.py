@@ -10,12 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc import toolpath
-from postproc.correction.select import circle_through
-from postproc.forces import PathForces
+from postproc.forces.along import PathForces
 from postproc.frames import Array, norm
-from postproc.program import Program
-from postproc.toolpath import DisplacementEstimate, Pieces, Segments
+from postproc.toolpath import DisplacementEstimate, Pieces, at, circle_through
 
 _SHORTEST = 1e-7
 """Length [m] and share of the arc below which no piece is halved: the text of the program tells no shorter ones."""
@@ -23,13 +20,7 @@ _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 def followed(
-    program: Program,
-    path: Segments,
-    load: PathForces,
-    arcs: Pieces,
-    estimate: DisplacementEstimate,
-    softness: tuple[float, float],
-    limit: float,
+    forces: PathForces, arcs: Pieces, estimate: DisplacementEstimate, softness: tuple[float, float], limit: float
 ) -> Pieces:
     """Return the pieces, halved where the force swings round, until their circles follow it or nothing can.
 
@@ -42,23 +33,24 @@ def followed(
     left = arcs.take(found)
     left = left.settled(left.least).cut(left.least)
     done = [arcs.take(~found)]
+    length = forces.axes.path.length
     while len(left.motion):
         share = left.end - left.begin
-        long = np.minimum(share, share * path.length[left.motion]) > _SHORTEST
-        again = long & (_missed(program, path, load, left, softness) > limit)
+        long = np.minimum(share, share * length[left.motion]) > _SHORTEST
+        again = long & (_missed(forces, left, softness) > limit)
         done.append(left.take(~again))
         left = left.take(again)
         left = left.cut(np.full(len(left.motion), 2))
     return done[0].joined(*done[1:])
 
 
-def _missed(program: Program, path: Segments, load: PathForces, arcs: Pieces, softness: tuple[float, float]) -> Array:
+def _missed(forces: PathForces, arcs: Pieces, softness: tuple[float, float]) -> Array:
     """Return what circles through start, middle and end of pieces (n,) would miss at their quarters, about [m]."""
     spots = []
     for share in _QUARTERS:
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
-        sample = toolpath.at(program, path, arcs.motion, t)
-        wrench = load.at(sample)
+        sample = at(forces.axes.program, forces.axes.path, arcs.motion, t)
+        wrench = forces.at(sample)
         spots.append(sample.pose[:, :3, 3] - softness[0] * wrench[:, :3] - softness[1] * wrench[:, 3:])
     begin, _, middle, _, end = spots
     centre, radial, across, angle = circle_through(begin, middle, end)

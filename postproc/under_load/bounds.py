@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
 
 from postproc import kinematics, toolpath
-from postproc.errors import Issue
+from postproc.errors import Issue, PostprocError
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.program import CIRC, Bools, Ints, Program
 from postproc.robot import RobotModel
@@ -25,8 +24,26 @@ _WIDE = 0.1
 """Arcs shorter than this share of the reach do not leave what their ends are in."""
 
 
-def ends(program: Program, robot: RobotModel) -> Iterator[Issue]:
-    """Every Cartesian target must lie where the flange can get at all."""
+class ImpossiblePathError(PostprocError):
+    """A path that the robot cannot drive; `issue` says where and why."""
+
+    def __init__(self, issue: Issue) -> None:
+        super().__init__(issue.message)
+        self.issue = issue
+
+
+def unreachable(program: Program, motion: Ints) -> Issue:
+    """Return the error of motions (n,) on which the robot does not reach a place."""
+    message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
+    line = int(program.motions.line[motion[0]])
+    return Issue("error", "unreachable", message, source_line=line, count=len(np.unique(motion)))
+
+
+def check_ends(program: Program, robot: RobotModel) -> None:
+    """Every Cartesian target must lie where the flange can get at all.
+
+    :raises ImpossiblePathError: one does not.
+    """
     cartesian = np.flatnonzero(np.isnan(program.motions.joints[:, 0]))
     away = _away(program, cartesian, program.motions.target[cartesian])
     reach = _reach(robot)
@@ -35,11 +52,14 @@ def ends(program: Program, robot: RobotModel) -> Iterator[Issue]:
         f"out of reach: the flange would be up to {far * MM_PER_M:.0f} mm from the robot's root, and gets "
         f"{reach * MM_PER_M:.0f} mm far at most. Check units, work offset and [base], or the targets."
     )
-    yield from _found(program, cartesian, ~(away <= reach), "unreachable", message)
+    _check(program, cartesian, ~(away <= reach), "unreachable", message)
 
 
-def between(program: Program, robot: RobotModel, path: Segments) -> Iterator[Issue]:
-    """Arcs must lie where the flange can get, and have a plausible number of turns; the path, a plausible length."""
+def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
+    """Arcs must lie where the flange can get, and have a plausible number of turns; the path, a plausible length.
+
+    :raises ImpossiblePathError: they do not.
+    """
     m = program.motions
     reach = _reach(robot)
     arcs = np.flatnonzero(m.kind == CIRC)
@@ -47,7 +67,7 @@ def between(program: Program, robot: RobotModel, path: Segments) -> Iterator[Iss
     turns = m.sweep[arcs] / (2.0 * np.pi)
     bad = ~(turns <= _MOST_TURNS)
     message = f"an arc of {turns.max(initial=0.0):.1f} turns: more than {_MOST_TURNS} are taken for a mistake."
-    yield from _found(program, arcs, bad, "turns", message)
+    _check(program, arcs, bad, "turns", message)
     bad = (turns >= 1.0) & ~(radius <= reach)
     wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
     for share in (0.25, 0.5, 0.75):
@@ -57,14 +77,14 @@ def between(program: Program, robot: RobotModel, path: Segments) -> Iterator[Iss
         f"out of reach: the arc swings farther than the {reach * MM_PER_M:.0f} mm that the flange gets from the "
         "robot's root. Check its centre or radius, and its plane."
     )
-    yield from _found(program, arcs, bad, "unreachable", message)
+    _check(program, arcs, bad, "unreachable", message)
     length = float(path.length.sum())
     if not length <= _MOST_REACHES * reach:
         message = (
             f"the path is {length / 1e3:.0f} km long: more than {_MOST_REACHES} times the reach of the robot are taken "
             "for a mistake. Check the units, or split the program."
         )
-        yield Issue("error", "path-length", message, source_line=int(m.line[0]))
+        raise ImpossiblePathError(Issue("error", "path-length", message, source_line=int(m.line[0])))
 
 
 def _away(program: Program, motion: Ints, pose: Array) -> Array:
@@ -80,7 +100,7 @@ def _reach(robot: RobotModel) -> float:
     return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())
 
 
-def _found(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> Iterator[Issue]:
+def _check(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> None:
     if bad.any():
         line = int(program.motions.line[motion[int(np.argmax(bad))]])
-        yield Issue("error", kind, message, source_line=line, count=int(bad.sum()))
+        raise ImpossiblePathError(Issue("error", kind, message, source_line=line, count=int(bad.sum())))

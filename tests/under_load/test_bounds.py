@@ -9,7 +9,7 @@ import pytest
 
 from postproc import cell as cells
 from postproc import correction, jobs, kinematics, robot, toolpath
-from postproc.correction import bounds
+from postproc.under_load import bounds
 from tests.programs import program
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -50,7 +50,8 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
     thread = program([*HEAD, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * 40, UP)], orientation=DOWN)
     for made in (flat, thread):
         path = toolpath.segments(made, np.eye(4))
-        assert not [*bounds.ends(made, ROBOT), *bounds.between(made, ROBOT, path)]
+        bounds.check_ends(made, ROBOT)
+        bounds.check_between(made, ROBOT, path)
 
 
 @pytest.mark.parametrize("name", sorted(robot.shipped()))

@@ -1,0 +1,97 @@
+"""The written program read back by our own reader, as if somebody else had written it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from postproc import toolpath
+from postproc.chunks import in_chunks
+from postproc.correction.targets import Chosen
+from postproc.dialects import registry
+from postproc.errors import Issue, PostprocError, ProgramError
+from postproc.frames import Array, largest, twist_between
+from postproc.program import Ints, Program, Targets, Written
+from postproc.toolpath import Segments
+from postproc.under_load import PathUnderLoad
+
+_PRINTED = 1e-6
+"""What printing may move a commanded pose by [m, rad]; the text has at least 1e-4 mm and 1e-5°."""
+
+
+class UnusableTextError(PostprocError):
+    """The written program must not be released; `issue` says why."""
+
+    def __init__(self, issue: Issue) -> None:
+        super().__init__(issue.message)
+        self.issue = issue
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadBack:
+    """A written program of K targets as its text says.
+
+    :param program: without its text, which fills much memory.
+    :param segments: the geometry of its motions.
+    :param row: (K,) motion that ends at each target.
+    :param numbers: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
+    """
+
+    program: Program
+    segments: Segments
+    row: Ints
+    numbers: Array
+
+
+def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
+    """Read a written program, and see that it says what was to be written.
+
+    :raises UnusableTextError: it cannot be read, or says something else.
+    """
+    setting, targets = path.setting, chosen.targets
+    try:
+        reader = registry.by_name(text.dialect)
+        written = reader.read(text.documents, setting.cell, setting.forward, path.program.name)
+    except ProgramError as cause:
+        message = (
+            f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
+            f"[gcode] in the cell, write it there in {text.dialect}; else it is a fault of postproc, please report it."
+        )
+        raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
+    row = np.flatnonzero(np.isnan(written.motions.joints[:, 0]))
+    mismatch = _mismatch(path.program, targets, written, row)
+    if mismatch is not None:
+        raise UnusableTextError(mismatch)
+    numbers = written.numbers_as_written()[row]
+    written = replace(written, documents=(), layout=None)
+    return ReadBack(written, toolpath.segments(written, setting.start_flange), row, numbers)
+
+
+def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
+    """Return an issue if the text does not say what it was to say."""
+    m, nominal = written.motions, program.motions
+    if len(row) != len(targets):
+        return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
+
+    def apart(row: Ints, pose: Array) -> tuple[Array]:
+        return (largest(twist_between(m.target[row], pose)),)
+
+    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, row, targets.pose)[0] > _PRINTED)
+    for frames, other, used, wanted in (
+        (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
+        (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
+    ):
+        differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
+        wrong |= differ[used, wanted]
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        line = int(program.motions.line[targets.motion[first]])
+        return Issue(
+            "error",
+            "read-back",
+            "the written program reads differently from what was computed: a fault of postproc, please report it",
+            source_line=line,
+            count=int(wrong.sum()),
+        )
+    return None

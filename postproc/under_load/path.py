@@ -1,0 +1,100 @@
+"""Samples of a program's path with all that acts there, in the root of the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from postproc import kinematics, toolpath
+from postproc.frames import Array
+from postproc.kinematics import JointPath, UnreachableError
+from postproc.program import PTP, Ints, Program
+from postproc.toolpath import Pieces, Toolpath
+from postproc.under_load import bounds
+from postproc.under_load.motions import MotionsUnderLoad
+from postproc.under_load.setting import RobotInCell
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathUnderLoad:
+    """N samples of the nominal path of a program. Row i of every array is the same sample.
+
+    :param motions: the motions and the forces along them.
+    :param arcs: the pieces of its arcs.
+    :param sample: the places and their poses in `$BASE`.
+    :param wrench: (N, 6) what acts on the tool at its tip [N, N·m], `$BASE` axes.
+    :param pose_in_root: (N, 4, 4) tool frame in the robot root [m].
+    :param wrench_in_root: (N, 6) the same wrench, root axes.
+    :param joints: joint angles by the controller's nominal geometry, and their branch.
+    """
+
+    motions: MotionsUnderLoad
+    arcs: Pieces
+    sample: Toolpath
+    wrench: Array
+    pose_in_root: Array
+    wrench_in_root: Array
+    joints: JointPath
+
+    @classmethod
+    def of(cls, motions: MotionsUnderLoad, arcs: Pieces, also: tuple[Ints, Array] | None = None) -> PathUnderLoad:
+        """Sample the motions as closely as arcs and forces need, and solve the joint angles.
+
+        :param arcs: the pieces of the arcs.
+        :param also: further places of straight motions: motion (n,) and t (n,).
+        :raises ImpossiblePathError: a sample is out of reach.
+        """
+        program, setting = motions.program, motions.setting
+        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
+        sample = toolpath.at(program, motions.segments, motion, t)
+        wrench = motions.forces.at(sample)
+        return cls(
+            motions,
+            arcs,
+            sample,
+            wrench,
+            toolpath.pose_in_root(program, motion, sample.pose),
+            toolpath.wrench_in_root(program, motion, wrench),
+            _joints(program, setting, sample),
+        )
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+    @property
+    def program(self) -> Program:
+        """The program."""
+        return self.motions.program
+
+    def tool(self, rows: Ints) -> Array:
+        """Return `$TOOL` in the flange frame at samples (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
+        return toolpath.tool_of(self.program, self.sample.motion[rows])
+
+    def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> Array:
+        """Return where the loaded tip stands (n, 3), `$BASE` [m], with joint angles (n, 6) at samples (n,).
+
+        :param wrench_in_root: (n, 6) [N, N·m].
+        :param guess: (n, nv) deflections of the springs, about.
+        :raises NotConvergedError: the load is beyond what the springs hold.
+        """
+        tip = self.setting.tip(q, self.tool(rows), wrench_in_root, guess)
+        return toolpath.points_in_base(self.program, self.sample.motion[rows], tip)
+
+    @property
+    def setting(self) -> RobotInCell:
+        """The robot in its cell."""
+        return self.motions.setting
+
+
+def _joints(program: Program, setting: RobotInCell, sample: Toolpath) -> JointPath:
+    m, motion = program.motions, sample.motion
+    free = sample.ends & (m.kind[motion] == PTP)
+    ptp = motion[free]
+
+    def flange(rows: Ints) -> Array:
+        return toolpath.flange_from_tcp(program, motion[rows], sample.pose[rows])
+
+    start = setting.cell.start_joints
+    try:
+        return kinematics.follow(setting.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
+    except UnreachableError as cause:
+        raise bounds.ImpossiblePathError(bounds.unreachable(program, motion[list(cause.rows)])) from None
