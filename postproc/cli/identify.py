@@ -32,7 +32,8 @@ def identify() -> None:
 @click.argument("markers", type=_FILE)
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write.")
 @_overwrite
-def compensator(markers: Path, output: Path, overwrite: bool) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print what is written as JSON.")
+def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> None:
     """Geometry of the gravity compensator: L, a_x, a_y with 95 % intervals.
 
     MARKERS is a CSV file with columns q2,marker,repeat,X,Y,Z: deg, mm, in any frame of the tracker. Marker P1 sits on
@@ -43,9 +44,15 @@ def compensator(markers: Path, output: Path, overwrite: bool) -> None:
     Example:
       postproc identify compensator markers.csv -o compensator.toml
     """  # noqa: D301 - click: keep these lines as they are
+    import json
+
+    from postproc.identification.compensator_geometry import as_data
     from postproc.jobs.identification_files import identify_compensator
 
     result = identify_compensator(markers, output, overwrite=overwrite)
+    if as_json:
+        click.echo(json.dumps(as_data(result, markers.name), indent=2, ensure_ascii=False))
+        return
     for name, value, half in zip(("L", "a_x", "a_y"), result.value, result.ci95, strict=True):
         click.echo(f"{name:>4} = {value * 1e3:8.3f} ± {half * 1e3:.3f} mm")
     for warning in result.warnings:

@@ -66,9 +66,11 @@ def broken() -> dict[str, str]:
 
 def extensions() -> dict[str, str]:
     """Return the extension of every kind of program (lower case) and the name of its dialect; ours win."""
-    dialects = [by_name(name) for name in reversed(names())]
-    found = {extension: dialect.name for dialect in dialects for extension in dialect.extensions}
-    return dict(reversed(found.items()))
+    found: dict[str, str] = {}
+    for dialect in map(by_name, names()):
+        for extension in dialect.extensions:
+            found.setdefault(extension, dialect.name)
+    return found
 
 
 def of_file(path: Path) -> Dialect:

@@ -78,7 +78,7 @@ def _tolerance(content: Summary) -> tuple[list[str], list[str], list[str]]:
     if content["mode"] == "predict":
         return [], [], [f"predicted as it stands: up to {content['before']['max_mm']:.4f} mm off at cutting targets"]
     if content["max_force_N"] == 0.0:
-        return [], ["no cutting move carries a force: nothing is corrected"], []
+        return [], ["no cutting move carries a force: nothing is corrected (postproc forces computes forces)"], []
     if tolerance is None or between is None:
         return [], [], []
     if content["tolerance_held"] is False:

@@ -1,9 +1,12 @@
+import json
 import tomllib
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
+from postproc.cli import main
 from postproc.compensator import Compensator
 from postproc.errors import InputError, MeasurementError
 from postproc.identification import compensator_geometry as cg
@@ -135,3 +138,13 @@ def test_the_readings_are_never_overwritten(tmp_path):
     with pytest.raises(InputError, match="this input would be overwritten"):
         identify_compensator(markers, tmp_path / "MARKERS.csv", overwrite=True)
     assert markers.read_text() == "q2,marker,repeat,X,Y,Z\n"
+
+
+def test_json_is_what_is_written(tmp_path):
+    exact, raw = readings()
+    path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))
+    done = CliRunner().invoke(main, ["identify", "compensator", str(path), "-o", str(tmp_path / "out.toml"), "--json"])
+    assert done.exit_code == 0, done.output
+    shown, content = json.loads(done.stdout), tomllib.loads((tmp_path / "out.toml").read_text())
+    assert shown.keys() == content.keys()
+    assert shown["L_mm"]["value"] == pytest.approx(content["L_mm"]["value"], rel=1e-9)
