@@ -82,6 +82,17 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     tool_change: list[str] = []
 
 
+class Machine(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What G28, G30 and G53 mean on this robot.
+
+    :param home: A1…A6 [deg] where G28 and G30 go; None: nowhere.
+    :param clearance_Z: Z of `$BASE` [mm] to which G53 Z… retracts, and G28 Z… where there is no `home`.
+    """
+
+    home: tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None = None
+    clearance_Z: Length | None = None  # noqa: N815 - as it stands in the file
+
+
 class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How KRL is read.
 
@@ -105,6 +116,9 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     output: Output = Output()
     gcode: GCode = GCode()
     krl: Krl = Krl()
+    machine: Machine = Machine()
+    m_codes: dict[str, list[str]] = {}
+    tools: dict[str, Frame] = {}
     work_offsets: dict[str, Frame] = {}
     base_data: dict[str, Frame] = {}
     tool_data: dict[str, Tool] = {}
@@ -162,13 +176,16 @@ def load(path: str | Path) -> Cell:
     """
     path = Path(path)
     cell = files.read_toml(path, CellFile, CellError, _EXAMPLE)
-    for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data")):
+    for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data"), (cell.tools, "tools")):
         for key in table:
             if not (key.isascii() and key.isdecimal() and len(key) <= 4):
                 raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=str(path))
     for key in cell.work_offsets:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
             raise CellError(f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3.")
+    for key in cell.m_codes:
+        if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
+            raise CellError(f"[m_codes] {key}", file=str(path), advice="Valid names: M10, M111 …")
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
     content["config_dat"] = None if cell.config_dat is None else _portable(cell.config_dat)
     content["krl"] = msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search])

@@ -215,6 +215,7 @@ EventKind = Literal[
     "tool_change",
     "dwell",
     "stop",
+    "m_code",
     "comment",
 ]
 
@@ -224,9 +225,9 @@ class Event:
     """What a G-code program does besides moving, in order; it becomes lines of KRL.
 
     :param before: row of the motion before which it takes place (number of motions = after the last).
-    :param kind: see `EventKind`; ``dwell`` is G4, ``stop`` M0/M1.
+    :param kind: see `EventKind`; ``dwell`` is G4, ``stop`` M0/M1, ``m_code`` one of `[m_codes]`.
     :param line: 1-based source line.
-    :param value: spindle speed [rpm], tool number, dwell [s]; 0 where there is none.
+    :param value: spindle speed [rpm], tool number, dwell [s], number of the M-code; 0 where there is none.
     :param text: text of a comment.
     """
 

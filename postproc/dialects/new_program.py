@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,12 +31,14 @@ class Words:
     :param halt: the program stops until it is started again.
     :param wait: what must stand before lines of the cell so that they are executed when the robot stands there; empty
         where an exact stop is enough.
+    :param axis_motion: a motion to joint angles (6,) [rad], KUKA signs.
     :param encoding: code page of the controller.
     """
 
     comment: str
     dwell: str
     halt: str
+    axis_motion: Callable[[Array], str]
     wait: str = ""
     encoding: str = "cp1252"
 
@@ -88,7 +90,13 @@ class NewProgram:
         """Write the cell's lines at the first target of the motion that they precede."""
         waiting = -1  # the target before which the advance run already stops
         words = self.words
-        for event in self.program.events:
+        for event in self._in_order():
+            if isinstance(event, int):
+                k = int(np.searchsorted(self.row, event))
+                self.before[k].append(words.axis_motion(self.program.motions.joints[event]))
+                self.stops.add(k)
+                waiting = -1
+                continue
             k = int(np.searchsorted(self.row, event.before))
             if event.kind == "comment":
                 self.before[k].append(f"{words.comment} {words.printable(event.text)}".rstrip())
@@ -106,9 +114,20 @@ class NewProgram:
                 nothing = f"{words.comment} {event.kind} {number(event.value)}: no lines for it in the cell"
                 self.before[k] += own or [nothing]
 
+    def _in_order(self) -> Iterator[Event | int]:
+        """Yield events, and the rows of motions to joint angles, which have no target, in order."""
+        axes = np.flatnonzero(np.isfinite(self.program.motions.joints[:, 0])).tolist()
+        for event in self.program.events:
+            while axes and axes[0] < event.before:
+                yield axes.pop(0)
+            yield event
+        yield from axes
+
     def _own_lines(self, event: Event) -> list[str]:
         """Return the cell's lines for an event, its value put in; tell the user if there are none."""
         gcode = self.cell.gcode
+        if event.kind == "m_code":
+            return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
         own: Sequence[str] = getattr(gcode, event.kind)
         if event.kind == "spindle_ccw" and not own and gcode.spindle_on:
             own = gcode.spindle_on

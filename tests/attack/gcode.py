@@ -24,7 +24,7 @@ from postproc.errors import MOST, InputError
 from postproc.program import Program
 from tests.attack import inputs
 from tests.attack.gcode_generator import OFFSETS, Generator, mutated
-from tests.dialects.gcode_reading import CELL, START_FLANGE, outcome
+from tests.dialects.gcode_reading import CELL, forward, outcome
 from tests.oracle.rs274 import RejectedError, assert_same_moves, canonical
 
 SCALE = 2000
@@ -82,7 +82,7 @@ def _compared(made: Generator, text: str) -> str:
     refused = {row + 1 + made.tape for row in made.refused if row <= min(ends, default=row)}
     here: Program | InputError
     try:
-        here = gcode.read(gcode.decode("part.nc", text.encode()), CELL_HERE, START_FLANGE, "part")
+        here = gcode.read(gcode.decode("part.nc", text.encode()), CELL_HERE, forward, "part")
     except InputError as error:
         here = error
     assert outcome(text, CELL_HERE, bulk=True) == outcome(text, CELL_HERE, bulk=False), "bulk reading differs"

@@ -21,7 +21,7 @@ from postproc.forces import read_force_csv
 from postproc.program import Program
 from postproc.robot import RobotModel
 from tests.attack.gcode_generator import Generator
-from tests.dialects.gcode_reading import CELL, START_FLANGE
+from tests.dialects.gcode_reading import CELL, forward
 
 ROOT = Path(__file__).parents[2]
 SCRAPS = [
@@ -118,7 +118,7 @@ def spoilt_program(seed: int) -> str:
     def work() -> str:
         document = gcode.decode("part.nc", data)
         if rng.random() < 0.9:
-            gcode.read(document, CELL, START_FLANGE, "part")
+            gcode.read(document, CELL, forward, "part")
             return "read"
         return _result(correction.read([document], robot, cell, "part", "gcode"), robot, cell)
 

@@ -1,5 +1,7 @@
 """What the tests of the G-code reader share: a cell, and short ways to read."""
 
+import numpy as np
+
 from postproc.cell import Cell, Frame, GCode, Start, Tool
 from postproc.dialects import gcode
 from postproc.errors import PostprocError
@@ -18,9 +20,15 @@ START_FLANGE = pose_from_xyzabc([1600.0, -150.0, 1500.0, 0.0, 0.0, 180.0])
 """With `CELL`: the tool tip starts at X50 Y-100 Z450 of `$BASE`."""
 
 
+def forward(joints: Array) -> Array:
+    """Where the flange stands: a stand-in for a robot, that tells joint angles apart."""
+    start = np.array(CELL.start.joints)
+    return START_FLANGE + pose_from_xyzabc([*(np.rad2deg(joints) - start)[:3], 0.0, 0.0, 0.0]) - np.eye(4)
+
+
 def read(text: str | bytes, cell: Cell = CELL, *, bulk: bool = True) -> Program:
     data = text.encode() if isinstance(text, str) else text
-    return gcode._read(gcode.decode("part.nc", data), cell, START_FLANGE, "part", bulk=bulk)
+    return gcode._read(gcode.decode("part.nc", data), cell, forward, "part", bulk=bulk)
 
 
 def ends(program: Program) -> Array:

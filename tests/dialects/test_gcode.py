@@ -7,7 +7,7 @@ import pytest
 from postproc.dialects import gcode
 from postproc.errors import MOST, ForceError, InputError, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, ForceNote
-from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
+from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, forward, outcome, read
 
 HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\n"
 
@@ -94,7 +94,7 @@ def test_the_position_of_the_start_has_no_part_in_any_motion() -> None:
     elsewhere = START_FLANGE.copy()
     elsewhere[:3, 3] += [0.3, -0.4, -0.5]
     document = gcode.decode("part.nc", text.encode())
-    other = gcode.read(document, CELL, elsewhere, "part")
+    other = gcode.read(document, CELL, lambda _: elsewhere, "part")
     np.testing.assert_array_equal(read(text).motions.target, other.motions.target)
 
 
@@ -396,7 +396,7 @@ CLEAN = "O1000\nG0 G21 G90\nG0 X0 Y0 S9000 M3\nG43 H1 Z5\nG1 Z-1 F300\nX-10 Y1.5
 @pytest.mark.parametrize("case", [str, str.lower])
 def test_files_as_cam_systems_write_them_are_read_alike(end: str, encoding: str, case) -> None:
     document = gcode.decode("part.nc", case(REAL).replace("\n", end).encode(encoding))
-    program = gcode.read(document, CELL, START_FLANGE, "part")
+    program = gcode.read(document, CELL, forward, "part")
     assert lines(program) == [5, 6, 7, 8]
     assert program.still.tolist() == [4]
     np.testing.assert_array_equal(program.motions.target, read(CLEAN).motions.target)
@@ -538,10 +538,7 @@ def test_what_cannot_be_read_is_an_error(block: str, problem: str) -> None:
 REFUSED_G = (
     5.1,
     7,
-    10,
     16,
-    28,
-    30,
     33,
     38.2,
     41,
@@ -549,17 +546,11 @@ REFUSED_G = (
     43.1,
     44,
     51,
-    52,
-    53,
     54.1,
     68,
-    73,
+    74,
     76,
-    81,
-    83,
-    89,
-    92,
-    93,
+    87,
     95,
     96,
 )
@@ -628,7 +619,7 @@ def test_all_errors_of_a_program_are_told_in_order_of_lines() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "G81 X1 Y1 Z-1 R1 F10\nX2 Y2\nX3\nG80\nG1 X5\n",  # what the cycle's modes mean is not known
+        "G76 X1 Y1 Z-1 R1 F10\nX2 Y2\nX3\nG80\nG1 X5\n",  # what the cycle's modes mean is not known
         "G28 X1\nG1 F9 X2\nG2 X10 I4\n",  # where the tool stands is not known
         "G1 X#1 F#2\nY5\nX9\n",  # whether there is a feed is not known
         "G2 X[3] I#5 F1\nI5\n",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from postproc.dialects import gcode
 from postproc.errors import ProgramError
 from postproc.program import Program
-from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
+from tests.dialects.gcode_reading import CELL, ends, forward, outcome, read
 from tests.oracle.rs274 import RejectedError, accepts, assert_same_moves, canonical, needs_rs274
 
 HEAD = "G21 G90 G17 G0 X0 Y0 Z9 F60\n"
@@ -127,7 +127,7 @@ def folder(path: Path, **files: str) -> Path:
 
 def read_in(path: Path, text: str) -> Program:
     document = replace(gcode.decode("part.ngc", text.encode()), folder=str(path))
-    return gcode.read(document, CELL, START_FLANGE, "part")
+    return gcode.read(document, CELL, forward, "part")
 
 
 @needs_rs274

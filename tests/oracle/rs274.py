@@ -27,6 +27,10 @@ needs_rs274 = pytest.mark.skipif(
 ALL_ZERO: Mapping[int, Array] = defaultdict(lambda: np.eye(4))
 
 
+MACHINE: Mapping[int, Array] = {}
+"""Work offsets are those that the program itself sets, by G10, G52, G92."""
+
+
 class RejectedError(Exception):
     """rs274 does not accept a program."""
 
@@ -46,6 +50,8 @@ class Move(NamedTuple):
     feed: float
     offset: int
     state: tuple[str, float, bool, float, int, float]
+    frame: Array = np.eye(4)
+    """(4, 4) the program frame in that of the machine as rs274 reports it: G54 …, G10 R, G92 [mm]."""
 
 
 def canonical(text: str, variables: str = "", files: Mapping[str, str] = {}) -> list[Move]:
@@ -92,6 +98,7 @@ SPINDLE = {"START_SPINDLE_CLOCKWISE": "cw", "START_SPINDLE_COUNTERCLOCKWISE": "c
 
 def _moves(output: str) -> Iterator[Move]:
     unit, plane, feed, offset, end = 1.0, "XY", 0.0, 1, np.zeros(3)
+    origin, shift, turn = np.zeros(3), np.zeros(3), 0.0
     spindle, speed, coolant, dwells, stops, tool, selected = "", 0.0, False, 0.0, 0, 0.0, 0.0
     for command, arguments in re.findall(r"^ *\d+ N\S* +(\w+)\((.*)\)$", output, re.MULTILINE):
         numbers = [float(n) for n in re.findall(r"-?\d+(?:\.\d+)?", arguments)]
@@ -103,7 +110,11 @@ def _moves(output: str) -> Iterator[Move]:
         elif command == "SET_FEED_RATE":
             feed = numbers[0] * unit
         elif command == "SET_G5X_OFFSET":
-            offset = int(numbers[0])
+            offset, origin = int(numbers[0]), np.array(numbers[1:4]) * unit
+        elif command == "SET_G92_OFFSET":
+            shift = np.array(numbers[:3]) * unit
+        elif command == "SET_XY_ROTATION":
+            turn = math.radians(numbers[0])
         elif command in SPINDLE:
             spindle = SPINDLE[command]
         elif command == "SET_SPINDLE_SPEED":
@@ -120,13 +131,20 @@ def _moves(output: str) -> Iterator[Move]:
             tool = numbers[0] if numbers else selected
         elif command in ("STRAIGHT_TRAVERSE", "STRAIGHT_FEED"):
             end = np.array(numbers[:3]) * unit
-            yield Move(command, end, None, plane, 0, feed, offset, state)
+            yield Move(command, end, None, plane, 0, feed, offset, state, _frame(origin, shift, turn))
         elif command == "ARC_FEED":
             start, order = end, {"XY": [0, 1, 2], "XZ": [2, 0, 1], "YZ": [1, 2, 0]}[plane]
             end, centre = np.empty(3), np.empty(3)
             end[order] = np.array([numbers[0], numbers[1], numbers[5]]) * unit
             centre[order] = np.array([numbers[2], numbers[3], start[order[2]] / unit]) * unit
-            yield Move(command, end, centre, plane, int(numbers[4]), feed, offset, state)
+            yield Move(command, end, centre, plane, int(numbers[4]), feed, offset, state, _frame(origin, shift, turn))
+
+
+def _frame(origin: Array, shift: Array, turn: float) -> Array:
+    frame = np.eye(4)
+    frame[:2, :2] = [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]
+    frame[:3, 3] = origin + frame[:3, :3] @ shift
+    return frame
 
 
 def assert_same_moves(
@@ -140,10 +158,13 @@ def assert_same_moves(
     """Compare motions with canonical moves of a program whose lengths are `scale` times as long.
 
     :param digits: by how much positions may differ [mm].
-    :param offsets: (4, 4) pose in `$BASE` of the program frame of each work offset, by its number [m].
+    :param offsets: (4, 4) pose in `$BASE` of the program frame of each work offset, by its number [m]; `MACHINE`: as
+        rs274 reports them.
     """
 
     def in_base(move: Move, point: Array) -> Array:
+        if offsets is MACHINE:
+            return np.asarray(move.frame[:3, :3] @ point + move.frame[:3, 3])
         pose = offsets[move.offset]
         return np.asarray(pose[:3, :3] @ (point / scale) + pose[:3, 3] * 1e3)
 
@@ -170,7 +191,8 @@ def assert_same_moves(
     for n in np.flatnonzero(circular):
         start, end, move = pairs[n]
         assert move.centre is not None
-        centre, rotation = in_base(move, move.centre), offsets[move.offset][:3, :3]
+        rotation = (move.frame if offsets is MACHINE else offsets[move.offset])[:3, :3]
+        centre = in_base(move, move.centre)
         axes = {"XY": [0, 1], "XZ": [2, 0], "YZ": [1, 2]}[move.plane]
         normal = rotation[:, ({0, 1, 2} - set(axes)).pop()] * math.copysign(1.0, move.rotation)
         np.testing.assert_allclose(motions.normal[n], normal, rtol=0.0, atol=1e-12)

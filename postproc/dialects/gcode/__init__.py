@@ -26,7 +26,7 @@ nothing, and every code that `codes` refuses. Each of these is a test.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from operator import itemgetter
 
@@ -39,16 +39,19 @@ from postproc.dialects.gcode.codes import WORK_OFFSETS
 from postproc.dialects.gcode.execution import Executed, executed
 from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
-from postproc.dialects.gcode.path import Path, Setting, read_path
+from postproc.dialects.gcode.moves import Setting
+from postproc.dialects.gcode.path import Path, Speeds, read_path
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
-from postproc.frames import M_PER_MM, Array, inverse
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse
 from postproc.program import Document, Event, ForceNote, Program, parse_force_note
 
 __all__ = ["decode", "read"]
 
+SPINDLE_ON = ("spindle_on", "spindle_ccw")
 
-def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str) -> Program:
+
+def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
     """Read a G-code program.
 
     The first motion, if rapid, is `PTP` (the robot goes there from where it stands); later rapid ones are `LIN` with
@@ -58,7 +61,7 @@ def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str)
 
     :param document: the program, see `decode`.
     :param cell: `$BASE`, `$TOOL`, work offsets, speed of rapid moves, approximation distance.
-    :param start_flange_in_root: (4, 4) pose of the flange in the robot root where the program starts [m].
+    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m].
     :param name: name of the program.
     :returns: poses and lengths in metres, feeds in m/s, as `Motions` says.
     :raises InputError: `ProgramError` with file, line, text and advice: a code is not supported or not known, a word
@@ -66,26 +69,35 @@ def read(document: Document, cell: Cell, start_flange_in_root: Array, name: str)
         in rapid moves, the program is cut off, it moves nothing, or it is for another control; `ForceError`: a force
         comment cannot be read. All that is wrong is raised together, see `errors.together`.
     """
-    return _read(document, cell, start_flange_in_root, name, bulk=True)
+    return _read(document, cell, forward, name, bulk=True)
 
 
-def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str, *, bulk: bool) -> Program:
+def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str, *, bulk: bool) -> Program:
     run = executed(document)
     source = run.source
     columns, odd = words.read_plain(source) if bulk else words.leave_all(source)
-    approximation = cell.gcode.approximation_mm * M_PER_MM
-    modes = read_modes(source, odd, columns, tuple(cell.work_offsets), approximation, run.faults)
-    base, tool = cell.base.pose(), cell.tool.pose()
+    modes = read_modes(source, odd, columns, cell, run.faults)
+    base, tools, numbers = cell.base.pose(), [cell.tool.pose()], {}
+    for number in dict.fromkeys(number for _, number in modes.tools):
+        numbers[number] = len(tools)
+        tools.append(cell.tools[f"{number:g}"].pose())
     offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
+    home = np.array(cell.machine.home or np.full(6, np.nan)) * RAD_PER_DEG
     setting = Setting(
-        start=inverse(base) @ start_flange_in_root @ tool,
-        tool=cell.tool_pose_in_program(),
+        start=inverse(base) @ forward(cell.start_joints) @ tools[0],
+        orientation=cell.tool_pose_in_program(),
         offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
-        rapid=cell.gcode.rapid_m_per_s,
-        approximation=approximation,
-        rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
+        tools=numbers,
+        home=None if cell.machine.home is None else inverse(base) @ forward(home) @ np.stack(tools),
+        clearance=cell.machine.clearance_Z,
     )
-    path = read_path(columns, modes, setting)
+    speeds = Speeds(
+        rapid=cell.gcode.rapid_m_per_s,
+        approximation=cell.gcode.approximation_mm * M_PER_MM,
+        rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
+        home=home,
+    )
+    path = read_path(columns, modes, setting, speeds)
     comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
@@ -108,7 +120,7 @@ def _read(document: Document, cell: Cell, start_flange_in_root: Array, name: str
         documents=(document,),
         motions=replace(path.motions, line=line),
         bases=base[None],
-        tools=tool[None],
+        tools=np.stack(tools),
         notes=notes,
         events=events,
         still=np.unique(run.main[path.still]),
@@ -174,25 +186,40 @@ def _told(
 
     In one line comments come first, stops last.
     """
-    told = [(row, 0, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
-    done = [(h.row, 2 if h.after else 1, Event(0, h.kind, 0, h.value)) for h in modes.happenings]
-    ordered = sorted([*told, *done], key=itemgetter(0, 1))
+    told = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
+    done = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.happenings]
+    within = [
+        (row, 1, at, Event(0, what.kind, 0, what.value or _speed(modes, row, what.kind))) for at, row, what in path.done
+    ]
+    ordered = sorted([*told, *done, *within], key=itemgetter(0, 1))
     noted = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
-    before = np.searchsorted(path.row, [row + (order == 2) for row, order, _ in ordered]).tolist()
+    before = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in ordered]).tolist()
     first = np.searchsorted(path.row, [row for row, _ in noted]).tolist()
     main = run.main.tolist() if ordered or noted else []
-    events = (replace(event, before=at, line=main[row]) for at, (row, _, event) in zip(before, ordered, strict=True))
+    events = (
+        replace(event, before=at if own is None else own, line=main[row])
+        for at, (row, _, own, event) in zip(before, ordered, strict=True)
+    )
     notes = (replace(note, before=at, line=main[row]) for at, (row, note) in zip(first, noted, strict=True))
     return tuple(notes), tuple(events)
+
+
+def _speed(modes: Modes, row: int, kind: str) -> float:
+    """Return how fast a spindle turns that a cycle starts anew."""
+    if kind == "spindle_off":
+        return 0.0
+    return next((h.value for h in reversed(modes.happenings) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
 
 
 def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
     if not modes.changes["units"]:
         yield Issue("info", "units", "Neither G20 nor G21 is given: millimetres are assumed.")
+    for row, kind, message in path.told:
+        yield Issue("info", kind, message, row + 1)
     if len(path.held_back):
         message = "Rapid moves before X, Y and Z are all known are held back until the position is complete."
         yield Issue("info", "start-position", message, int(path.held_back[0]) + 1, count=len(path.held_back))
-    nowhere = path.still[len(path.held_back) :]
+    nowhere = np.setdiff1d(path.still, path.held_back)
     if len(nowhere):
         message = "A move that goes nowhere is left out."
         yield Issue("info", "null-move", message, int(nowhere[0]) + 1, count=len(nowhere))

@@ -6,11 +6,17 @@ A code stands in one of the tables below, or it is refused: what is not known ma
 from __future__ import annotations
 
 MOTION = (0.0, 1.0, 2.0, 3.0)
+CYCLES = (73.0, 81.0, 82.0, 83.0, 84.0, 85.0, 86.0, 89.0)
+MOVING = (*MOTION, *CYCLES)
 CANCEL_CYCLE = 80.0
 DWELL = 4.0
 TOOL_LENGTH = 43.0
 BLENDING = 64.0
 EXACT = (61.0, 61.1)
+STORE, LOCAL, SHIFT, SHIFT_CLEARED, SHIFT_OFF, SHIFT_ON = 10.0, 52.0, 92.0, 92.1, 92.2, 92.3
+ORIGINS = (STORE, LOCAL, SHIFT, SHIFT_CLEARED, SHIFT_OFF, SHIFT_ON)
+HOME, HOME_2, MACHINE = 28.0, 30.0, 53.0
+RETURNS = (HOME, HOME_2, MACHINE)
 WORK_OFFSETS = (54.0, 55.0, 56.0, 57.0, 58.0, 59.0, 59.1, 59.2, 59.3)
 
 GROUPS: dict[str, tuple[float, ...]] = {
@@ -19,6 +25,8 @@ GROUPS: dict[str, tuple[float, ...]] = {
     "distance": (90.0, 91.0),
     "centre": (91.1, 90.1),
     "offset": WORK_OFFSETS,
+    "retract": (98.0, 99.0),
+    "feed": (94.0, 93.0),
 }
 """Modal groups whose state matters to the path; the first code of each is in force when a program starts."""
 
@@ -26,9 +34,9 @@ GROUP_OF = {code: group for group, codes in GROUPS.items() for code in codes}
 
 STOP, END, SPINDLE, CHANGE, COOLANT = (0.0, 1.0), (2.0, 30.0), (3.0, 4.0, 5.0), 6.0, (7.0, 8.0, 9.0)
 
-_IGNORED_G = (15.0, 40.0, 49.0, 50.1, 69.0, 92.1, 92.2, 94.0, 97.0, 98.0, 99.0)
+_IGNORED_G = (15.0, 40.0, 49.0, 50.1, 69.0, 97.0)
 """Codes that only cancel what is refused here anyway (polar coordinates, radius compensation, length offset, mirror,
-rotation, G92), that select what always holds (feed per minute, spindle in rpm), or say how a cycle returns."""
+rotation), or select what always holds (spindle in rpm)."""
 
 _IGNORED_M = (48.0, 49.0)
 """Override switches of the operator's panel."""
@@ -36,15 +44,15 @@ _IGNORED_M = (48.0, 49.0)
 OTHER_AXES = "ABCUVW"
 """Axes that a three-axis mill may have beside X, Y, Z, and a robot has not."""
 
-ACCEPTED_G = frozenset((*GROUP_OF, *MOTION, CANCEL_CYCLE, DWELL, TOOL_LENGTH, BLENDING, *EXACT, *_IGNORED_G))
+ACCEPTED_G = frozenset(
+    (*GROUP_OF, *MOTION, *CYCLES, *ORIGINS, *RETURNS, CANCEL_CYCLE, DWELL, TOOL_LENGTH, BLENDING, *EXACT, *_IGNORED_G)
+)
 ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 
 _COMPENSATION = "Radius compensation is not read: let the CAM system write the path of the tool centre."
-_CYCLE = "Drilling and boring cycles are not read: let the CAM system write them out as G0 and G1."
+_CYCLE = "This cycle needs an oriented or a reversed spindle: let the CAM system write it out as G0 and G1."
 _FIVE_AXIS = "Five-axis programs are not read: only tool axis −Z."
-_HOME = "The robot has no reference position: remove the block, or write G0 to a position of the program."
 _LATHE = "Lathe modes are not read."
-_ORIGIN = "Shifted origins are not read: use G54…G59.3 with [work_offsets] in the cell."
 _OUTPUT = "Outputs are not read: remove the block and switch from the KRL program."
 _PLACES = "Stored positions and offsets are not read: put work offsets into the cell, [work_offsets]."
 _PROBE = "Probing and threading moves depend on the machine: remove them."
@@ -58,22 +66,17 @@ _TURNED = "Scaled, mirrored, turned and polar coordinates are not read: let the 
 _ADVICE_G = {
     **dict.fromkeys((5.0, 5.1, 5.2, 5.3), _SPLINE),
     **dict.fromkeys((7.0, 8.0), _LATHE),
-    **dict.fromkeys((10.0, 28.1, 30.1), _PLACES),
+    **dict.fromkeys((28.1, 30.1), _PLACES),
     **dict.fromkeys((16.0, 50.0, 51.0, 51.1, 68.0, 68.2), _TURNED),
     **dict.fromkeys((17.1, 18.1, 19.1), "Planes of U, V, W are not read."),
-    **dict.fromkeys((28.0, 30.0), _HOME),
     **dict.fromkeys((31.0, 33.0, 33.1, 38.2, 38.3, 38.4, 38.5), _PROBE),
     **dict.fromkeys((41.0, 42.0, 41.1, 42.1), _COMPENSATION),
     **dict.fromkeys((43.1, 43.2, 44.0), _TOOL),
     **dict.fromkeys((43.4, 43.5), _FIVE_AXIS),
-    **dict.fromkeys((52.0, 92.0, 92.3), _ORIGIN),
     54.1: "More than nine work offsets are not read: use G54…G59.3.",
-    53.0: "The robot has no machine coordinates: remove the block, or write G0 in the work offset.",
     **dict.fromkeys((65.0, 66.0, 67.0), _MACRO),
-    **dict.fromkeys((73.0, 74.0, 76.0, *(float(code) for code in range(81, 90))), _CYCLE),
-    **dict.fromkeys(
-        (93.0, 95.0), "Only feed per minute (G94) is read: let the CAM system write F in mm/min or inch/min."
-    ),
+    **dict.fromkeys((74.0, 76.0, 87.0, 88.0), _CYCLE),
+    95.0: "Feed per turn needs the spindle's speed at every place: let the CAM system write F in mm/min or inch/min.",
     96.0: "Constant surface speed needs a lathe: write G97 with S in rpm.",
 }
 _ADVICE_M = {
@@ -96,5 +99,7 @@ def refusal(letter: str, code: float) -> tuple[str, str]:
     """Return problem and advice for a G or M code that is not accepted."""
     advice = (_ADVICE_G if letter == "G" else _ADVICE_M).get(code)
     if advice is None:
-        return f"{letter}{code:g} is not known", "It might move the machine. Remove it if it does not matter here."
+        what = "It might move the machine. Remove it if it does not matter here"
+        own = f", or say in the cell what it does: [m_codes] M{code:g} = [] for nothing." if letter == "M" else "."
+        return f"{letter}{code:g} is not known", what + own
     return f"{letter}{code:g} is not supported", advice

@@ -26,7 +26,7 @@ class GCode:
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
         """Return a program, see `gcode.read`."""
-        return gcode.read(documents[0], cell, forward(cell.start_joints), name)
+        return gcode.read(documents[0], cell, forward, name)
 
 
 GCODE = GCode()

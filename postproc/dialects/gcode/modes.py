@@ -3,8 +3,11 @@
 Decisions, where controls differ:
 
 - **G43** makes a control take X Y Z as those of the tool tip, by a stored length. On the robot `$TOOL` holds the
-  length and X Y Z are those of the tip anyway: G43 is accepted, changes nothing, and an issue says so. Nearly every
-  CAM file has one. G43.1, G43.2 and G44 would shift the tip: they are refused.
+  length and X Y Z are those of the tip anyway: G43 is accepted and changes nothing (but in a program that never says
+  M6: there H is the tool). Nearly every CAM file has one. G43.1, G43.2 and G44 would shift the tip: they are refused.
+- **T M6**: the tool that `[tools]` has by this number; without `[tools]`, the cell's `[tool]` for all.
+- **G28, G30, G53** are what `[machine]` says. Words of G28 count only where they make an intermediate point.
+- **P** of a cycle is in seconds, as that of G4.
 - **/** (block delete): the block is read, as with the switch in its off position, the default of rs274; an issue says
   so.
 - **G61, G61.1** switch approximate positioning off, **G64** on again. ``G64 P`` allows the path to leave a corner by P:
@@ -28,6 +31,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from postproc.cell import Cell
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.blocks import BlockError, Fault, words_of
 from postproc.dialects.gcode.words import COLUMNS, MARK, Source
@@ -40,6 +44,30 @@ _LONG_DWELL_S = 60.0
 _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 _SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
+
+
+class Origin(NamedTuple):
+    """A change of the program frame: by G10, G52 or G92…; lengths in mm.
+
+    :ivar axes: axis 0…2 → its word.
+    :ivar system: of G10, 1 for G54 to 9 for G59.3, 0 for the one in force; `turn` its R [deg], None without.
+    :ivar here: True for G10 L20, which gives coordinates of where the tool is.
+    """
+
+    row: int
+    code: float
+    axes: Mapping[int, float]
+    system: int = 0
+    turn: float | None = None
+    here: bool = False
+
+
+class Return(NamedTuple):
+    """A line with G28, G30 or G53: the axes that it names, with their words [mm]."""
+
+    row: int
+    code: float
+    axes: Mapping[int, float]
 
 
 class Happening(NamedTuple):
@@ -60,6 +88,9 @@ class Modes:
     :param changes: for each modal group of `codes.GROUPS` its changes (row, code), in order.
     :param blends: changes (row, approximation distance [m]), in order.
     :param roundings: changes (row, what corners may be rounded by [m]), in order; NaN: what the cell says.
+    :param origins: changes of the program frame other than by G54…, in order.
+    :param returns: row → what goes to a place of the machine there.
+    :param tools: changes (row, tool number), in order.
     :param dwells: rows with G4.
     :param happenings: events in order.
     :param issues: what the user should know.
@@ -71,6 +102,9 @@ class Modes:
     changes: Mapping[str, Sequence[tuple[int, float]]]
     blends: Sequence[tuple[int, float]]
     roundings: Sequence[tuple[int, float]]
+    origins: Sequence[Origin]
+    returns: Mapping[int, Return]
+    tools: Sequence[tuple[int, float]]
     dwells: Sequence[int]
     happenings: Sequence[Happening]
     issues: Sequence[Issue]
@@ -79,25 +113,19 @@ class Modes:
 
 
 def read_modes(
-    source: Source,
-    odd: Ints,
-    columns: Mapping[str, Array],
-    offsets: Sequence[str],
-    approximation: float,
-    known: Sequence[Fault] = (),
+    source: Source, odd: Ints, columns: Mapping[str, Array], cell: Cell, known: Sequence[Fault] = ()
 ) -> Modes:
     """Read the lines `odd` and put their coordinates, feeds and motion codes into `columns`.
 
     :param source: the program.
     :param odd: (n,) rows of the lines to read, ascending.
     :param columns: as `words.read_plain` returns them; rows of `odd` are filled in.
-    :param offsets: names of the work offsets in the cell, ``"G54"``….
-    :param approximation: approximation distance of the cell [m].
+    :param cell: its work offsets, tools, M-codes, approximation distance, and what G28 and G53 mean.
     :param known: what is wrong with lines that are executed.
     """
     opening = _OPENING.match(source.code)
     tape = -1 if opening is None else opening[0].count(b"\n") - 1
-    reader = _Reader(columns, offsets, approximation, tape)
+    reader = _Reader(columns, cell, tape)
     faults: list[Fault] = []
     rows = len(source)
     for row in odd.tolist():
@@ -114,25 +142,41 @@ def read_modes(
     if not reader.ended and complete:
         message = "The program ends without M2, M30 or %: check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
-    blending = reader.blends, reader.roundings
-    done = reader.dwells, reader.happenings
-    return Modes(rows, reader.changes, *blending, *done, reader.issues, faults, complete)
+    return Modes(
+        rows=rows,
+        changes=reader.changes,
+        blends=reader.blends,
+        roundings=reader.roundings,
+        origins=reader.origins,
+        returns=reader.returns,
+        tools=reader.tools,
+        dwells=reader.dwells,
+        happenings=reader.happenings,
+        issues=reader.issues,
+        faults=faults,
+        complete=complete,
+    )
 
 
 class _Reader:
     """The state that carries over from block to block, and what was read so far."""
 
-    def __init__(self, columns: Mapping[str, Array], offsets: Sequence[str], approximation: float, tape: int) -> None:
-        self.columns, self.offsets, self.approximation, self.tape = columns, offsets, approximation, tape
+    def __init__(self, columns: Mapping[str, Array], cell: Cell, tape: int) -> None:
+        self.columns, self.cell, self.tape = columns, cell, tape
+        self.approximation = cell.gcode.approximation_mm * M_PER_MM
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
         self.roundings: list[tuple[int, float]] = []
+        self.origins: list[Origin] = []
+        self.returns: dict[int, Return] = {}
+        self.tools: list[tuple[int, float]] = []
         self.dwells: list[int] = []
         self.happenings: list[Happening] = []
         self.issues: list[Issue] = []
+        self.offsets = {"G54", *cell.work_offsets}
         self.mm_per_unit = 1.0
         self.spindle: EventKind = "spindle_off"
-        self.coolant = self.ended = False
+        self.coolant = self.ended = self.shifted = False
         self.speed = self.tool = 0.0
         self.mounted: set[float] = set()
 
@@ -149,7 +193,7 @@ class _Reader:
         m = [value for letter, value in words if letter == "M"]
         values = {letter: value for letter, value in words if letter not in "GM"}
         refused: BlockError | None = None
-        for step in (self._modes, self._dwell, self._blending, self._machine, self._coordinates):
+        for step in (self._modes, self._places, self._dwell, self._blending, self._machine, self._coordinates):
             try:
                 step(row, g, m, values)
             except BlockError as cause:  # what is understood of the block is taken over: the next blocks build on it
@@ -159,9 +203,9 @@ class _Reader:
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.TOOL_LENGTH in g:
-            values.pop("H", None)
-            message = "G43 has no effect: $TOOL holds the tool length, and X Y Z are those of the tool tip."
-            self._tell("info", "tool-length", message, row)
+            self._tool_length(row, values.pop("H", None))
+        elif values.get("H") == 0.0:
+            del values["H"]
         for letter in codes.OTHER_AXES:
             if values.get(letter) == 0.0:
                 del values[letter]
@@ -183,19 +227,82 @@ class _Reader:
         refused: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
-            if group == "offset" and code != codes.WORK_OFFSETS[0] and f"G{code:g}" not in self.offsets:
+            if group == "offset" and f"G{code:g}" not in self.offsets:
                 advice = f"Give its place in $BASE in the cell: [work_offsets.G{code:g}]."
                 refused = refused or (f"work offset G{code:g} is not in the cell", advice)
             elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
                     self.mm_per_unit = MM_PER_UNIT[code]
-            elif code in codes.MOTION or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOTION)):
+            elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.columns["G"][row] = code
             elif code not in codes.ACCEPTED_G:
                 refused = refused or codes.refusal("G", code)
         if refused is not None:
             raise BlockError(*refused)
+
+    def _places(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        """Take the axis words of the codes that shift the program frame, or go to a place of the machine."""
+        using = [code for code in g if code in codes.ORIGINS or code in codes.RETURNS]
+        if not using:
+            return
+        takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
+        axes = {"XYZ".index(letter): value * self.mm_per_unit for letter, value in takes.items()}
+        if len(using) > 1 or set(g) & {2.0, 3.0, *codes.CYCLES}:
+            raise BlockError("two codes that take the same words in one block", "Write one block for each.")
+        code = using[0]
+        if code in codes.RETURNS:
+            self._return(row, code, axes)
+        elif code == codes.STORE:
+            self._store(row, axes, values)
+        else:
+            if code in (codes.LOCAL, codes.SHIFT) and not axes:
+                raise BlockError(f"G{code:g} without X, Y or Z", None)
+            if code == codes.SHIFT_ON and not self.shifted:
+                raise BlockError(
+                    "G92.3 restores an offset that the program has not set", "Set it by G92, or remove it."
+                )
+            self.shifted |= code in (codes.LOCAL, codes.SHIFT)
+            self.origins.append(Origin(row, code, axes))
+
+    def _return(self, row: int, code: float, axes: Mapping[int, float]) -> None:
+        machine = self.cell.machine
+        name = f"G{code:g}"
+        if machine.home is None and machine.clearance_Z is None:
+            advice = (
+                "Say what it means here, in the cell: [machine] home = [A1 … A6] or clearance_Z; or remove the block."
+            )
+            raise BlockError(f"{name} is not supported without [machine] in the cell", advice)
+        if not axes and code == codes.MACHINE:
+            raise BlockError("G53 without X, Y or Z", None)
+        if machine.home is None and set(axes) != {2}:
+            advice = "[machine] clearance_Z says where Z goes only: give home, or let the CAM system retract in Z."
+            raise BlockError(f"{name} with axes other than Z", advice)
+        self.returns[row] = Return(row, code, axes)
+
+    def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
+        kind, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
+        if kind not in (2.0, 20.0) or (kind == 20.0 and turn is not None):
+            raise BlockError(f"G10 L{kind:g} is not supported", "Tools are in the cell: [tools.1] …")
+        if system not in range(10):
+            raise BlockError("G10 without a work offset", "P1 is G54, P9 is G59.3, P0 the one in force.")
+        number = int(system)
+        if number:
+            self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
+        self.origins.append(Origin(row, codes.STORE, axes, number, turn, kind == 20.0))
+
+    def _tool_length(self, row: int, length: float | None) -> None:
+        tools = self.cell.tools
+        if not tools:
+            message = "G43 has no effect: $TOOL holds the tool length, and X Y Z are those of the tool tip."
+            self._tell("info", "tool-length", message, row)
+        elif length and not self.mounted and f"{length:g}" in tools:
+            self.tools.append((row, length))
+            message = "There is no M6 before G43 H: the tool is taken from H."
+            self._tell("info", "tool-length", message, row)
+        elif length and length not in self.mounted and f"{length:g}" in tools:
+            message = f"G43 H{length:g} with another tool in the spindle: $TOOL stays that of tool {self.tool:g}."
+            self._tell("warning", "tool-length", message, row, f"{length:g}")
 
     def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.DWELL in g:
@@ -231,8 +338,13 @@ class _Reader:
                 self._event(row, "spindle_off")
             self._event(row, "tool_change", self.tool)
             self.mounted.add(self.tool)
-            if len(self.mounted) > 1:
-                message = "More than one tool is used: the cell's [tool] is taken for all of them."
+            if self.cell.tools and self.tool:
+                if f"{self.tool:g}" not in self.cell.tools:
+                    advice = f"Give its $TOOL: [tools.{self.tool:g}]."
+                    raise BlockError(f"tool {self.tool:g} is not in the cell", advice)
+                self.tools.append((row, self.tool))
+            elif len(self.mounted) > 1:
+                message = "More than one tool is used: the cell's [tool] is taken for all of them, see [tools]."
                 self._tell("warning", "tool-change", message, row)
         self._spindle(row, m, values.pop("S", None))
         for code in m:
@@ -248,8 +360,11 @@ class _Reader:
                 if self.coolant:
                     self.happenings.append(Happening(row, True, "coolant_off"))
         for code in m:
-            if code not in codes.ACCEPTED_M:
+            own = self.cell.m_codes.get(f"M{code:g}")
+            if own is None and code not in codes.ACCEPTED_M:
                 raise BlockError(*codes.refusal("M", code))
+            if own:
+                self.happenings.append(Happening(row, False, "m_code", code))
 
     def _spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
         if speed is not None:

@@ -21,7 +21,7 @@ from postproc.decimals import numbers_in, parsed
 from postproc.frames import Array
 from postproc.program import Document, Ints
 
-COLUMNS = "GXYZIJKRFP"
+COLUMNS = "GXYZIJKRFPQL"
 LIMIT = 1e7
 """A word whose magnitude is not below this (10 km, in mm) is taken for a mistake."""
 

@@ -43,7 +43,14 @@ from postproc.program import (
 )
 from postproc.version import VERSION
 
-WORDS = Words("!", "WaitTime {};", "Stop;", encoding="ascii")
+
+def _to_joints(joints: Array) -> str:
+    """Return the motion to joint angles (6,) [rad] that begins with tool and work object of the program."""
+    angles = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(joints) + 0.0).tolist())
+    return f"MoveAbsJ [[{angles}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_0\\WObj:=wobj_0;"
+
+
+WORDS = Words("!", "WaitTime {};", "Stop;", _to_joints, encoding="ascii")
 _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
 _REORIENTATION = "500,5000,1000"

@@ -25,7 +25,7 @@ from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
 from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import NewProgram, Words, number
 from postproc.errors import ProgramError, group_issues
-from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 from postproc.version import VERSION
 
@@ -46,7 +46,7 @@ _INITIALISATION = (
     ";ENDFOLD (INI)",
     "",
 )
-_WORDS = Words(";", "WAIT SEC {}", "HALT", wait="WAIT SEC 0")
+_WORDS = Words(";", "WAIT SEC {}", "HALT", lambda joints: axis_motion(joints * DEG_PER_RAD, 5), wait="WAIT SEC 0")
 
 
 def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces | None = None) -> Written:

@@ -1,0 +1,145 @@
+"""Canned cycles G73, G81 to G86, G89: the moves of a hole, by the rules of LinuxCNC (`interp_cycles.cc`).
+
+R, Z, P and Q hold until the cycle ends. In G91 R is counted from the initial level and Z from R. The initial level is
+the height before the first of a row of cycles; G98 returns there, G99 to R; below R the tool goes up to R first. After
+each peck G73 and G83 come back to 0.254 mm (0.010 inch) above where they were. G84 reverses the spindle at the bottom,
+G86 stops it there.
+
+Without G98 or G99 holes return to the initial level, the higher of the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from postproc.dialects.gcode.blocks import BlockError
+from postproc.program import EventKind
+
+_CLEARANCE_MM = 0.254
+_MOST_PECKS = 10_000
+_NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
+REVERSED: Mapping[EventKind, EventKind] = {"spindle_on": "spindle_ccw", "spindle_ccw": "spindle_on"}
+
+Point = tuple[float, float, float]
+
+
+class Step(NamedTuple):
+    """A move of a cycle: 0 (rapid) or 1, its end in the plane and across it [mm], whether it turns round there."""
+
+    code: float
+    end: Point
+    bottom: bool = False
+
+
+class Done(NamedTuple):
+    """What happens in a cycle behind a number of its moves: a dwell [s], or the spindle."""
+
+    behind: int
+    kind: EventKind
+    value: float = 0.0
+
+
+class Cycle:
+    """The words of a cycle as they hold, and the initial level.
+
+    :ivar words: letter → number: Z and R in mm as programmed, P in s, Q in mm.
+    """
+
+    def __init__(self) -> None:
+        self.code = 0.0
+        self.words: dict[str, float] = {}
+        self.level: float | None = None
+
+    def end(self) -> None:
+        """End a row of cycles: the next one begins anew."""
+        self.code, self.level = 0.0, None
+        self.words.clear()
+
+    def hole(
+        self, code: float, given: Mapping[str, float], at: Point, modes: tuple[bool, bool], spindle: EventKind
+    ) -> tuple[list[Step], list[Done]]:
+        """Return the moves of a line.
+
+        :param given: its words: U and V in the plane, Z across it, R, Q [mm], P, L.
+        :param at: where the tool is: in the plane and across it [mm].
+        :param modes: whether G91 and whether G99 holds.
+        :param spindle: what it does.
+        :raises BlockError: a word is missing, or impossible.
+        """
+        if code != self.code:
+            self.words.clear()
+            self.code = code
+        self.words.update({letter: given[letter] for letter in "ZRPQ" if letter in given})
+        relative, to_r = modes
+        missing = [letter for letter in ("Z", "R", *_NEEDS.get(code, "")) if letter not in self.words]
+        if missing:
+            raise BlockError(f"G{code:g} without {' and '.join(missing)}", None)
+        repeats = given.get("L", 1.0)
+        if repeats < 1.0 or repeats != round(repeats):
+            raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
+        u, v, height = at
+        self.level = height if self.level is None else self.level
+        r, z = self.words["R"], self.words["Z"]
+        if relative:
+            r, z = r + self.level, r + self.level + z
+        if r < z:
+            raise BlockError(f"R of the cycle is below its bottom: {r:.4f} mm, {z:.4f} mm", None)
+        steps: list[Step] = []
+        done: list[Done] = []
+        if self.level < r:
+            steps.append(Step(0.0, (u, v, r)))
+            height = r
+        clear = r if to_r else max(self.level, r)
+        for n in range(round(repeats)):
+            u, v = (
+                given.get(name, 0.0 if relative else old) + (old if relative else 0.0)
+                for name, old in zip("UV", (u, v), strict=True)
+            )
+            start = height if n == 0 and height > r else clear
+            steps.append(Step(0.0, (u, v, start)))
+            if start > r:
+                steps.append(Step(0.0, (u, v, r)))
+            self._down((u, v, z), r, steps)
+            self._up((u, v, clear), r, steps, done, spindle)
+        return steps, done
+
+    def _down(self, bottom: Point, r: float, steps: list[Step]) -> None:
+        """Drill to the bottom, in pecks where the cycle has them."""
+        u, v, z = bottom
+        if self.code in (73.0, 83.0):
+            peck = self.words["Q"]
+            if peck <= 0.0 or (r - z) / peck > _MOST_PECKS:
+                raise BlockError(f"Q{peck:g} mm is no depth of a peck", None)
+            depth = r - peck
+            while depth > z:
+                back = depth + _CLEARANCE_MM
+                steps.append(Step(1.0, (u, v, depth), bottom=True))
+                if self.code == 83.0:
+                    steps.append(Step(0.0, (u, v, r), bottom=True))
+                steps.append(Step(0.0, (u, v, back), bottom=True))
+                depth -= peck
+        steps.append(Step(1.0, bottom, bottom=True))
+
+    def _up(self, clear: Point, r: float, steps: list[Step], done: list[Done], spindle: EventKind) -> None:
+        """Come back from the bottom."""
+        at, dwell = len(steps), self.words.get("P", 0.0)
+        if self.code in (82.0, 86.0, 89.0) and dwell > 0.0:
+            done.append(Done(at, "dwell", dwell))
+        if self.code == 84.0:
+            if spindle != "spindle_on":
+                raise BlockError("G84 with a spindle that does not turn clockwise", "Start it by M3 before.")
+            done += [Done(at, "spindle_off"), Done(at, "spindle_ccw")]
+            done += [Done(at, "dwell", dwell)] if dwell > 0.0 else []
+            steps.append(Step(1.0, clear, bottom=True))
+            done += [Done(at + 1, "spindle_off"), Done(at + 1, "spindle_on")]
+        elif self.code == 86.0:
+            if spindle == "spindle_off":
+                raise BlockError("G86 with a spindle that does not turn", "Start it by M3 before.")
+            done.append(Done(at, "spindle_off"))
+            steps.append(Step(0.0, clear))
+            done.append(Done(at + 1, spindle))
+        elif self.code == 85.0:
+            steps += [Step(1.0, (clear[0], clear[1], r)), Step(0.0, clear)]
+        else:
+            steps.append(Step(1.0 if self.code == 89.0 else 0.0, clear))

@@ -1,0 +1,337 @@
+"""From lines to moves: where the tool goes, line after line, in which program frame and with which tool.
+
+Lines between two changes of mode are taken at once. Where the tool stands before the program is no part of it: no
+coordinate is taken from there. Rapid moves are held back until X, Y and Z have all been programmed; so they are after
+G28 for the axes that it sends home.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from postproc.dialects.gcode import codes
+from postproc.dialects.gcode.arcs import PLANE_AXES
+from postproc.dialects.gcode.blocks import BlockError
+from postproc.dialects.gcode.cycles import Cycle, Done
+from postproc.dialects.gcode.modes import Modes, Origin, Return
+from postproc.dialects.gcode.rows import Rows, held, in_force
+from postproc.frames import M_PER_MM, Array, inverse, pose_from_xyzabc
+from postproc.program import Bools, EventKind, Ints
+
+_FEWEST = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """What the cell says about a program.
+
+    :param start: (4, 4) pose of the tool frame in `$BASE` when the program starts [m].
+    :param orientation: (3, 3) of the tool frame in the program frame.
+    :param offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
+    :param tools: row of `$TOOL` by number of the tool.
+    :param home: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None without.
+    :param clearance: Z of `$BASE` to which G53 retracts [mm]; None without.
+    """
+
+    start: Array
+    orientation: Array
+    offsets: Mapping[float, Array]
+    tools: Mapping[float, int]
+    home: Array | None
+    clearance: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves:
+    """N moves in order. Places are in the program frame [mm].
+
+    :param row: (N,) of the line, never decreasing.
+    :param code: (N,) 0 to 3.
+    :param begin: (N, 3) and `end` (N, 3).
+    :param frame: (N,) row of `frames`; `tool`: (N,) row of `$TOOL`.
+    :param bottom: (N,) True where a cycle turns round.
+    :param home: (N,) True for moves to [machine] home.
+    :param frames: (nf, 4, 4) program frames in `$BASE` [m].
+    :param done: what happens between moves: number of moves before it, row, what.
+    :param unknown: first and last row of lines at which the tool is somewhere, in some axis.
+    :param offset: (L,) which work offset is in force on each line.
+    :param faults: row, problem, advice.
+    :param told: row, kind and message of what the user should know.
+    """
+
+    row: Ints
+    code: Array
+    begin: Array
+    end: Array
+    frame: Ints
+    tool: Ints
+    bottom: Bools
+    home: Bools
+    frames: Array
+    done: Sequence[tuple[int, int, Done]]
+    unknown: Sequence[tuple[int, int]]
+    offset: Array
+    faults: Sequence[tuple[int, str, str | None]]
+    told: Sequence[tuple[int, str, str]]
+
+
+def moves_of(rows: Rows, modes: Modes, setting: Setting) -> Moves:
+    """Return the moves of a program; those on lines of `Moves.unknown` go to where nobody knows."""
+    return _Walk(rows, modes, setting).moves()
+
+
+class _Walk:
+    def __init__(self, rows: Rows, modes: Modes, setting: Setting) -> None:
+        self.rows, self.modes, self.setting = rows, modes, setting
+        self.count = len(rows.motion)
+        self.offset = in_force(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
+        self.places = dict(setting.offsets)
+        self.shift, self.kept_shift = np.zeros(3), np.zeros(3)
+        self.frames = [np.eye(4)]
+        self.position = setting.start[:3, 3] / M_PER_MM
+        self.known = np.zeros(3, dtype=bool)
+        self.tool = 0
+        self.cycle = Cycle()
+        switched = [h for h in modes.happenings if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
+        self.spindle_rows = [h.row for h in switched]
+        self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in switched)]
+        self.parts: list[tuple[Ints, Array, Array, Array, int, int]] = []
+        self.bottoms: list[int] = []
+        self.homes: list[int] = []
+        self.number = 0
+        self.done: list[tuple[int, int, Done]] = []
+        self.losses: list[tuple[int, Bools]] = [(0, np.ones(3, dtype=bool))]
+        self.faults: list[tuple[int, str, str | None]] = []
+        self.told: list[tuple[int, str, str]] = []
+
+    def moves(self) -> Moves:
+        """Go through the program."""
+        origins: dict[int, list[Origin]] = {}
+        for origin in self.modes.origins:
+            origins.setdefault(origin.row, []).append(origin)
+        tools = dict(self.modes.tools)
+        current = -1.0
+        for begin, end in pairwise(self._bounds(origins, tools)):
+            if self.offset[begin] != current:
+                current = float(self.offset[begin])
+                self._reframe(current)
+            for origin in origins.get(begin, ()):
+                self._shift(origin, current)
+            if begin in tools:
+                self._mount(begin, tools[begin])
+            if begin in self.modes.returns:
+                self._return(begin, self.modes.returns[begin])
+            elif self.rows.drilling[begin]:
+                self._drill(begin, end)
+            else:
+                self._straight(begin, end)
+        return self._written()
+
+    def _bounds(self, origins: Mapping[int, object], tools: Mapping[int, object]) -> list[int]:
+        rows = self.rows
+        changed = (np.diff(self.offset) != 0.0) | (rows.incremental[1:] != rows.incremental[:-1])
+        changed |= rows.drilling[1:] != rows.drilling[:-1]
+        single = [row for row in (*origins, *tools, *self.modes.returns) if row < self.count]
+        after = [row + 1 for row in self.modes.returns if row + 1 < self.count]
+        return sorted({0, self.count, *(np.flatnonzero(changed) + 1).tolist(), *single, *after})
+
+    def _straight(self, begin: int, end: int) -> None:
+        """Take lines of G0 to G3: the last coordinate holds (G90), or they add up in order (G91), as a control does."""
+        rows = self.rows
+        if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
+            self.cycle.end()
+        after = np.empty((end - begin, 3))
+        for axis in range(3):
+            words = rows.xyz[begin:end, axis]
+            if rows.incremental[begin]:
+                steps = np.concatenate([self.position[axis : axis + 1], np.where(np.isnan(words), 0.0, words)])
+                after[:, axis] = np.cumsum(steps)[1:]
+            else:
+                after[:, axis] = held(words, self.position[axis])
+                self.known[axis] |= not np.isnan(words).all()
+        before = np.concatenate([self.position[None], after[:-1]])
+        moving = np.flatnonzero(rows.moving[begin:end])
+        self._add(begin + moving, rows.motion[begin + moving], before[moving], after[moving])
+        self.position = after[-1]
+
+    def _drill(self, begin: int, end: int) -> None:
+        rows = self.rows
+        spindle = self._spindle(begin, end)
+        places: list[tuple[float, float, float]] = []
+        row_of: list[int] = []
+        codes_of: list[float] = []
+        start = self.position
+        for row in range(begin, end):
+            axes = PLANE_AXES[float(rows.plane[row])]
+            at = tuple(self.position[list(axes)].tolist())
+            xyz = rows.xyz[row]
+            given = dict(zip("UVZ", xyz[list(axes)].tolist(), strict=True))
+            given |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
+            given = {letter: value for letter, value in given.items() if value == value}
+            relative = bool(rows.incremental[row])
+            try:
+                steps, done = self.cycle.hole(
+                    float(rows.motion[row]), given, at, (relative, bool(rows.to_r[row])), spindle[row - begin]
+                )
+            except BlockError as cause:
+                self.faults.append((row, *cause.args))
+                continue
+            first = self.number + len(places)
+            self.done += [(first + one.behind, row, one) for one in done]
+            for n, step in enumerate(steps):
+                place = [0.0, 0.0, 0.0]
+                for axis, value in zip(axes, step.end, strict=True):
+                    place[axis] = value
+                places.append((place[0], place[1], place[2]))
+                if step.bottom:
+                    self.bottoms.append(first + n)
+            row_of += [row] * len(steps)
+            codes_of += [step.code for step in steps]
+            self.position = np.array(places[-1])
+        if places:
+            after = np.array(places)
+            self._add(np.array(row_of), np.array(codes_of), np.concatenate([start[None], after[:-1]]), after)
+
+    def _spindle(self, begin: int, end: int) -> list[EventKind]:
+        """Return what the spindle does on some lines."""
+        at = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
+        return [self.spindle_kinds[n] for n in at]
+
+    def _return(self, row: int, to: Return) -> None:
+        """Go to a place of the machine."""
+        setting = self.setting
+        self.cycle.end()
+        named = np.zeros(3, dtype=bool)
+        named[list(to.axes) or [0, 1, 2]] = True
+        relative = bool(self.rows.incremental[row])
+        if to.code != codes.MACHINE and self.known.all():
+            via = self.position.copy()
+            for axis, word in to.axes.items():
+                via[axis] = word + (via[axis] if relative else 0.0)
+            if np.abs(via - self.position).max() > _FEWEST:
+                self._go(row, via)
+        upwards = not named[:2].any()
+        if setting.clearance is not None and self.known.all():
+            frame = self.frames[-1]
+            base = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
+            if base[2] < setting.clearance - _FEWEST:
+                base[2] = setting.clearance
+                self._go(row, frame[:3, :3].T @ (base - frame[:3, 3] / M_PER_MM))
+        if setting.home is None or (to.code == codes.MACHINE and upwards and setting.clearance is not None):
+            if not self.known.all():
+                message = "There is no retract before X, Y and Z are known: the robot stands at [start]."
+                self.told.append((row, "start-position", message))
+            return
+        self.homes.append(self.number)
+        self._go(row, self.position)
+        self.known &= ~named
+        self.losses.append((row + 1, named))
+
+    def _mount(self, row: int, number: float) -> None:
+        """Take another tool: its tip goes to where that of the last one was, so that what follows starts there."""
+        new = self.setting.tools[number]
+        if new != self.tool:
+            self.tool = new
+            if self.known.all():
+                self._go(row, self.position)
+
+    def _go(self, row: int, place: Array) -> None:
+        self._add(np.array([row]), np.zeros(1), self.position[None], place[None])
+        self.position = place
+
+    def _add(self, row: Ints, code: Array, begin: Array, end: Array) -> None:
+        self.parts.append((row, code, begin, end, len(self.frames) - 1, self.tool))
+        self.number += len(row)
+
+    def _reframe(self, offset: float) -> None:
+        """See the position in another program frame."""
+        new = self.places[offset].copy()
+        new[:3, 3] += new[:3, :3] @ self.shift * M_PER_MM
+        old = self.frames[-1]
+        if not np.array_equal(new, old):
+            at = inverse(new) @ old
+            self.position = at[:3, :3] @ self.position + at[:3, 3] / M_PER_MM
+            self.frames.append(new)
+
+    def _shift(self, origin: Origin, current: float) -> None:
+        shift = self.shift.copy()
+        if origin.code == codes.STORE:
+            self._store(origin, current)
+        elif origin.code == codes.SHIFT_ON:
+            shift = self.kept_shift.copy()
+        elif origin.code in (codes.SHIFT_CLEARED, codes.SHIFT_OFF):
+            shift[:] = 0.0
+        else:
+            for axis, word in origin.axes.items():
+                if origin.code == codes.SHIFT and not self.known[axis]:
+                    advice = "Program X, Y and Z in rapid moves before, or write the origin as G54 … into the cell."
+                    self.faults.append((origin.row, "G92 before the position is known", advice))
+                shift[axis] = word if origin.code == codes.LOCAL else shift[axis] + self.position[axis] - word
+        self.shift = shift
+        if origin.code != codes.SHIFT_OFF:
+            self.kept_shift = shift.copy()
+        self._reframe(current)
+
+    def _store(self, origin: Origin, current: float) -> None:
+        """Set a work offset (G10): as it stands in `$BASE`, or so that the tool is where the words say (L20)."""
+        system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
+        place = self.places[system].copy()
+        if origin.turn is not None:
+            place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
+        if origin.here:
+            if not self.known[list(origin.axes)].all():
+                self.faults.append((origin.row, "G10 L20 before the position is known", "Use L2, or [work_offsets]."))
+            old = self.frames[-1]
+            base = old[:3, :3] @ self.position * M_PER_MM + old[:3, 3]
+            there = place[:3, :3].T @ (base - place[:3, 3]) / M_PER_MM - self.shift
+            for axis, word in origin.axes.items():
+                there[axis] -= word
+            there[[axis for axis in range(3) if axis not in origin.axes]] = 0.0
+            place[:3, 3] += place[:3, :3] @ there * M_PER_MM
+        else:
+            for axis, word in origin.axes.items():
+                place[axis, 3] = word * M_PER_MM
+        self.places[system] = place
+
+    def _written(self) -> Moves:
+        flags = np.zeros((2, self.number), dtype=bool)
+        flags[0, self.bottoms] = True
+        flags[1, self.homes] = True
+        parts = self.parts or [(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), 0, 0)]
+        row, code, begin, end = (np.concatenate([part[n] for part in parts]) for n in range(4))
+        frame, tool = (np.repeat([part[n] for part in parts], [len(part[0]) for part in parts]) for n in (4, 5))
+        return Moves(
+            row=row,
+            code=code,
+            begin=begin,
+            end=end,
+            frame=frame,
+            tool=tool,
+            bottom=flags[0],
+            home=flags[1],
+            frames=np.stack(self.frames),
+            done=self.done,
+            unknown=self._unknown(),
+            offset=self.offset,
+            faults=self.faults,
+            told=self.told,
+        )
+
+    def _unknown(self) -> list[tuple[int, int]]:
+        """Return from which row to which the tool is somewhere: until each axis that was lost is programmed again."""
+        given = ~np.isnan(self.rows.xyz) & ~self.rows.drilling[:, None]
+        out: list[tuple[int, int]] = []
+        missing = np.zeros(3, dtype=bool)
+        ends = [row for row, _ in self.losses[1:]] + [self.count]
+        for (first, lost), end in zip(self.losses, ends, strict=True):
+            missing = missing | lost
+            here = given[first:end]
+            complete = np.where(here.any(axis=0), first + here.argmax(axis=0) if len(here) else end, self.count)
+            last = int(complete[missing].max(initial=first))
+            out.append((first, min(last, end)))
+            missing = missing & (complete >= end)
+        return out

@@ -1,0 +1,202 @@
+"""Canned cycles, shifted program frames, tools and places of the machine."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from postproc.cell import Frame, Machine
+from postproc.errors import ProgramError
+from postproc.program import LIN, PTP
+from tests.dialects.gcode_reading import CELL, ends, outcome, read
+from tests.oracle.rs274 import MACHINE, assert_same_moves, canonical, needs_rs274
+
+HEAD = "G21 G90 G17 G98 G0 X0 Y0 Z9 F60\n"
+CYCLES = {
+    "drilling": "G81 X1 Y2 Z-3 R2\nX5\nG99 Y7\nX6 Z-4\nG98 X1 R3\nG80\nG0 X0",
+    "a dwell": "M3 S100\nG82 X1 Z-1 R1 P.5\nX2\nX3 P1.5",
+    "pecks": "G99 G83 X1 Y2 Z-5 R1 Q1.4\nX3 Q2.5\nG98 G73 X4 Z-3 R1 Q1\nY1",
+    "tapping": "M3 S200\nG84 X1 Y1 Z-4 R2 F100\nX4\nG80 G0 Z20\nM5",
+    "boring": "M4 S50\nG85 X1 Z-1 R1\nX2\nG86 X3 Z-1 R1 P.1\nX4\nG89 X5 Z-2 R1 P.2\nX6",
+    "increments": "G91 G81 X2 Y1 Z-3 R-2 L3\nG99 X1 L2\nG90 X1 Z-1 R1",
+    "below R": "G0 Z-1\nG81 X1 Y1 Z-5 R2\nX2\nG99 X3",
+    "G18": "G18 G81 X1 Y-2 Z3 R2\nZ5\nG80\nG0 X0",
+    "G19": "G19 G99 G83 X-3 Y2 Z3 R1 Q1.2\nY5",
+    "repeats in place": "G81 X1 Z-1 R1 L2\nX3",
+    "a cycle after another": "G81 X1 Z-1 R3\nG82 X2 Z-2 R1 P1\nG0 X9\nG99 G81 X3 Z-1 R2",
+    "inches": "G20\nG81 X1 Z-.1 R.1 F5\nX2\nG21\nG80",
+    "cycles in loops": "o1 sub\nG81 X#1 Y0 Z-#2 R1\no2 repeat [3]\nG91 X1\no2 endrepeat\nG90 G80\no1 endsub\n"
+    "o1 call [5] [2]\no1 call [9] [3]".replace("G91 X1", "Y[#1+1]"),
+}  # fmt: skip
+
+
+@needs_rs274
+@pytest.mark.parametrize("text", CYCLES.values(), ids=CYCLES)
+def test_cycles_have_the_moves_of_rs274(text: str) -> None:
+    text = f"{HEAD}{text}\nM2\n"
+    digits = 3e-3 if "G20" in text else 1e-4
+    assert_same_moves(read(text), canonical(text), 1.0, digits=digits)
+    assert outcome(text, bulk=True) == outcome(text, bulk=False)
+
+
+@st.composite
+def holes(draw: st.DrawFn) -> str:
+    lines = [draw(st.sampled_from(["G17", "G18", "G19"])), "M3 S100"]
+
+    def number(low: int, high: int) -> str:
+        return f"{draw(st.integers(low, high)) / 8:g}"
+
+    for _ in range(draw(st.integers(1, 4))):
+        across = {"G17": "Z", "G18": "Y", "G19": "X"}[lines[0]]
+        plane = "XYZ".replace(across, "")
+        relative = draw(st.booleans())
+        taps = [84] if lines[0] == "G17" else []  # elsewhere rs274 2.9 takes the axes of G84 for each other
+        code = draw(st.sampled_from([81, 82, 83, 73, 85, 86, 89, *taps]))
+        lines.append("G90 G0 X0 Y0 Z" + number(-40, 80))
+        depth, r = (number(-60, -8), number(-30, 30)) if relative else (number(-60, -8), number(0, 60))
+        more = {82: f"P{number(1, 9)}", 83: f"Q{number(3, 30)}", 73: f"Q{number(3, 30)}", 86: "P1", 89: "P.5"}.get(
+            code, ""
+        )
+        lines.append(f"{'G91' if relative else 'G90'} {draw(st.sampled_from(['G98', 'G99']))} G{code} "
+                     f"{plane[0]}{number(-80, 80)} {across}{depth} R{r} {more}")  # fmt: skip
+        for _ in range(draw(st.integers(0, 3))):
+            extra = draw(
+                st.sampled_from(["", "", " L2", " G98", " G99", f" R{number(0, 30)}", f" {across}{number(-60, -8)}"])
+            )
+            lines.append(f"{draw(st.sampled_from(plane))}{number(-80, 80)}{extra}")
+        lines.append(draw(st.sampled_from(["G80", "G0 X1", "G1 X1"])))
+    return HEAD + "\n".join(lines) + "\nM2\n"
+
+
+@needs_rs274
+@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(holes())
+def test_random_holes_have_the_moves_of_rs274(text: str) -> None:
+    assert_same_moves(read(text), canonical(text), 1.0, digits=1e-4)
+
+
+def test_a_cycle_stops_at_its_bottoms() -> None:
+    program = read(HEAD + "G83 X1 Z-3 R2 Q2\nM2")
+    z, blend = ends(program)[:, 2], program.motions.blend
+    feeds = ~program.motions.rapid
+    assert (blend[feeds] == 0.0).all()
+    np.testing.assert_allclose(z[feeds], [0, -2, -3])
+    assert blend[1] > 0.0
+
+
+BAD_CYCLES = {
+    "no R": ("G81 X1 Z-1", "G81 without R"),
+    "no Z": ("G81 X1 R1", "G81 without Z"),
+    "no Q": ("G83 X1 Z-1 R1", "G83 without Q"),
+    "no P": ("G82 X1 Z-1 R1", "G82 without P"),
+    "R below Z": ("G81 X1 Z3 R1", "R of the cycle is below its bottom"),
+    "no depth": ("G83 X1 Z-1 R1 Q0", "no depth of a peck"),
+    "no spindle": ("G84 X1 Z-1 R1", "does not turn clockwise"),
+    "no hole": ("G81 X1 Z-1 R1 L0", "L0 of a cycle"),
+    "arc words": ("G81 X1 Z-1 R1 I1", "I, J or K in a cycle"),
+    "inverse time": ("G93 G81 X1 Z-1 R1 F2", "a cycle in G93"),
+}
+
+
+@needs_rs274
+@pytest.mark.parametrize(("text", "problem"), BAD_CYCLES.values(), ids=BAD_CYCLES)
+def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
+    with pytest.raises(ProgramError, match=problem) as caught:
+        read(f"{HEAD}{text}\nM2\n")
+    assert caught.value.line == 2
+
+
+ORIGINS = {
+    "G10 L2": "G10 L2 P1 X3 Y-2 Z1\nG0 X1 Y1\nG10 L2 P0 R30\nG1 X2 Y2 Z2\nG2 X4 I1",
+    "G10 L2 of another": "G10 L2 P2 X3 Y-2 Z1 R-20\nG0 X1 Y1\nG55 G0 X1 Y1 Z1\nG54 X0",
+    "G10 L2 in increments": "G91 G10 L2 P1 X3\nG90 G0 X1\nG91 X1",
+    "G10 L20": "G0 X5 Y6 Z7\nG10 L20 P1 X0 Z1\nG1 X1 Y1 Z0\nG91 X1",
+    "G52": "G52 X3 Y4\nG0 X1 Y1\nG52 X0 Y0\nG1 X1 Y1\nG52 Z2\nZ3",
+    "G92": "G92 X0 Y1\nG0 X1 Y1\nG92 Z0\nG1 Z-1\nG92.2\nG1 X1 Z1\nG92.3\nG1 X1 Z1\nG92.1\nX2 Z2",
+    "G92 in other offsets": "G10 L2 P2 X9\nG92 X4\nG0 X1\nG55 G0 X1 Y1 Z1\nG92.1\nX5",
+    "a turned frame": "G10 L2 P1 X1 R90\nG0 X1 Y2\nG52 X2\nG1 X5\nG3 Y6 J2\nG92 X0\nG1 X1",
+    "inverse time": "G93\nG1 X10 F2\nG3 X20 I5 F4\nX30 I5 F1\nG0 X0\nG1 Z1 F60\nG94 F100\nG1 X5",
+}
+
+
+@needs_rs274
+@pytest.mark.parametrize("text", ORIGINS.values(), ids=ORIGINS)
+def test_shifted_frames_have_the_moves_of_rs274(text: str) -> None:
+    text = f"{HEAD}{text}\nM2\n"
+    cell = replace(CELL, work_offsets={})
+    assert_same_moves(read(text, cell), canonical(text), 1.0, digits=1e-4, offsets=MACHINE)
+    assert outcome(text, cell, bulk=True) == outcome(text, cell, bulk=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("G92.3", "has not set"),
+        ("G10 L1 P1 Z3", "G10 L1 is not supported"),
+        ("G10 L2 X3", "G10 without a work offset"),
+        ("G52", "G52 without X, Y or Z"),
+        ("G0 X1 G81 Z1 R1", "two codes"),
+        ("G93 G1 X1", "cutting move in G93 without a feed"),
+        ("G93 G1 X1 F2\nG94 X2", "cutting move without a feed"),
+        ("G28 Z0", r"\[machine\]"),
+        ("G53 G0 Z0", r"\[machine\]"),
+    ],
+)  # fmt: skip
+def test_places_that_are_not_known_are_told(text: str, problem: str) -> None:
+    with pytest.raises(ProgramError, match=problem):
+        read(f"{HEAD}{text}\nM2\n", replace(CELL, work_offsets={}))
+
+
+HOME = replace(CELL, machine=Machine(home=(1.0, -89.0, 90.0, 0.0, 0.0, 0.0)))
+CLEAR = replace(CELL, machine=Machine(clearance_Z=80.0))
+BOTH = replace(CELL, machine=Machine(home=(1.0, -89.0, 90.0, 0.0, 0.0, 0.0), clearance_Z=80.0))
+
+
+def test_G28_goes_home_in_joints_and_the_next_move_needs_what_it_took() -> None:
+    program = read(HEAD + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X7 Y8\nZ9\nG1 Z0\nM2", HOME)
+    m = program.motions
+    assert m.kind.tolist() == [PTP, LIN, PTP, PTP, LIN]
+    np.testing.assert_allclose(np.rad2deg(m.joints[2]), HOME.machine.home)
+    np.testing.assert_allclose(ends(program)[3], [7, 8, 9], atol=1e-9)
+    assert m.line.tolist() == [1, 2, 3, 5, 6]
+
+
+def test_G28_goes_over_its_intermediate_point_and_the_clearance() -> None:
+    program = read(HEAD + "G28 X1 Z20\nM2", BOTH)
+    np.testing.assert_allclose(ends(program)[1:3], [[1, 0, 20], [1, 0, 80]], atol=1e-9)
+    assert program.motions.kind.tolist() == [PTP, LIN, LIN, PTP]
+
+
+@pytest.mark.parametrize("block", ["G53 G0 Z0", "G0 G53 Z0", "G91 G28 Z0", "G30 G91 Z0"])
+def test_retracting_goes_to_the_clearance(block: str) -> None:
+    program = read(HEAD + f"G1 X5 Z-1\n{block}\nG90 G0 X7\nM2", CLEAR)
+    np.testing.assert_allclose(ends(program)[2:], [[5, 0, 80], [7, 0, 80]], atol=1e-9)
+    assert program.motions.rapid[2:].all()
+
+
+def test_retracting_at_the_head_of_a_program_does_nothing() -> None:
+    program = read("G21 G90\nG53 G0 Z0\nG0 X1 Y2\nZ3\nG1 Z0 F9\nM2", CLEAR)
+    assert len(program.motions) == 2
+
+
+def test_each_tool_has_its_own_frame_and_keeps_the_tip_where_it_was() -> None:
+    cell = replace(CELL, tools={"1": Frame(Z=300.0), "3": Frame(Z=412.5)})
+    program = read("T1 M6\n" + HEAD + "G1 Z0\nG0 Z20\nT3 M6\nG43 H3 G0 X5\nG1 Z1\nM2", cell)
+    m = program.motions
+    np.testing.assert_allclose(program.tools[m.tool, 2, 3], [0.3, 0.3, 0.3, 0.4125, 0.4125, 0.4125])
+    np.testing.assert_allclose(ends(program)[2:], [[0, 0, 20], [0, 0, 20], [5, 0, 20], [5, 0, 1]], atol=1e-9)
+    assert [(e.kind, e.before) for e in program.events] == [("tool_change", 0), ("tool_change", 3)]
+
+
+def test_a_tool_that_the_cell_has_not_is_an_error() -> None:
+    with pytest.raises(ProgramError, match="tool 4 is not in the cell"):
+        read(HEAD + "T4 M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))
+
+
+def test_M_codes_of_the_shop_are_its_lines_or_nothing() -> None:
+    cell = replace(CELL, m_codes={"M111": [], "M51": ["$OUT[9]=TRUE"]})
+    program = read(HEAD + "M111\nM51\nG1 X1\nM2", cell)
+    assert [(e.kind, e.value, e.before) for e in program.events] == [("m_code", 51.0, 1)]
+    with pytest.raises(ProgramError, match=r"\[m_codes\] M52"):
+        read(HEAD + "M52\nM2", cell)
