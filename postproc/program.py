@@ -145,13 +145,14 @@ class ForceNote:
     :param line: 1-based line of the comment.
     :param wrench: Fx, Fy, Fz [N], Mx, My, Mz [N·m]; all zero for ``FORCE OFF``.
     :param frame: axes of the wrench: BASE, TOOL or FEED.
-    :param before: row of the first motion that gets the force: on the line of the comment, or executed after it.
+    :param before: row of the first motion that gets the force: on the line of the comment, or executed after it; −1
+        until the reader of a dialect has said it.
     """
 
     line: int
     wrench: tuple[float, float, float, float, float, float]
     frame: ForceFrame = "BASE"
-    before: int = 0
+    before: int = -1
 
 
 FORCE_COMMENT = re.compile(
@@ -167,7 +168,7 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
     """Read ``FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=TOOL]`` or ``FORCE OFF`` from a comment.
 
     :param comment: text of the comment without its brackets or semicolon.
-    :returns: the note, or None if the comment is not about forces, see `FORCE_COMMENT`.
+    :returns: the note, without `before`; None if the comment is not about forces, see `FORCE_COMMENT`.
     :raises ForceError: it is, but cannot be read to its end, a word is misspelt or a value is out of range.
     """
     if FORCE_COMMENT.match(comment) is None:

@@ -9,8 +9,13 @@ from postproc.program import FORCE_FRAMES, Program
 
 
 def of_comments(program: Program) -> Knots:
-    """Return the force of each motion behind the first force comment: that of the last one executed before it."""
+    """Return the force of each motion behind the first force comment: that of the last one executed before it.
+
+    :raises ValueError: the reader of the program has not said from which motion on a comment holds.
+    """
     first = [note.before for note in program.notes]
+    if min(first, default=0) < 0:
+        raise ValueError(f"the reader of {program.dialect} leaves ForceNote.before unset")
     index = np.searchsorted(first, np.arange(len(program.motions)), side="right") - 1
     motion = np.flatnonzero(index >= 0)
     values = np.array([note.wrench for note in program.notes]).reshape(-1, 6)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -171,7 +171,7 @@ class _Reader:
         elif text.startswith("!"):
             note = parse_force_note(text[1:], line, self.document.name)
             if note is not None:
-                self.notes.append(note)
+                self.notes.append(replace(note, before=len(self.moves.line)))
         else:
             fault = instructions.fault_of(text)
             if fault is not None:

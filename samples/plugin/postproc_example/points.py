@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from postproc.errors import ProgramError, together
@@ -31,7 +33,7 @@ class Points:
             numbers, _, comment = text.partition("#")
             note = parse_force_note(comment, number, document.name)
             if note is not None:
-                notes.append(note)
+                notes.append(replace(note, before=len(points)))
             if not numbers.strip():
                 continue
             point = _numbers(numbers)
