@@ -108,6 +108,7 @@ def test_compliances_grow_as_the_cube_of_the_size_falls():
         ('<robot name="', '<xacro:include filename="x"/><robot name="', "Expand it first"),
         ('<link name="tool0"/>', '<link name="hand"/>', "names link 'tool0'"),
         ('"joint_6" type="revolute"', '"joint_6" type="fixed"', "5 revolute joints in series"),
+        ('velocity="1.4660765716752369"', 'velocity="0"', "limits of joint joint_2 are missing or impossible"),
         ('"joint_2" type="revolute"', '"joint_2" type="prismatic"', "joint_2 is prismatic"),
         ('<axis xyz="0.0 1.0 0.0"/>', '<axis xyz="0 0 1"/>', "at zero A2 does not lie as KUKA's does"),
         ('rpy="0.000000000000 0.000000000000 0.000000000000"/>\n    <axis xyz="0.0 1.0 0.0"/>',
@@ -120,6 +121,43 @@ def test_an_arm_that_cannot_be_taken_over_is_told_and_nothing_is_written(old, ne
     with pytest.raises(ModelError, match=message):
         add_robot(written(text.replace(old, new, 1)), "mine")
     assert not Path("mine").exists()
+
+
+def test_a_link_of_a_gripper_or_of_the_floor_is_not_taken_for_the_flange_or_the_root():
+    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    more = (
+        '<link name="gripper_tool0"/><link name="table_base"/><joint name="g" type="fixed"><parent link="tool0"/>'
+        '<child link="gripper_tool0"/><origin xyz="0 0 0.2"/></joint><joint name="t" type="fixed">'
+        '<parent link="world"/><child link="table_base"/><origin xyz="1 0 0"/></joint></robot>'
+    )
+    added = robot.load(add_robot(written(text.replace("</robot>", more)), "mine").folder)
+    np.testing.assert_allclose(
+        added.nominal.placement, robot.load(robot.find("kuka_kr270")).nominal.placement, atol=1e-9
+    )
+    ambiguous = text.replace("</robot>", more).replace('"tool0"', '"kr_tool0"')
+    with pytest.raises(ModelError, match="several links could be tool0: kr_tool0, gripper_tool0"):
+        add_robot(written(ambiguous), "other")
+
+
+def test_a_flange_that_is_turned_about_its_axis_is_told_and_kukas_is_taken():
+    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    turned = text.replace('<parent link="flange"/><child link="tool0"/>', '<parent link="flange"/><child link="mid"/>')
+    turned = turned.replace(
+        "</robot>",
+        '<link name="mid"/><joint name="m" type="fixed"><parent link="mid"/><child link="tool0"/>'
+        '<origin xyz="0 0 0" rpy="0 0 1.0471975511965976"/></joint></robot>',
+    )
+    added = add_robot(written(turned), "mine")
+    assert [note for note in added.notes if "against KUKA's flange by 60°" in note]
+    np.testing.assert_allclose(
+        robot.load(added.folder).nominal.flange, robot.load(robot.find("kuka_kr270")).nominal.flange, atol=1e-9
+    )
+
+
+def test_line_ends_and_byte_order_mark_of_windows_are_read():
+    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    Path("arm.urdf").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    assert robot.load(add_robot(Path("arm.urdf"), "mine").folder).title == TITLE
 
 
 def test_a_wrist_whose_axes_do_not_cross_is_refused():

@@ -53,8 +53,8 @@ def test_roll_pitch_and_yaw_turn_in_the_order_of_the_specification():
         ('xyz="0.35 0 0"', 'xyz="nan 0 0"', "not finite"),
         ('<mass value="47.9"/>', '<mass value="-1"/>', "negative mass"),
         ('<mass value="47.9"/>', "", "inertial has no <mass>"),
-        ('upper="0"', 'upper="-3"', "joint limits are missing or impossible"),
-        ('velocity="3.211405823669566"', "", "joint limits are missing or impossible"),
+        ('upper="0"', 'upper="-3"', "limits of joint A2 are missing or impossible"),
+        ('velocity="3.211405823669566"', "", "limits of joint A6 are missing or impossible"),
     ],
 )
 def test_what_is_not_a_six_axis_arm_is_refused(old, new, message):

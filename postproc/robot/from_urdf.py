@@ -63,10 +63,7 @@ def adopt(text: str, file: str) -> Adopted:
     if "<xacro:" in text:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
     arm = urdf.read_any(text, file)
-    chain, turned = _in_kuka_form(arm, file)
-    notes = []
-    if turned:
-        notes.append(f"joints turn the other way than KUKA's, signs and limits are changed: {', '.join(turned)}")
+    chain, notes = _in_kuka_form(arm, file)
     missing = [name for name, mass in zip(JOINTS, chain.mass, strict=True) if mass < _LIGHTEST]
     if missing:
         which = "no link has a mass" if len(missing) == len(JOINTS) else f"no mass behind {', '.join(missing)}"
@@ -88,8 +85,8 @@ def adopt(text: str, file: str) -> Adopted:
 
 
 def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
-    """Return the chain, and which joints turned the other way."""
-    base = _pose_of_base(arm)
+    """Return the chain, and what was changed in it."""
+    base = _pose_of_base(arm, file)
     placement = arm.chain.placement.copy()
     placement[0] = np.linalg.inv(base) @ placement[0]
     own = replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file))
@@ -113,16 +110,22 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
         lower=np.where(sign > 0, own.lower, -own.upper),
         upper=np.where(sign > 0, own.upper, -own.lower),
     )
-    return chain, [name for name, one in zip(JOINTS, sign, strict=True) if one < 0]
+    turned = ", ".join(name for name, one in zip(JOINTS, sign, strict=True) if one < 0)
+    notes = [f"joints turn the other way than KUKA's, signs and limits are changed: {turned}"] if turned else []
+    angle = np.arctan2(flange[:3, 0] @ _FLANGE_AXES[:, 1], flange[:3, 0] @ _FLANGE_AXES[:, 0])
+    if abs(angle) > _SAME:
+        told = f"by {angle * DEG_PER_RAD:.4g}°: $TOOL is in KUKA's flange frame, {{A 0, B 90, C 0}} at zero"
+        notes.append(f"tool0 is turned about its axis against KUKA's flange {told}")
+    return chain, notes
 
 
-def _pose_of_base(arm: AnyArm) -> Array:
+def _pose_of_base(arm: AnyArm, file: str) -> Array:
     """Return the controller's root frame in the first link: `base`, else `base_link`, else the first link itself."""
-    for name, (carrier, pose) in arm.frames.items():
-        if carrier < 0 and _ends_in(name, "base"):
-            return pose
-    fixed = (pose for name, (carrier, pose) in arm.frames.items() if carrier < 0 and _ends_in(name, "base_link"))
-    return next(fixed, np.eye(4))
+    for wanted in ("base", "base_link"):
+        found = _frame(arm, wanted, -1, file)
+        if found is not None:
+            return found
+    return np.eye(4)
 
 
 def _pose_of_flange(arm: AnyArm, file: str) -> Array:
@@ -130,17 +133,25 @@ def _pose_of_flange(arm: AnyArm, file: str) -> Array:
     out = np.eye(4)
     out[:3, :3] = _FLANGE_AXES
     for wanted, turn in (("tool0", np.eye(4)), (FLANGE, out)):
-        for name, (carrier, pose) in arm.frames.items():
-            if carrier == len(JOINTS) - 1 and _ends_in(name, wanted):
-                return pose @ turn
+        found = _frame(arm, wanted, len(JOINTS) - 1, file)
+        if found is not None:
+            return found @ turn
     raise ModelError(
         "no link named tool0 or flange behind the last joint", file=file, advice="It says where the flange is: add it."
     )
 
 
-def _ends_in(name: str, wanted: str) -> bool:
-    """Return whether a link has a name, perhaps with a prefix."""
-    return name == wanted or name.endswith((f"_{wanted}", f"/{wanted}"))
+def _frame(arm: AnyArm, wanted: str, carrier: int, file: str) -> Array | None:
+    """Return the pose of a link of some name that a joint carries, or of the only one with a prefix to it."""
+    poses = {name: pose for name, (joint, pose) in arm.frames.items() if joint == carrier}
+    names = [name for name in poses if name == wanted] or [
+        name for name in poses if name.endswith((f"_{wanted}", f"/{wanted}"))
+    ]
+    if len(names) > 1:
+        raise ModelError(
+            f"several links could be {wanted}: {', '.join(names)}", file=file, advice=f"Call the right one {wanted}."
+        )
+    return poses[names[0]] if names else None
 
 
 def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:

@@ -226,7 +226,7 @@ def _axis(joint: ET.Element) -> Array:
 def _limits(joint: ET.Element) -> Array:
     """Return lower, upper, velocity and effort."""
     limit = joint.find("limit")
-    problem = "joint limits are missing or impossible"
+    problem = f"limits of joint {joint.get('name')} are missing or impossible"
     advice = "Every joint needs <limit lower upper velocity> in radians, lower < upper, velocity > 0."
     if limit is None:
         raise _RefusedError(problem, advice)
