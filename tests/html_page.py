@@ -34,7 +34,7 @@ class ReadPage(HTMLParser):
         given = dict(attrs)
         assert not ({"src", "action", "data", "srcset"} & set(given)), f"{tag} loads something"
         assert tag not in ("link", "iframe", "object", "embed", "base")
-        assert tag != "a" or (given["href"] or "").startswith("#")
+        assert tag != "a" or re.fullmatch(r"#[\w-]+|[\w%.-]+\.html", given["href"] or ""), "a link to elsewhere"
         if "id" in given:
             self.ids.append(given["id"] or "")
         if "data-source-line" in given or "data-place" in given:

@@ -94,10 +94,10 @@ def programs(count: int) -> None:
 
 
 def written(folder: str = "out") -> set[str]:
-    """Return the names of the programs in a folder, each whole; nothing else may be there."""
+    """Return the names of the programs in a folder, each whole; beside them there may be but their overview."""
     if not Path(folder).exists():
         return set()
-    names = {path.name for path in Path(folder).iterdir()}
+    names = {path.name for path in Path(folder).iterdir()} - {"index.html"}
     stems = {name.split(".")[0] for name in names}
     assert names == {stem + ending for stem in stems for ending in ENDINGS}
     for stem in stems:

@@ -192,8 +192,10 @@ def test_a_name_that_krl_does_not_allow_is_made_valid_and_said_in_one_line(file,
 def test_of_many_programs_the_table_says_how_they_are_called():
     Path("1001.nc").write_text("G0 X0\n")
     lines = convert("part.nc", "1001.nc").stdout.splitlines()
-    assert lines[-1].endswith("written as P1001.src, 1 warning")
-    assert lines[-2].endswith("written, 1 warning")
+    assert lines[2].endswith("written as P1001.src, 1 warning")
+    assert lines[1].endswith("written, 1 warning")
+    assert lines[3].startswith("all 2, at most")
+    assert lines[4] == f"overview: {Path('out', 'index.html')}"
 
 
 def test_a_name_may_be_given_for_one_program():

@@ -88,6 +88,9 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
         click.echo(report.of_many([(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]))
+        for page in dict.fromkeys(job.output / "index.html" for job in jobs):
+            if page.is_file():
+                click.echo(f"overview: {page}")
 
 
 def styled(text: str, state: str) -> str:

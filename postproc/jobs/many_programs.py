@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from postproc import interrupts
 from postproc.dialects import registry
 from postproc.files import remove_leftovers
-from postproc.jobs import outputs
+from postproc.jobs import outputs, overview
 from postproc.jobs.cluster import Cluster, convert_on_cluster
 from postproc.jobs.conversion import convert_one, converted
 from postproc.jobs.job import Job
@@ -27,7 +27,8 @@ def convert_all(
 
     A program that fails does not stop the others. After an interrupt (Ctrl-C) no program is begun; those that are being
     written are finished, of the others there is nothing, and `KeyboardInterrupt` is raised when all that is written has
-    been yielded. A cluster finishes the programs that its workers have begun.
+    been yielded. A cluster finishes the programs that its workers have begun. When all is done a folder of several
+    programs gets an overview, `index.html`.
 
     :param jobs: from `find_jobs`.
     :param settings: for all of them.
@@ -41,14 +42,30 @@ def convert_all(
             cell, robot = load_setup(settings)
         for folder in {job.output for job in jobs}:
             remove_leftovers(folder)
-        if cluster is not None:
-            yield from convert_on_cluster(jobs, settings, cluster)
-            return
-        waiting = deque(jobs)
-        if workers > 1 and len(jobs) > 1:
-            yield from Pool(waiting, settings).outcomes(min(workers, len(jobs)))
-        while waiting and not interrupts.came():
-            yield convert_one(waiting.popleft(), settings, cell, robot)
+        done: list[Outcome] = []
+        for outcome in _outcomes(jobs, settings, workers, cluster, lambda job: convert_one(job, settings, cell, robot)):
+            done.append(outcome)
+            yield outcome
+        if len(done) == len(jobs):
+            overview.write(jobs, done, settings.mode)
+
+
+def _outcomes(
+    jobs: Sequence[Job],
+    settings: Settings,
+    workers: int,
+    cluster: Cluster | None,
+    convert: Callable[[Job], Outcome],
+) -> Iterator[Outcome]:
+    """Yield the outcomes of jobs; `convert` does one in this process."""
+    if cluster is not None:
+        yield from convert_on_cluster(jobs, settings, cluster)
+        return
+    waiting = deque(jobs)
+    if workers > 1 and len(jobs) > 1:
+        yield from Pool(waiting, settings).outcomes(min(workers, len(jobs)))
+    while waiting and not interrupts.came():
+        yield convert(waiting.popleft())
 
 
 def convert_program(program: Program, settings: Settings, output: Path, forces: Path | None = None) -> Outcome:

@@ -8,7 +8,8 @@ from pathlib import Path
 from postproc.correction import Mode
 from postproc.dialects import registry
 from postproc.errors import InputError, ProgramError
-from postproc.files import foreign, listed, refuse
+from postproc.files import foreign, foreign_single, listed, refuse
+from postproc.jobs import overview
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
 
@@ -33,10 +34,14 @@ def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> No
     names: dict[Path, list[str]] = {}
     for job in jobs:
         names.setdefault(job.output, []).extend(job.writes(mode))
+    overviews = overview.folders(jobs, mode)
+    for folder in overviews:
+        names[folder].append(overview.NAME)
     for folder, written in names.items():
         protect(inputs, folder, written)
     if not overwrite:
-        refuse([path for job in jobs for path in _foreign(job, job.writes(mode), mode)])
+        found = [path for job in jobs for path in _foreign(job, job.writes(mode), mode)]
+        refuse(found + [path for folder in overviews for path in foreign_single(folder / overview.NAME)])
 
 
 def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -> None:

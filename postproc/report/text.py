@@ -8,6 +8,7 @@ from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvemen
 from postproc.report.tables import table
 from postproc.report.verdict import WORDS, State
 
+_TOLD: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _REASONS = 8
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
@@ -96,7 +97,8 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
 
     :param rows: name, summary (None where it failed) and one word on what came of it.
     """
-    head = ("program", "targets", "max before", "max after", "rms before", "rms after", "compensated", "result")
+    lengths_mm = ("max before", "max after", "rms before", "rms after")
+    head = ("program", "targets", *(f"{title} [mm]" for title in lengths_mm), "compensated", "result")
     cells: list[tuple[str, ...]] = []
     for name, content, word in rows:
         if content is None:
@@ -106,6 +108,16 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
         lengths = (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
         numbers = (str(content["targets"]), *map(millimetres, lengths), percent(content["compensated_percent"]))
         cells.append((name, *numbers, word))
+    written = [content for _, content, _ in rows if content is not None]
+    if len(rows) > 1 and written:
+        worst = (max(content[key]["max_mm"] for content in written) for key in ("before", "after"))
+        states = [content["verdict"]["state"] for content in written]
+        told = [f"{states.count(state)} {word}" for state, word in _TOLD.items() if states.count(state)]
+        if len(rows) > len(written):
+            told.insert(0, f"{len(rows) - len(written)} not written")
+        targets_in_all = str(sum(content["targets"] for content in written))
+        total = f"all {len(rows)}, at most"
+        cells.append((total, targets_in_all, *map(millimetres, worst), "", "", "", ", ".join(told)))
     return table(head, cells, right=range(1, 7))
 
 

@@ -16,6 +16,8 @@ needs_chromium = pytest.mark.skipif(
     reason="chromium is not installed (Debian package chromium); in CI it must be",
 )
 _ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+_OF_CHROMIUM = ("willReadFrequently", "GPU stall due to ReadPixels")
+"""Advice of the browser about its own speed, where it draws without a graphics card."""
 _SLOW_MS = 60_000
 
 
@@ -42,7 +44,8 @@ def opened(browser, path: Path, *, width: int = 1440, height: int = 1000, dark: 
     )
     page = context.new_page()
     page.set_default_timeout(_SLOW_MS)
-    page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
+    page.on("console", lambda message: None if any(known in message.text for known in _OF_CHROMIUM) else
+            said.append(message.text))  # fmt: skip
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda request: said.append(request.url[:100]) if _elsewhere(request.url) else None)
     page.goto(path.resolve().as_uri())

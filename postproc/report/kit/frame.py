@@ -17,7 +17,7 @@ from postproc.report.kit.plots import encoded
 if TYPE_CHECKING:
     from jinja2 import Template
 
-_SHARED = ("columns", "theme", "selection", "tables", "plots")
+_ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "plots")
 _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
 
@@ -50,14 +50,15 @@ class Page:
     def render(self) -> Iterator[bytes]:
         """Yield the page as HTML in UTF-8; what needs no plot is without the library that draws them."""
         plots = any(_holds(section.parts, self.drawn) for section in self.sections)
-        names = [*(("postproc.report.kit", name) for name in _SHARED), *self.scripts]
+        shared = (*_ALWAYS, *(_DRAWING if plots else ()))
+        names = [*(("postproc.report.kit", name) for name in shared), *(self.scripts if plots else ())]
         text = (
             _template()
             .render(
                 page=self,
                 plots=plots,
                 style=_text("postproc.report.kit", "templates/style.css"),
-                scripts=[_text(package, f"scripts/{name}.js") for package, name in names] if plots else [],
+                scripts=[_text(package, f"scripts/{name}.js") for package, name in names],
                 told=encoded(self.facts),
                 columns={name: encoded(columns.described) for name, columns in self.columns.items()},
             )

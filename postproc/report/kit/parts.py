@@ -18,11 +18,16 @@ class Part(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Text of a table. `sort` is what the column is sorted by where that is not the text."""
+    """Text of a table or a fact.
+
+    :param sort: what the column is sorted by where that is not the text.
+    :param href: file beside the page that the text leads to.
+    """
 
     text: str
     kind: Kind = ""
     sort: float | None = None
+    href: str = ""
 
 
 @dataclass(frozen=True, slots=True)

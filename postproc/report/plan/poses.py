@@ -27,7 +27,10 @@ def poses(result: PlanResult) -> Section:
     pull = result.force / np.linalg.norm(result.force, axis=1, keepdims=True)
     loads = np.stack([hook[:, 0], hook[:, 0] + _ARROW * pull], axis=1)
     points = posed.point(site.points)
-    around = [_line([_box(thing)[[a, b]] for thing in site.obstacles for a, b in _EDGES], "obstacles", "warning", 2.0)]
+    around = []
+    if site.obstacles:
+        edges = [_box(thing)[[a, b]] for thing in site.obstacles for a, b in _EDGES]
+        around.append(_line(edges, "obstacles", "warning", 2.0))
     if site.tracker is not None:
         around.append(_line([site.tracker[None]], "tracker", "force", 6.0, dots=True))
     alone = [
@@ -39,7 +42,7 @@ def poses(result: PlanResult) -> Section:
             _line([points[pose]], "reference points", "ink", 3.0, dots=True),
         )
     ]
-    every = [_line(list(arms), "arms", "after", 3.0), _line(list(loads), "pull of the loads", "before", 3.0)]
+    every = [_line(list(arms), "arms", "after", 5.0), _line(list(loads), "pull of the loads", "before", 3.0)]
     traces = [*around, *every, *alone]
     fixed = list(range(len(around)))
     begin = len(fixed) + len(every)
@@ -50,7 +53,7 @@ def poses(result: PlanResult) -> Section:
         traces=list(traces),
         height=560,
         steps=steps,
-        step_names=["all poses", *(f"pose {pose + 1}" for pose in range(count))],
+        step_names=["all", *(f"{pose + 1}" for pose in range(count))],
         note="Drag to turn, wheel to zoom; the slider shows one pose after the other. Orange: pull of the load; dots: "
         "reference points. Metres, robot root.",
     )

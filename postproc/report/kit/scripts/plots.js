@@ -1,9 +1,7 @@
 "use strict";
 // Plots that are plain data (`kit/plots.py`) become figures of the plot library.
 const plots = (() => {
-  const names = { before: "before", after: "after", correction: "correction", force: "force", soft: "soft", ink: "ink",
-    warning: "warning" };
-  const colour = (name) => theme.colour(names[name]);
+  const { colour } = theme;
 
   const traced = {
     curve: ({ x, y, name, colour: of, dots, dashed }) => ({
@@ -20,9 +18,8 @@ const plots = (() => {
       x: x.flatMap((at) => [at, at, null]), y: low.flatMap((from, i) => [from, high[i], null]),
     }),
     bars: ({ lengths, texts, chosen }) => ({
-      type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), text: texts, textposition: "auto",
-      hoverinfo: "text", cliponaxis: false, marker: { color: chosen.map((is) => (is ? colour("after") : colour("rule"))) },
-      insidetextfont: { color: chosen.map((is) => (is ? theme.colour("card") : theme.colour("ink"))) },
+      type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), text: texts, textposition: "outside",
+      hoverinfo: "text", cliponaxis: false, marker: { color: chosen.map((is) => colour(is ? "after" : "rule")) },
     }),
     counts: ({ edges, counts, name }) => ({
       type: "bar", name, x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, marker: { color: colour("soft") },
@@ -30,8 +27,8 @@ const plots = (() => {
     }),
     matrix: ({ names: of, values }) => ({
       type: "heatmap", x: of, y: of, z: values, zmin: -1, zmax: 1, xgap: 1, ygap: 1,
-      colorscale: [[0, theme.colour("before")], [0.5, theme.colour("card")], [1, theme.colour("after")]],
-      texttemplate: of.length <= 14 ? "%{z:.2f}" : undefined, textfont: { color: theme.colour("ink") },
+      colorscale: [[0, colour("before")], [0.5, colour("card")], [1, colour("after")]],
+      texttemplate: of.length <= 14 ? "%{z:.2f}" : undefined, textfont: { color: colour("ink") },
       hovertemplate: "%{y} – %{x}: %{z:.2f}<extra></extra>",
       colorbar: { title: { text: "correlation" }, tickvals: [-1, 0, 1], thickness: 12 },
     }),
@@ -84,7 +81,7 @@ const plots = (() => {
     if (plot.steps) {
       data.forEach((trace, i) => { trace.visible = plot.steps[0].includes(i); });
       layout.sliders = [{
-        pad: { t: 20 }, currentvalue: { prefix: "" },
+        pad: { t: 20, b: 30 }, currentvalue: { prefix: "shown: " },
         steps: plot.steps.map((shown, i) => ({
           label: plot.step_names[i], method: "restyle", args: [{ visible: data.map((_, k) => shown.includes(k)) }],
         })),

@@ -1,0 +1,125 @@
+"""`index.html` of a folder: its programs with their verdicts and worst numbers, those in trouble first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from urllib.parse import quote
+
+from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
+from postproc.report.summary import Distances, Summary
+from postproc.report.text import millimetres, number, percent
+
+_STATES = ("failed", "warning", "ok")
+_WORDS: dict[str, tuple[str, Kind]] = {
+    "nothing": ("nothing written", "error"),
+    "failed": ("do not run", "error"),
+    "warning": ("look first", "warning"),
+    "ok": ("may be run", "good"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A program of the folder.
+
+    :param name: its file.
+    :param page: name of its report, in the folder; empty where there is none.
+    :param content: of its `report.json`; None if nothing came of it.
+    :param message: why nothing came of it.
+    """
+
+    name: str
+    page: str
+    content: Summary | None
+    message: str = ""
+
+    @property
+    def state(self) -> str:
+        """The verdict, or ``"nothing"``."""
+        return "nothing" if self.content is None else self.content["verdict"]["state"]
+
+
+def index_page(entries: Sequence[Entry], folder: str) -> bytes:
+    """Return the page as HTML in UTF-8: one file that loads nothing, with links to the reports beside it.
+
+    :param entries: in any order.
+    :param folder: its name.
+    """
+    ordered = sorted(entries, key=_trouble)
+    written = [entry.content for entry in entries if entry.content is not None]
+    counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
+    tiles = [Tile("Programs", str(len(entries)))]
+    tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
+    if written:
+        tiles.append(Tile("Largest deviation before", millimetres(_most(written, "before")), "mm"))
+        tiles.append(Tile("After", millimetres(_most(written, "after")), "mm"))
+        bounds = [content["u95"]["max_mm"] for content in written if content["u95"] is not None]
+        unknown = len(written) - len(bounds)
+        note = f"unknown for {unknown} of {len(written)}" if unknown else ""
+        tiles.append(
+            Tile("On the part (95 %)", millimetres(max(bounds)) if bounds else "unknown", "mm" if bounds else "", note)
+        )
+    parts: list[Part] = [Tiles(tuple(tiles)), _table(ordered, written)]
+    failed = [entry for entry in ordered if entry.content is None]
+    sections = [Section("programs", "Programs", tuple(parts))]
+    if failed:
+        notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failed)
+        sections.append(Section("failed", "Nothing came of", (Notes(notes, marked=True),)))
+    footer = Note(
+        "Deviations are predictions over cutting targets, in millimetres. A name leads to the report of the program."
+    )
+    return b"".join(Page("Overview", folder, f"{len(entries)} programs", tuple(sections), (footer,)).render())
+
+
+def _trouble(entry: Entry) -> tuple[int, float, str]:
+    if entry.content is None:
+        return -1, 0.0, entry.name
+    bound = entry.content["u95"]
+    worst = entry.content["after"]["max_mm"] if bound is None else bound["max_mm"]
+    return _STATES.index(entry.state), -max(worst, entry.content["between_max_mm"] or 0.0), entry.name
+
+
+def _most(written: Sequence[Summary], when: str) -> float:
+    values: list[Distances] = [content[when] for content in written]  # type: ignore[literal-required]
+    return max(value["max_mm"] for value in values)
+
+
+def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
+    head = (
+        "Program",
+        "Verdict",
+        "Why",
+        "Targets",
+        "Before, mm",
+        "After, mm",
+        "On the part (95 %), mm",
+        "Compensated",
+        "Margin, °",
+    )
+    rows = []
+    for entry in entries:
+        word, kind = _WORDS[entry.state]
+        name = Cell(entry.name, href=quote(entry.page))
+        if entry.content is None:
+            rows.append(Row((name, Cell(word, kind), "see below", *("-",) * 6)))
+            continue
+        content = entry.content
+        rows.append(
+            Row(
+                (
+                    name,
+                    Cell(word, kind),
+                    content["verdict"]["reasons"][0] if entry.state != "ok" else "",
+                    str(content["targets"]),
+                    millimetres(content["before"]["max_mm"]),
+                    millimetres(content["after"]["max_mm"]),
+                    "unknown" if content["u95"] is None else millimetres(content["u95"]["max_mm"]),
+                    percent(content["compensated_percent"]),
+                    number(content["limits"]["min_joint_margin_deg"], 1),
+                )
+            )
+        )
+    targets = sum(content["targets"] for content in written)
+    note = f"{targets} targets in {len(written)} programs; largest values of each. Those in trouble come first."
+    return Table(head, tuple(rows), "Programs of the folder", texts=(1, 2), sortable=True, note=note)

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.report import summary
+from postproc.report.index import Entry, index_page
+from tests import fabricated
+from tests.html_page import read_page
+
+
+def _entry(name, tolerance=1e-5, **changes):
+    content = summary(fabricated.with_changes(fabricated.result(), **changes), tolerance)
+    return Entry(f"{name}.nc", f"{name}.report.html", {**content, "program": f"{name}.nc"})
+
+
+def test_programs_in_trouble_come_first_the_worst_of_them_first():
+    entries = [
+        _entry("fair"),
+        _entry("worse", bound=np.full(100, 2e-4)),
+        _entry("broken", 1e-7),
+        Entry("gone.nc", "", None, "gone.nc:3: A3 <beyond> its limit"),
+        _entry("bad", bound=np.full(100, 5e-4)),
+    ]
+    read = read_page(index_page(entries, "out"))
+    text = read.text("programs")
+    places = [text.index(name) for name in ("gone.nc", "broken.nc", "bad.nc", "worse.nc", "fair.nc")]
+    assert places == sorted(places)
+    assert "gone.nc: gone.nc:3: A3 <beyond> its limit" in read.text("failed")
+    assert "nothing written 1 do not run 1 look first 3" in text
+    assert "On the part (95 %) 0.5000 mm unknown for 2 of 4" in text
+    assert "400 targets in 4 programs" in text
+
+
+def test_names_lead_to_their_reports():
+    content = index_page([_entry("my part")], "out")
+    assert b'href="my%20part.report.html">my part.nc</a>' in content
+    assert len(content) < 30_000
+    with pytest.raises(AssertionError):
+        read_page(content.replace(b"my%20part.report.html", b"https://example.com/a.html"))
