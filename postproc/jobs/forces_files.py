@@ -76,7 +76,14 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     found = None
     if process.material is not None:
         found = machining.estimate(
-            program, path, process, place.spindle, stock=request.stock, base_axes=request.base_axes, progress=progress
+            program,
+            path,
+            process,
+            place.spindle,
+            place.ramp,
+            stock=request.stock,
+            base_axes=request.base_axes,
+            progress=progress,
         )
     knots = _joined(program, process, found)
     content: dict[str, Any] = {} if found is None else process_forces.summary(program, found)
@@ -113,9 +120,9 @@ def _joined(program: Program, process: Process, found: ProcessForces | None) -> 
         own = machining.by_operation(program, process)
         parts.append((own.motion, np.full(len(own.motion), np.nan), own.wrench, own.frame, own.sigma))
     if found is not None:
-        rest = np.ones(len(found.cuts.t), dtype=bool) if not parts else ~np.isin(found.cuts.motion, parts[0][0])
-        cuts = found.cuts
-        parts.append((cuts.motion[rest], cuts.t[rest], cuts.wrench[rest], found.frame[rest], found.sigma[rest]))
+        own_ = found.along
+        rest = np.ones(len(own_.t), dtype=bool) if not parts else ~np.isin(own_.motion, parts[0][0])
+        parts.append((own_.motion[rest], own_.t[rest], own_.wrench[rest], own_.frame[rest], own_.sigma[rest]))
     motion, t, wrench, frame, sigma = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     order = np.lexsort((t, motion))
     return motion[order], t[order], wrench[order], frame[order], sigma[order]

@@ -8,6 +8,18 @@ from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.material import Entry, table
 from postproc.machining.operations import OperationForces, by_operation
 from postproc.machining.process import Process, load
+from postproc.machining.source import ProcessSource
 from postproc.machining.ways import Shift
 
-__all__ = ["Entry", "OperationForces", "Process", "ProcessForces", "Shift", "by_operation", "estimate", "load", "table"]
+__all__ = [
+    "Entry",
+    "OperationForces",
+    "Process",
+    "ProcessForces",
+    "ProcessSource",
+    "Shift",
+    "by_operation",
+    "estimate",
+    "load",
+    "table",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import M_PER_MM, Array, inverse
 from postproc.machining import stock as stocks
+from postproc.machining.continuous import AlongMotions, without_steps
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
 from postproc.machining.running import Running, running
@@ -20,11 +21,9 @@ from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.thinning import thinned
 from postproc.machining.ways import Shift, Ways, spindle, ways
-from postproc.program import Ints, Program
+from postproc.program import Program
 from postproc.toolpath import Segments
 
-BASE, FEED = 0, 2
-"""Values of `ProcessForces.frame`: places in `program.FORCE_FRAMES`."""
 _TILT = np.radians(0.5)
 _INCH = 25.4
 _DEEP = 4.0
@@ -35,11 +34,10 @@ _BATCH = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProcessForces:
-    """What a process makes of a program: K places along its cutting motions.
+    """What a process makes of a program.
 
-    :param cuts: wrench and engagement there, see `Cuts`; the wrench in the axes that `frame` names.
-    :param frame: (K,) `FEED`, or `BASE` on moves along the spindle (or everywhere, where that was asked for).
-    :param sigma: (K, 6) standard deviations of the wrench.
+    :param along: the forces along its cutting motions.
+    :param cuts: wrench and engagement at stations on them, as many as show how they change, see `Cuts`.
     :param peak: (M, 2) largest force [N] and torque [N·m] within a turn on each motion.
     :param power: (M,) largest mean power of the spindle on each motion [W].
     :param turning: tool and spindle speed of each motion.
@@ -49,9 +47,8 @@ class ProcessForces:
     :param issues: what the user should know.
     """
 
+    along: AlongMotions
     cuts: Cuts
-    frame: Ints
-    sigma: Array
     peak: Array
     power: Array
     turning: Running
@@ -71,6 +68,7 @@ def estimate(
     path: Segments,
     process: Process,
     axis: str,
+    ramp: float,
     *,
     stock: Path | None = None,
     base_axes: bool = False,
@@ -81,6 +79,7 @@ def estimate(
 
     :param path: where its motions start.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :param ramp: over which length the force comes up where a motion begins [m].
     :param stock: mesh of the stock, instead of that of the process.
     :param base_axes: give all wrenches in `$BASE` axes.
     :param shift: displacement of the tip, see `Shift`.
@@ -102,13 +101,12 @@ def estimate(
     told += list(_told(program, sweep, law, cuts, turning, process))
     if not sweep.contact:
         raise _no_contact(program, steps, bounds, process, stock)
-    wrench, axes = _in_axes(program, cuts, frame, base_axes)
+    stations = cuts.motion, cuts.t, cuts.wrench
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
-        cuts=replace(cuts, wrench=wrench),
-        frame=axes,
-        sigma=np.abs(wrench) * law.sigma,
+        along=without_steps(program, path, stations, frame, ramp, law.sigma, base_axes=base_axes),
+        cuts=cuts,
         peak=sweep.peak,
         power=power,
         turning=turning,
@@ -300,23 +298,3 @@ def _no_contact(
         if 0.3 < ratio / factor < 3.0 and (ratio > 5.0 or ratio < 0.2):
             advice += f" The stock is {'smaller' if factor > 1 else 'larger'} by about 25.4: is one of them in inches?"
     return ForceError(problem, file=str(stock or process.path), advice=advice)
-
-
-def _in_axes(program: Program, cuts: Cuts, frame: Array, base_axes: bool) -> tuple[Array, Ints]:
-    """Return the wrenches (K, 6) in the axes of their motions, and which these are (K,)."""
-    u = cuts.feed
-    turn = np.zeros((len(u), 3, 3))
-    turn[:, 0, 0], turn[:, 1, 0] = u[:, 0], u[:, 1]
-    turn[:, 0, 1], turn[:, 1, 1] = -u[:, 1], u[:, 0]
-    turn[:, 2, 2] = 1.0
-    m = program.motions
-    home = int(m.base[np.argmax(~m.rapid)])
-    out = cuts.wrench.copy()
-    in_feed = np.full(len(u), not base_axes) & ~cuts.along
-    rows = np.flatnonzero(~in_feed)
-    to_base = frame[:3, :3]
-    bases = np.swapaxes(program.bases[m.base[cuts.motion[rows]], :3, :3], 1, 2) @ program.bases[home, :3, :3]
-    rotation = bases @ to_base @ turn[rows]
-    for half in (slice(0, 3), slice(3, 6)):
-        out[rows, half] = np.einsum("nij,nj->ni", rotation, out[rows, half])
-    return out, np.where(in_feed, FEED, BASE)

@@ -12,7 +12,7 @@ from postproc.program import Ints
 
 _SHARE = 0.01
 """Of the largest force of a motion, what a force between knots may be off by,"""
-_LEAST = 0.5
+_LEAST = 1.0
 """but not less than this [N]."""
 
 

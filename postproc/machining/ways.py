@@ -119,7 +119,7 @@ def _in_map(
     """Return points and directions, each (L, 3) in the `$BASE` of their motion, in the frame of the map."""
     base = program.motions.base[motion]
     out = [one.copy() for one in (*points, *directions)]
-    home = _home(program)
+    home = home_base(program)
     to_map = inverse(frame)
     for row in np.unique(base).tolist():
         here = base == row
@@ -129,7 +129,7 @@ def _in_map(
     return out[0], out[1], out[2], out[3]
 
 
-def _home(program: Program) -> int:
+def home_base(program: Program) -> int:
     """Return the row of `Program.bases` in which the stock stands: that of the first cutting motion."""
     m = program.motions
     return int(m.base[np.argmax(~m.rapid)])
@@ -140,7 +140,7 @@ def spindle(program: Program, axis: str) -> Array:
     column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[axis]
     m = program.motions
     out = sign * m.target[:, :3, column]
-    home = program.bases[_home(program)]
+    home = program.bases[home_base(program)]
     for row in np.unique(m.base).tolist():
         here = m.base == row
         out[here] = out[here] @ (home[:3, :3].T @ program.bases[row, :3, :3]).T

@@ -1,0 +1,115 @@
+"""Forces along motions without steps: where a motion begins, its force comes up from that of the one before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.machining.ways import home_base
+from postproc.program import CIRC, Bools, Ints, Program
+from postproc.toolpath import Segments, tangent
+
+BASE, FEED = 0, 2
+"""Values of `AlongMotions.frame`: places in `program.FORCE_FRAMES`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlongMotions:
+    """Wrenches at K places along motions: linear between the places of a motion.
+
+    :param motion: (K,) row of `Motions`, never decreasing.
+    :param t: (K,) place on it, increasing.
+    :param wrench: (K, 6) force [N] and moment [N·m] on the tool at its tip, in the axes that `frame` names.
+    :param frame: (K,) `BASE` or `FEED`; one for a motion.
+    :param sigma: (K, 6) standard deviations of the wrench.
+    :param steady: (K,) True on motions along which the force is the same, once it has come up.
+    """
+
+    motion: Ints
+    t: Array
+    wrench: Array
+    frame: Ints
+    sigma: Array
+    steady: Bools
+
+
+def without_steps(
+    program: Program,
+    path: Segments,
+    stations: tuple[Ints, Array, Array],
+    map_in_base: Array,
+    ramp: float,
+    sigma: float,
+    *,
+    base_axes: bool,
+) -> AlongMotions:
+    """Return wrenches that are continuous from motion to motion.
+
+    The force of a motion comes up over the ramp from that at the end of the motion before, zero after a rapid one, and
+    then is as given; at the end of the motion it acts in full.
+
+    :param stations: rows of `Motions` (n,), places on them, and wrenches (n, 6) in FEED axes; on moves along the
+        spindle in those of the map.
+    :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion: z to the spindle.
+    :param ramp: [m].
+    :param sigma: standard deviation as a share of the wrench.
+    :param base_axes: give them in `$BASE`; else in FEED, but for moves along the spindle.
+    """
+    motion, t, wrench = stations
+    first = np.flatnonzero(np.diff(motion, prepend=-1))
+    last = np.append(first[1:], len(motion)) - 1
+    single = first == last
+    own = motion[first]
+    ends = _turn(_axes(program, path, own, np.ones(len(own)), map_in_base)[0], wrench[last])
+    follows = np.flatnonzero(np.diff(own, prepend=-2) == 1)
+    before = np.zeros((len(own), 6))
+    starts, _ = _axes(program, path, own[follows], np.zeros(len(follows)), map_in_base)
+    before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
+    reach = np.minimum(1.0, ramp / np.maximum(path.length[own], 1e-9))
+    parts_t, parts_wrench, count = [], [], np.ones(len(own), dtype=np.int64)
+    for place in range(len(own)):
+        rows = slice(int(first[place]), int(last[place]) + 1)
+        r = float(reach[place])
+        inner = t[rows][(t[rows] > r + 1e-9) & (t[rows] < 1.0)]
+        at = np.array([r]) if single[place] or r == 1.0 else np.concatenate([[r], inner, [1.0]])
+        values = np.stack([np.interp(at, t[rows], wrench[rows, k]) for k in range(6)], axis=-1)
+        parts_t.append(np.concatenate([[0.0], at]))
+        parts_wrench.append(np.concatenate([before[place][None], values]))
+        count[place] = len(at) + 1
+    motions, places, values = np.repeat(own, count), np.concatenate(parts_t), np.concatenate(parts_wrench)
+    axes, along = _axes(program, path, motions, places, map_in_base)
+    steady = np.repeat(single, count)
+    turning = steady & (program.motions.kind[motions] == CIRC)  # the same in FEED axes: in $BASE it turns
+    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] | base_axes) & ~turning
+    values[in_base] = _turn(_to_base(program, motions[in_base], map_in_base) @ axes[in_base], values[in_base])
+    return AlongMotions(motions, places, values, np.where(in_base, BASE, FEED), np.abs(values) * sigma, steady)
+
+
+def _axes(program: Program, path: Segments, motion: Ints, t: Array, map_in_base: Array) -> tuple[Array, Bools]:
+    """Return FEED axes (n, 3, 3) as columns in those of the map, and which places lie on moves along the spindle."""
+    direction = tangent(program, path, motion, t)
+    to_map = np.swapaxes(_to_base(program, motion, map_in_base), 1, 2)
+    direction = np.einsum("nij,nj->ni", to_map, direction)
+    across = np.hypot(direction[:, 0], direction[:, 1])
+    along = across < 1e-3
+    u = np.where(along[:, None], [1.0, 0.0], direction[:, :2] / np.where(along, 1.0, across)[:, None])
+    out = np.zeros((len(motion), 3, 3))
+    out[:, 0, 0], out[:, 1, 0] = u[:, 0], u[:, 1]
+    out[:, 0, 1], out[:, 1, 1] = -u[:, 1], u[:, 0]
+    out[:, 2, 2] = 1.0
+    return out, np.asarray(along)
+
+
+def _to_base(program: Program, motion: Ints, map_in_base: Array) -> Array:
+    """Return the axes of the map (n, 3, 3) in the `$BASE` of motions."""
+    base = program.motions.base[motion]
+    home = program.bases[home_base(program), :3, :3]
+    return np.asarray(np.swapaxes(program.bases[base, :3, :3], 1, 2) @ home @ map_in_base[:3, :3])
+
+
+def _turn(rotation: Array, wrench: Array) -> Array:
+    """Return wrenches (n, 6) in other axes."""
+    halves = [np.einsum("nij,nj->ni", rotation, wrench[:, half]) for half in (slice(0, 3), slice(3, 6))]
+    return np.concatenate(halves, axis=1)
