@@ -58,6 +58,22 @@ class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     Z: Length = 0.0
 
 
+class ToolCompliance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How holder, spindle and tool give way at the tip, in the axes of the tool frame."""
+
+    X_um_per_N: NotNegative = 0.0
+    Y_um_per_N: NotNegative = 0.0
+    Z_um_per_N: NotNegative = 0.0
+    RX_urad_per_Nm: NotNegative = 0.0
+    RY_urad_per_Nm: NotNegative = 0.0
+    RZ_urad_per_Nm: NotNegative = 0.0
+
+    def diagonal(self) -> Array:
+        """Return the compliances (6,) [m/N, rad/(N·m)]."""
+        along = (self.X_um_per_N, self.Y_um_per_N, self.Z_um_per_N)
+        return np.array([*along, self.RX_urad_per_Nm, self.RY_urad_per_Nm, self.RZ_urad_per_Nm]) * 1e-6
+
+
 class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How strict to be and how to write; mm."""
 
@@ -113,6 +129,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     tool: Tool
     start: Start
     payload: Payload = Payload()
+    tool_compliance: ToolCompliance = ToolCompliance()
     output: Output = Output()
     gcode: GCode = GCode()
     krl: Krl = Krl()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from postproc import toolpath
@@ -46,27 +48,44 @@ def corrected(path: PathUnderLoad) -> Compensation:
         raise _no_balance(path, cause) from None
 
 
-def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncorrected:
+    """What the tool would do at n samples if nothing were corrected, `$BASE` [m].
+
+    :param deviation: (n, 3) the tip seen from nominal.
+    :param deflection: (n, 3) its displacement by the wrench alone.
+    :param by_tool: (n, 3) of that, how far holder, spindle and tool give way.
+    """
+
+    deviation: Array
+    deflection: Array
+    by_tool: Array
+
+    def take(self, rows: Ints) -> Uncorrected:
+        """Return some of the samples."""
+        return Uncorrected(self.deviation[rows], self.deflection[rows], self.by_tool[rows])
+
+
+def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
     """Return what the tool would do at samples (n,) if nothing were corrected.
 
     :param theta: (N, nv) deflections of the springs, about.
-    :returns: the tip seen from nominal (n, 3), and its displacement by the wrench alone (n, 3), `$BASE` [m].
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
 
-    def in_chunk(row: Ints) -> tuple[Array, Array]:
+    def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
         q, wrench = path.joints.q[row], path.wrench_in_root[row]
-        tip = path.tip_in_base(row, q, wrench, theta[row])
+        tip, by_tool = path.tip_in_base(row, q, wrench, theta[row])
         deviation = tip - path.sample.pose[row, :3, 3]
         if path.setting.rest_is_nominal:
-            return deviation, deviation
-        return deviation, tip - path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
+            return deviation, deviation, by_tool
+        rest, _ = path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
+        return deviation, tip - rest, by_tool
 
     try:
-        deviation, deflection = in_chunks(in_chunk, rows)
+        return Uncorrected(*in_chunks(in_chunk, rows))
     except NotConvergedError as cause:
         raise _no_balance(path, NotConvergedError(str(cause), rows[list(cause.rows)])) from None
-    return deviation, deflection
 
 
 def _no_balance(path: PathUnderLoad, cause: NotConvergedError) -> ImpossiblePathError:

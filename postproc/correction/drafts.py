@@ -111,10 +111,10 @@ def result_of(task: Task, draft: Draft) -> Result:
     """Make the result of a draft; what is not written is predicted as it stands."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, task.program
     rows = np.arange(len(path)) if task.mode == "predict" else row
-    deviation, deflection = commanded.uncorrected(path, rows, draft.command.theta)
-    between = float(norm(deviation).max(initial=0.0))
+    without = commanded.uncorrected(path, rows, draft.command.theta)
+    between = float(norm(without.deviation).max(initial=0.0))
     if task.mode == "predict":
-        deviation, deflection = deviation[row], deflection[row]
+        without = without.take(row)
     programmed = np.zeros(len(row))
     if program.keeps_text:
         programmed = blending.programmed(program, path.motions.segments, targets.motion)
@@ -131,9 +131,10 @@ def result_of(task: Task, draft: Draft) -> Result:
         nominal=path.sample.pose[row],
         printed=_numbers(task, draft),
         wrench=path.wrench[row],
-        deflection=deflection,
-        deviation_before=deviation,
-        deviation_after=deviation,
+        deflection=without.deflection,
+        deflection_by_tool=None if task.setting.tool_spring is None else without.by_tool,
+        deviation_before=without.deviation,
+        deviation_after=without.deviation,
         bound=bound,
         q=draft.command.q[row],
         joint_margin=kinematics.joint_margin(task.robot, draft.command.q),
@@ -181,8 +182,10 @@ def _bound(draft: Draft) -> tuple[Array | None, list[Issue]]:
         halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
         in_root = np.zeros((len(row), 6, 6))
         in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
+    spring = path.setting.tool_spring
+    in_series = None if spring is None else spring.matrices(path.pose_in_root[row, :3, :3])
     q, wrench = draft.command.q[row], path.wrench_in_root[row]
-    return elastostatics.position_bound(robot, q, path.tool(row), wrench, in_root), []
+    return elastostatics.position_bound(robot, q, path.tool(row), wrench, in_root, in_series), []
 
 
 def _carried(draft: Draft, back: ReadBack) -> Knots:

@@ -32,6 +32,7 @@ class Result:
     :param printed: (K, 6) X, Y, Z, A, B, C of the command as they stand in the written text: mm and degrees.
     :param wrench: (K, 6) force and moment used.
     :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
+    :param deflection_by_tool: (K, 3) of that, how far holder, spindle and tool give way [m]; None where they are rigid.
     :param deviation_before: (K, 3) predicted tip minus nominal position if nothing is corrected [m].
     :param deviation_after: (K, 3) the same with the program as written [m].
     :param bound: (K,) 95 % bound of the predicted position from the model's covariance [m], or None.
@@ -59,6 +60,7 @@ class Result:
     printed: Array
     wrench: Array
     deflection: Array
+    deflection_by_tool: Array | None
     deviation_before: Array
     deviation_after: Array
     bound: Array | None
@@ -89,6 +91,7 @@ class Result:
             printed=np.zeros((0, 6)),
             wrench=np.zeros((0, 6)),
             deflection=np.zeros((0, 3)),
+            deflection_by_tool=None,
             deviation_before=np.zeros((0, 3)),
             deviation_after=np.zeros((0, 3)),
             bound=None,

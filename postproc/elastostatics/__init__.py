@@ -26,12 +26,14 @@ from postproc.elastostatics.springs import (
     spring_deflection,
 )
 from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
+from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import position_bound, sensitivity
 
 __all__ = [
     "Balance",
     "Deflection",
     "Equilibrium",
+    "ToolSpring",
     "asked",
     "cartesian_stiffness",
     "coordinates",

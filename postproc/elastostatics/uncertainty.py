@@ -20,7 +20,12 @@ _QUANTILE_95 = 1.6448536
 
 
 def position_bound(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, force_spread: Array | None = None
+    robot: RobotModel,
+    q: Array,
+    tool: Array,
+    wrench: Array,
+    force_spread: Array | None = None,
+    in_series: Array | None = None,
 ) -> Array | None:
     """Return the 95 % bound (N,) [m] on the error of the predicted deflection of the TCP, or None.
 
@@ -31,21 +36,24 @@ def position_bound(
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     :param force_spread: (N, 6, m) L of the covariance L·Lᵀ of the wrench, root axes; None where it is certain.
+    :param in_series: (N, 6, 6) compliance that the force meets beside the robot's, root axes; None where there is none.
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
     if robot.covariance is None:
         return None
     covariance = robot.covariance
 
-    def bound(q: Array, tool: Array, wrench: Array, *force_spread: Array) -> tuple[Array]:
+    def bound(q: Array, tool: Array, wrench: Array, *forces: Array) -> tuple[Array]:
         s = sensitivity(robot, q, tool, wrench)
         position = s @ covariance.matrix @ np.swapaxes(s, 1, 2)
-        for spread in force_spread:
-            moved = tangent_compliance(robot, q, tool, wrench)[:, :3] @ spread
+        if forces:
+            spread, compliance = forces
+            moved = (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3] @ spread
             position += moved @ np.swapaxes(moved, 1, 2)
         return (length_bound(position),)
 
-    others = () if force_spread is None else (force_spread,)
+    beside = np.zeros((len(q), 6, 6)) if in_series is None else in_series
+    others = () if force_spread is None else (force_spread, beside)
     return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, *others)[0]
 
 

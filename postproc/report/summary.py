@@ -33,7 +33,7 @@ class Distances(TypedDict):
 
 
 class Bound(TypedDict):
-    """95 % bound of what will remain on the part, over cutting targets."""
+    """Largest and mean of a length over cutting targets: of the 95 % bound of what will remain, say."""
 
     max_mm: float
     rms_mm: float
@@ -106,6 +106,7 @@ class Summary(TypedDict):
     blending: Blending
     provenance: Origin
     max_correction_mm: float | None
+    tool_deflection: Bound | None  # None where holder, spindle and tool are rigid
     max_force_N: float
     limits: Limits
     issues: list[IssueEntry]
@@ -125,6 +126,9 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
     margin = result.joint_margin * DEG_PER_RAD
     force = norm(result.wrench[:, :3])
     bound = None if result.bound is None else statistics(result.bound, result.rapid)
+    by_tool = None
+    if result.deflection_by_tool is not None:
+        by_tool = statistics(norm(result.deflection_by_tool), result.rapid)
     content = Summary(
         program=result.program.documents[0].name,
         robot=result.robot.name,
@@ -133,7 +137,7 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         inserted_targets=result.inserted,
         before=_distances(before),
         after=_distances(after),
-        u95=None if bound is None else {"max_mm": bound.largest * MM_PER_M, "rms_mm": bound.rms * MM_PER_M},
+        u95=_bound(bound),
         improvement={
             "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
             "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
@@ -145,6 +149,7 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         blending=_blending(result),
         provenance=_origin(result),
         max_correction_mm=_finite(result.largest_correction * MM_PER_M),
+        tool_deflection=_bound(by_tool),
         max_force_N=float(force.max(initial=0.0)),
         limits={
             "min_joint_margin_deg": _finite(float(margin.min())),
@@ -211,6 +216,10 @@ def to_json(content: object) -> bytes:
     :raises ValueError: a number is NaN or infinite.
     """
     return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
+
+
+def _bound(values: Statistics | None) -> Bound | None:
+    return None if values is None else {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M}
 
 
 def _distances(values: Statistics) -> Distances:

@@ -8,6 +8,7 @@ from postproc.toolpath.circles import circle_through
 from postproc.toolpath.path import Arcs, Segments, Toolpath, at, positions, segments, starts, tangent
 from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places
 from postproc.toolpath.root import (
+    base_of,
     columns_in_root,
     flange_from_tcp,
     flange_points,
@@ -25,6 +26,7 @@ __all__ = [
     "Segments",
     "Toolpath",
     "at",
+    "base_of",
     "circle_through",
     "columns_in_root",
     "flange_from_tcp",

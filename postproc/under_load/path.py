@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from postproc import kinematics, toolpath
 from postproc.frames import Array
 from postproc.kinematics import JointPath, UnreachableError
@@ -69,15 +71,20 @@ class PathUnderLoad:
         """Return `$TOOL` in the flange frame at samples (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
         return toolpath.tool_of(self.program, self.sample.motion[rows])
 
-    def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> Array:
-        """Return where the loaded tip stands (n, 3), `$BASE` [m], with joint angles (n, 6) at samples (n,).
+    def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> tuple[Array, Array]:
+        """Return where the loaded tip stands (n, 3) with joint angles (n, 6) at samples (n,), `$BASE` [m].
+
+        And how far holder, spindle and tool gave way of that (n, 3).
 
         :param wrench_in_root: (n, 6) [N, N·m].
         :param guess: (n, nv) deflections of the springs, about.
         :raises NotConvergedError: the load is beyond what the springs hold.
         """
-        tip = self.setting.tip(q, self.tool(rows), wrench_in_root, guess)
-        return toolpath.points_in_base(self.program, self.sample.motion[rows], tip)
+        motion = self.sample.motion[rows]
+        tip, share = self.setting.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
+        rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
+        share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
+        return toolpath.points_in_base(self.program, motion, tip), share
 
     @property
     def setting(self) -> RobotInCell:

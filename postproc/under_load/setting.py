@@ -9,6 +9,7 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.cell import Cell
 from postproc.compensation import Compensation, compensate
+from postproc.elastostatics import ToolSpring
 from postproc.frames import M_PER_MM, Array
 from postproc.robot import RobotModel
 
@@ -34,6 +35,12 @@ class RobotInCell:
         """Return the flange (4, 4) in the root by the controller's geometry for joint angles (6,) [rad]."""
         pose: Array = kinematics.tcp(self.robot.nominal, np.asarray(q, dtype=float)[None], np.eye(4))[0][0]
         return pose
+
+    @property
+    def tool_spring(self) -> ToolSpring | None:
+        """Holder, spindle and tool as a spring at the tip; None where they are rigid."""
+        compliance = self.cell.tool_compliance.diagonal()
+        return ToolSpring(compliance) if compliance.any() else None
 
     @property
     def start_flange(self) -> Array:
@@ -63,7 +70,9 @@ class RobotInCell:
 
     def softness(self, tool: Array) -> tuple[float, float]:
         """Return how far a tool (4, 4) gives way at the start, about, per force [m/N] and per moment [m/(N·m)]."""
-        return elastostatics.softness(self.robot, self.cell.start_joints, tool)
+        force, moment = elastostatics.softness(self.robot, self.cell.start_joints, tool)
+        own = self.cell.tool_compliance.diagonal()
+        return force + float(own[:3].max()), moment + float(own[3:].max())
 
     def compensate(self, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
         """Find the commands under which the loaded tool stands at its targets (n, 4, 4), see `compensation.compensate`.
@@ -73,10 +82,16 @@ class RobotInCell:
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
         :raises NotConvergedError: some target cannot be held.
         """
+        if (spring := self.tool_spring) is not None:
+            target, wrench = spring.held_by_arm(target, wrench)
         return compensate(self.robot, target, q_nominal, tool, wrench)
 
     def tip(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
-        """Return where the loaded tip stands (n, 3) in the root [m].
+        """Return where the loaded tip stands (n, 3) in the root [m]."""
+        return self.tip_and_share(q, tool, wrench, guess)[0]
+
+    def tip_and_share(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> tuple[Array, Array]:
+        """Return where the loaded tip stands (n, 3) in the root [m], and how far holder, spindle and tool gave way.
 
         :param q: (n, 6) joint angles that the controller holds [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
@@ -85,5 +100,9 @@ class RobotInCell:
         :raises NotConvergedError: the load is beyond what the springs hold.
         """
         x = elastostatics.spread(self.robot, q.T)
-        start = None if guess is None else guess.T
-        return elastostatics.solve_equilibrium(self.robot, x, kinematics.components(tool), wrench.T, start).tip.T
+        start, tools = None if guess is None else guess.T, kinematics.components(tool)
+        if (spring := self.tool_spring) is not None:
+            tip, moved = spring.tip(self.robot, x, tools, wrench.T, start)
+            return tip.T, moved.T
+        tip = elastostatics.solve_equilibrium(self.robot, x, tools, wrench.T, start).tip.T
+        return tip, np.zeros_like(tip)

@@ -235,3 +235,22 @@ def test_the_ramp_of_a_feed_force_on_a_small_arc_is_held_between_targets_too(lin
         tip = sim.tip(moves[index], q, np.array([*force, 0.0, 0.0, 0.0]))
         worst = max(worst, float(np.linalg.norm(tip - nominal)))
     assert 0.0 < worst <= 0.010e-3
+
+
+def test_a_tool_that_gives_way_is_corrected_and_told_apart():
+    import msgspec
+
+    cell = cells.load(SAMPLES / "cell_kr270.toml")
+    soft = msgspec.structs.replace(cell, tool_compliance=cells.ToolCompliance(X_um_per_N=0.2, Y_um_per_N=0.2))
+    model = robot.load(robot.find(cell.robot))
+    text = "G21 G90 G17\nG0 X0 Y0 Z20\n(FORCE FX=300 FZ=100)\nG1 Z0 F600\nG1 X60\nG3 X60 Y40 I0 J20\nG0 Z20\nM2\n"
+    program = correction.read([decode("part.nc", text.encode())], model, soft, "part", "gcode")
+    result, rigid = (correction.process(program, model, each) for each in (soft, cell))
+    cutting = ~result.rapid
+    np.testing.assert_allclose(result.deflection_by_tool[cutting][:, 0], 60e-6, rtol=1e-3)  # 300 N · 0.2 µm/N
+    assert result.after[cutting].max() < MICROMETRE
+    assert report.summary(result)["tool_deflection"]["max_mm"] == pytest.approx(0.06, rel=1e-3)
+    assert report.summary(rigid)["tool_deflection"] is None
+    end = np.flatnonzero(result.t == 1.0)[-2], np.flatnonzero(rigid.t == 1.0)[-2]
+    more = result.deflection[end[0]] - rigid.deflection[end[1]]
+    np.testing.assert_allclose(more, result.deflection_by_tool[end[0]], atol=1e-7)

@@ -25,6 +25,9 @@ def section(told: Deviation) -> Section | None:
         rows.append(("Approximation (C_DIS) rounds corners by up to", told_at))
     if content["mode"] == "convert":
         rows.append(("Largest correction", f"{number(content['max_correction_mm'], 3)} mm"))
+    if content["tool_deflection"] is not None:
+        share = f"{number(content['tool_deflection']['max_mm'], 3)} mm"
+        rows.append(("Holder, spindle and tool give way by up to", share))
     rows.append(("Largest force", f"{content['max_force_N']:.0f} N"))
     limits = content["limits"]
     rows.append(("Smallest joint margin", f"{number(limits['min_joint_margin_deg'], 1)}°"))

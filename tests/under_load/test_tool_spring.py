@@ -1,0 +1,86 @@
+"""Holder, spindle and tool as a spring in series, against the minimum of an energy that has them in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from postproc import cell as cells
+from postproc import robot
+from postproc.under_load import RobotInCell
+from tests.oracle.arm import Arm
+
+CELL = cells.load(Path(__file__).parents[2] / "samples/cell_kr270.toml")
+ROBOT = robot.load(robot.find(CELL.robot))
+ARM = Arm.load(robot.find(CELL.robot))
+TOOL = CELL.tool.pose()
+SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)
+SETTING = RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, tool_compliance=SOFT))
+Q = np.radians([[10.0, -70, 105, 20, 50, -30], [-35.0, -50, 90, -100, -70, 80]])
+FORCE = np.array([[800.0, -600, 300, 0, 0, 0], [-300.0, 900, -1200, 0, 0, 0]])
+
+
+def by_energy(q, wrench):
+    """Tip (3,) and displacement of the tool (3,) where the energy of arm and tool has its minimum."""
+    stiffness, reference = 1.0 / SOFT.diagonal()[:3], ARM.reference(q)
+    scale = np.concatenate([ARM.stiffness, stiffness])
+
+    def potential(state):
+        theta, delta = state[:6], state[6:]
+        pose = ARM.tcp(q + theta, TOOL)
+        arm = ARM.potential(theta, q, TOOL, wrench[:3], reference)
+        return arm + 0.5 * np.sum(stiffness * delta**2) - np.dot(wrench[:3], pose[:3, :3] @ delta)
+
+    found = root(lambda s: ARM.gradient(potential, s / scale), np.zeros(9), options={"xtol": 1e-13})
+    assert np.abs(found.fun).max() < 1e-6
+    state = found.x / scale
+    pose = ARM.tcp(q + state[:6], TOOL)
+    moved = pose[:3, :3] @ state[6:]
+    return pose[:3, 3] + moved, moved
+
+
+def test_the_loaded_tip_stands_at_the_minimum_of_the_energy():
+    tip, by_tool = SETTING.tip_and_share(Q, TOOL, FORCE)
+    for row in range(len(Q)):
+        expected, moved = by_energy(Q[row], FORCE[row])
+        np.testing.assert_allclose(tip[row], expected, rtol=0, atol=2e-9)
+        np.testing.assert_allclose(by_tool[row], moved, rtol=0, atol=2e-9)
+        assert np.linalg.norm(moved) > 1e-4
+
+
+def test_the_command_puts_that_minimum_at_the_target():
+    target = np.array([ARM.nominal_tcp(q, TOOL) for q in Q])
+    found = SETTING.compensate(target, Q, TOOL, FORCE)
+    for row in range(len(Q)):
+        assert np.linalg.norm(by_energy(found.q[row], FORCE[row])[0] - target[row, :3, 3]) < 5e-9
+
+
+def test_a_moment_turns_the_tool_and_the_command_turns_it_back():
+    """The tool twists by C·M in its own axes: turned back, it stands as the target asks."""
+    moment = np.array([[0.0, 0, 0, 40.0, -60, 30]])
+    target = ARM.nominal_tcp(Q[0], TOOL)[None]
+    found = SETTING.compensate(target, Q[:1], TOOL, moment)
+    held = ARM.loaded_tcp(found.q[0], TOOL, moment[0])
+    twist = held[:3, :3].T @ target[0, :3, :3]
+    vector = 0.5 * np.array([twist[2, 1] - twist[1, 2], twist[0, 2] - twist[2, 0], twist[1, 0] - twist[0, 1]])
+    expected = SOFT.diagonal()[3:] * (held[:3, :3].T @ moment[0, 3:])
+    np.testing.assert_allclose(vector, expected, rtol=1e-5)
+    np.testing.assert_allclose(held[:3, 3], target[0, :3, 3], atol=1e-8)
+
+
+def test_a_rigid_tool_changes_nothing():
+    assert RobotInCell.of(ROBOT, CELL).tool_spring is None
+    tip, by_tool = RobotInCell.of(ROBOT, CELL).tip_and_share(Q, TOOL, FORCE)
+    assert not by_tool.any()
+    assert tip[0] == pytest.approx(ARM.loaded_tcp(Q[0], TOOL, FORCE[0])[:3, 3], abs=2e-9)
+
+
+def test_a_negative_compliance_is_refused(tmp_path):
+    text = (Path(CELL.folder) / "cell_kr270.toml").read_text() + "\n[tool_compliance]\nX_um_per_N = -0.1\n"
+    (tmp_path / "cell.toml").write_text(text)
+    with pytest.raises(cells.CellError, match=r"tool_compliance\.X_um_per_N"):
+        cells.load(tmp_path / "cell.toml")
