@@ -273,7 +273,7 @@ def _differences(found: Comparison) -> Iterator[Issue]:
                 message = "a target of the nominal program has no partner."
                 yield Issue("warning", name, message, source_line=line, count=len(rows))
             else:
-                message = "a target of the corrected program has no partner, and does not stand on the nominal path."
+                message = f"line {line} of the corrected program: a target without partner, beside the nominal path."
                 yield Issue("warning", name, message, output_line=line, count=len(rows))
 
 

@@ -33,6 +33,9 @@ from postproc.report.comparison import (
 from postproc.robot import RobotModel
 from postproc.version import VERSION
 
+_FEW = 0.3
+"""Share of the lines that may have been changed since; else it was not written by these options."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompareRequest:
@@ -135,6 +138,10 @@ def _made_from(
         lines, fewer = _edited(old.text, new.text)
         edited += [(new.name, line) for line in lines]
         missing += fewer
+    if len(edited) + missing > _FEW * len(
+        corrected.documents[0].text.splitlines()
+    ):  # it was written with other options
+        return MadeFrom(said, agrees)
     return MadeFrom(said, agrees, tuple(edited), missing)
 
 

@@ -237,6 +237,23 @@ def test_forces_of_a_file_tell_what_both_would_cut():
     assert "tolerance" in content["verdict"]["reasons"][0]
 
 
+def test_a_program_written_with_other_options_and_changed_is_not_said_to_be_edited_everywhere():
+    run("convert", "part.nc", "--tolerance", "0.0005", "-o", "out")
+    text = Path("out/part.src").read_bytes()
+    Path("out/part.src").write_bytes(text.replace(b"BAS (#INITMOV,0)", b"BAS (#INITMOV,0 )").replace(b"END", b" END"))
+    content = compare("part.nc", "out/part.src", code=3)
+    assert content["provenance"]["state"] == "changed"
+    assert content["provenance"]["edited"] is None
+    assert "where, is not known" in content["verdict"]["reasons"][0]
+
+
+def test_programs_without_a_common_target_are_told_apart():
+    Path("axes.src").write_text(OTHERS[: OTHERS.index("LIN")].replace("OTHER", "AXES") + "END\n")
+    content = compare("other.src", "axes.src", code=3)
+    assert (content["pairs"], content["only_nominal"]) == (0, 7)
+    assert content["verdict"]["state"] == "failed"
+
+
 def test_a_nominal_program_and_one_made_from_another_are_called_that():
     run("convert", "part.nc", "--nominal", "-o", "out")
     content = compare("part.nc", "out/part.src", code=3)

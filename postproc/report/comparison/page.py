@@ -105,13 +105,16 @@ def _path(found: Comparison) -> Section:
         _line(nominal + factor * offset, f"corrected, offsets {factor:g} times", "after"),
     ]
     plot = Plot(
-        label="Both paths in space; offsets of the corrected one are exaggerated.", traces=[*traces], height=480
+        label="Both paths in space; offsets of the corrected one are exaggerated.",
+        traces=[*traces],
+        height=480,
+        note=f"Pairs joined by straight lines, {len(rows)} of {len(found.pair)}; the largest offsets are among them.",
     )
     return Section("view3d", f"Both paths, offsets {factor:g} times larger", (plot,))
 
 
 def _line(points: Array, name: str, colour: str) -> Lines:
-    x, y, z = (points * MM_PER_M).T.tolist()
+    x, y, z = points.T.tolist()
     return Lines(x, y, z, name, "before" if colour == "before" else "after")
 
 

@@ -42,7 +42,7 @@ def of_comparison(content: ComparisonSummary, styled: Callable[[str, State], str
             lines.append(f"  {millimetres(pair['mm'])} mm between {where}")
     origin = content["provenance"]
     if origin["state"] == "none":
-        lines.append(f"  {content['corrected']} does not say where it comes from: it is not as postproc wrote it")
+        lines.append(f"  {content['corrected']} does not say that postproc wrote it")
     elif origin["version"] is not None:
         told = "unchanged since" if origin["state"] == "intact" else "changed since"
         lines.append(f"  {content['corrected']} was written by postproc {origin['version']} ({origin['mode']}), {told}")
