@@ -33,8 +33,8 @@ from postproc.report.comparison import (
 from postproc.robot import RobotModel
 from postproc.version import VERSION
 
-_FEW = 0.3
-"""Share of the lines that may have been changed since; else it was not written by these options."""
+_FEW, _SHARE = 4, 0.1
+"""So many lines, or this share of them, may have been changed since; else it was not written by these options."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,9 +138,8 @@ def _made_from(
         lines, fewer = _edited(old.text, new.text)
         edited += [(new.name, line) for line in lines]
         missing += fewer
-    if len(edited) + missing > _FEW * len(
-        corrected.documents[0].text.splitlines()
-    ):  # it was written with other options
+    few = max(_FEW, _SHARE * sum(len(document.text.splitlines()) for document in corrected.documents))
+    if len(edited) + missing > few:  # it was written with other options
         return MadeFrom(said, agrees)
     return MadeFrom(said, agrees, tuple(edited), missing)
 
