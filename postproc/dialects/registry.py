@@ -25,6 +25,13 @@ _OURS = {
     "krl": "postproc.dialects.krl.dialect:KRL",
     "rapid": "postproc.dialects.rapid.dialect:RAPID",
 }
+_EXTENSIONS = {
+    **dict.fromkeys((".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), "gcode"),
+    ".src": "krl",
+    ".mod": "rapid",
+    ".modx": "rapid",
+}
+"""Extensions of our own, so that none is imported only to ask for them."""
 _WRITTEN = "krl"
 """What a program becomes whose own dialect is not written."""
 _NO_PROGRAMS = {
@@ -66,10 +73,11 @@ def broken() -> dict[str, str]:
 
 def extensions() -> dict[str, str]:
     """Return the extension of every kind of program (lower case) and the name of its dialect; ours win."""
-    found: dict[str, str] = {}
-    for dialect in map(by_name, names()):
-        for extension in dialect.extensions:
-            found.setdefault(extension, dialect.name)
+    found = dict(_EXTENSIONS)
+    for dialect in _others().values():
+        if not isinstance(dialect, str):
+            for extension in dialect.extensions:
+                found.setdefault(extension, dialect.name)
     return found
 
 
@@ -79,9 +87,8 @@ def of_file(path: Path) -> Dialect:
     :raises ProgramError: the extension is not known.
     """
     extension = path.suffix.lower()
-    for name in _OURS:
-        if extension in _ours(name).extensions:
-            return _ours(name)
+    if extension in _EXTENSIONS:
+        return by_name(_EXTENSIONS[extension])
     known = extensions()
     if extension in known:
         return by_name(known[extension])

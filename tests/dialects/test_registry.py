@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -57,6 +58,16 @@ def test_every_dialect_of_ours_is_what_it_is_called():
         assert all(
             extension[0] == "." and extension == extension.lower() for extension in registry.by_name(name).extensions
         )
+
+
+def test_nothing_is_imported_that_a_program_does_not_need():
+    code = (
+        "import sys; from pathlib import Path; from postproc.dialects import registry; registry.of_file(Path('a.src'));"
+        "registry.written_in('krl'); registry.extensions(); needless = {'pygcode', 'postproc.dialects.rapid'};"
+        "print(sorted(needless & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 def test_no_extension_means_two_dialects():
