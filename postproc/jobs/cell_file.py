@@ -58,7 +58,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         raise InputError("this file is there", file=str(request.output), advice="Name another, or give --overwrite.")
     folder = request.output.parent
     known = request.robot in robots.shipped()
-    place = request.robot if known else Path(relpath(request.robot, folder)).as_posix()
+    place = request.robot if known else _way(folder, Path(request.robot))
     robot = load_robot(request.robot)
     start = _six("start joints", request.start, 6)
     beyond = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
@@ -68,7 +68,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         raise InputError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
     base = _frame("BASE_DATA", request.base, request, robot)
     tool = _frame("TOOL_DATA", request.tool, request, robot)
-    config = None if request.config_dat is None else Path(relpath(request.config_dat, folder)).as_posix()
+    config = None if request.config_dat is None else _way(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
@@ -76,6 +76,14 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     files.write_whole(folder, {request.output.name: text.encode()})
     load(request.output)
     return remarks
+
+
+def _way(folder: Path, path: Path) -> str:
+    """Return a path as seen from a folder; as it stands where there is no way, from one drive of Windows to another."""
+    try:
+        return Path(relpath(path, folder)).as_posix()
+    except ValueError:
+        return path.absolute().as_posix()
 
 
 def usual_base(robot: str) -> Numbers:
@@ -160,11 +168,11 @@ def _text(robot: str, title: str, cell: Cell, turn: float, config: str | None) -
     config_line = (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
-        else f"config_dat = {json.dumps(config)}    # KRL: frames that programs name by number"
+        else f"config_dat = {_quoted(config)}    # KRL: frames that programs name by number"
     )
     return f"""\
 # Cell file of postproc: mm, degrees, N. Every key is described in FORMATS.md; what stands behind # is optional.
-robot = {json.dumps(robot)}    # {title}
+robot = {_quoted(robot)}    # {title}
 {config_line}
 
 [base]                           # $BASE in the robot root: where the part lies
@@ -201,6 +209,10 @@ approximation_mm = 0.5           # $APO.CDIS; 0: exact stops
 
 def _keys(frame: Frame) -> str:
     return "\n".join(f"{key} = {_number(getattr(frame, key))}" for key in "XYZABC")
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _number(value: float) -> str:

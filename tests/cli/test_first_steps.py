@@ -155,6 +155,19 @@ def test_a_model_folder_is_named_by_its_way_from_the_cell():
     assert cells.load("cells/c.toml").robot == "../models/mine"
 
 
+def test_a_model_folder_on_another_drive_is_named_as_it_stands(monkeypatch):
+    def none(*_):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    source = robot.find("kuka_kr16_2")
+    Path("mödel 🤖").mkdir()
+    for name in ("robot.urdf", "model.toml"):
+        (Path("mödel 🤖") / name).write_bytes((source / name).read_bytes())
+    monkeypatch.setattr("postproc.jobs.cell_file.relpath", none)
+    assert run("init", "--robot", "mödel 🤖", *FRAMES).exit_code == 0
+    assert Path(cells.load("cell.toml").robot) == Path("mödel 🤖").absolute()
+
+
 def test_without_a_terminal_what_is_missing_is_wrong_usage():
     done = run("init", "--base", "0,0,0")
     assert done.exit_code == 2
