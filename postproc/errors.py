@@ -141,6 +141,7 @@ class Issue:
     :param count: number of places this issue stands for after grouping.
     :param subject: the name or value that the message is about (a program that is called, a code), where issues of one
         kind may be about several; empty where there is but one.
+    :param lines: all lines of the input program that it is about, ascending; empty: none, or `source_line` alone.
     """
 
     level: Level
@@ -150,14 +151,18 @@ class Issue:
     output_line: int | None = None
     count: int = 1
     subject: str = ""
+    lines: tuple[int, ...] = ()
 
 
 def group_issues(issues: Iterable[Issue]) -> tuple[Issue, ...]:
-    """Return one issue per (level, kind, subject), the first found, counting the others; errors first."""
-    grouped: dict[tuple[str, str, str], Issue] = {}
+    """Return one issue per (level, kind, subject), the first found, with count and lines of all; errors first."""
+    grouped: dict[tuple[str, str, str], list[Issue]] = {}
     for issue in issues:
-        key = (issue.level, issue.kind, issue.subject)
-        known = grouped.get(key)
-        grouped[key] = issue if known is None else replace(known, count=known.count + issue.count)
+        grouped.setdefault((issue.level, issue.kind, issue.subject), []).append(issue)
     order = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(grouped.values(), key=lambda issue: order[issue.level]))
+    return tuple(sorted(map(_together, grouped.values()), key=lambda issue: order[issue.level]))
+
+
+def _together(alike: Sequence[Issue]) -> Issue:
+    lines = {line for issue in alike for line in (issue.lines or (issue.source_line,)) if line is not None}
+    return replace(alike[0], count=sum(issue.count for issue in alike), lines=tuple(sorted(lines)))

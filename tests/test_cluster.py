@@ -44,7 +44,7 @@ def test_it_does_the_same_work():
     assert {name: outcome.code for name, outcome in outcomes.items()} == {"p00.src": 0, "p01.src": 0, "bad.nc": 1}
     assert written() == {"p00", "p01"}
     assert [outcome.code for outcome in convert_all(find_jobs(["."], output=Path("here")), SETTINGS)] == [1, 0, 0]
-    for path in Path("out").iterdir():
+    for path in (path for path in Path("out").iterdir() if path.name != "index.html"):  # that names its folder
         assert path.read_bytes() == Path("here", path.name).read_bytes()
 
 

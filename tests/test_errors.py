@@ -53,3 +53,9 @@ def test_issues_about_different_names_are_not_grouped() -> None:
         ("A", 3, 2),
         ("B", 4, 1),
     ]
+
+
+def test_a_grouped_issue_has_the_lines_of_all() -> None:
+    issues = [Issue("info", "a", "m", 9, lines=(9, 12)), Issue("info", "a", "m", 4), Issue("info", "a", "m", 12)]
+    (one,) = group_issues(issues)
+    assert (one.source_line, one.count, one.lines) == (9, 3, (4, 9, 12))

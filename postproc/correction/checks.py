@@ -38,8 +38,9 @@ def _first(
     """Yield one issue for all bad rows; it names the first one's line."""
     rows = np.flatnonzero(bad)
     if len(rows):
-        line = int(program.motions.line[motion[rows[0]]])
-        yield Issue(level, kind, message, source_line=line, count=len(np.unique(motion[rows])))
+        line = program.motions.line[motion[rows]]
+        count, lines = len(np.unique(motion[rows])), tuple(np.unique(line).tolist())
+        yield Issue(level, kind, message, source_line=int(line[0]), count=count, lines=lines)
 
 
 def _turn_the_tool(program: Program) -> str:
@@ -168,8 +169,9 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
             f"The arm changes its posture (status S from {before[first]} to {after[first]}): the way there is the "
             "controller's."
         )
-        line = int(program.motions.line[sample.motion[ends[first]]])
-        yield Issue("info", "posture", message, source_line=line, count=len(changes))
+        line = program.motions.line[sample.motion[ends[changes]]]
+        lines = tuple(np.unique(line).tolist())
+        yield Issue("info", "posture", message, source_line=int(line[0]), count=len(changes), lines=lines)
 
 
 def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, position: Array) -> Array:

@@ -91,7 +91,8 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
 def _no_balance(path: PathUnderLoad, cause: NotConvergedError) -> ImpossiblePathError:
     """Return an error that names the first of the motions concerned and counts them."""
     motion = path.sample.motion[list(cause.rows)]
-    line = int(path.program.motions.line[motion.min()])
+    line = path.program.motions.line[np.unique(motion)]
+    lines = tuple(np.unique(line).tolist())
     return ImpossiblePathError(
-        Issue("error", "not-converged", _NO_BALANCE, source_line=line, count=len(np.unique(motion)))
+        Issue("error", "not-converged", _NO_BALANCE, source_line=int(line[0]), count=len(line), lines=lines)
     )

@@ -250,11 +250,13 @@ def _not_held(path: PathUnderLoad, chosen: Chosen, probes: _Probes, distance: Ar
                 f"simulating the written program leaves {np.nanmax(values[bad]) * MM_PER_M:.4f} mm {what} "
                 f"(allowed {limit * MM_PER_M:g} mm)"
             )
-            line = int(path.program.motions.line[motion[int(np.argmax(bad))]])
-            yield Issue("error", "tolerance", message, source_line=line, count=int(bad.sum()))
+            line = path.program.motions.line[motion[bad]]
+            lines = tuple(np.unique(line).tolist())
+            yield Issue("error", "tolerance", message, source_line=int(line[0]), count=int(bad.sum()), lines=lines)
 
 
 def _at_first(path: PathUnderLoad, level: Level, kind: str, message: str, motion: Ints) -> Issue:
     """Return an issue that names the first of motions (n,) and counts them."""
-    line = int(path.program.motions.line[motion[0]])
-    return Issue(level, kind, message, source_line=line, count=len(np.unique(motion)))
+    line = path.program.motions.line[motion]
+    count, lines = len(np.unique(motion)), tuple(np.unique(line).tolist())
+    return Issue(level, kind, message, source_line=int(line[0]), count=count, lines=lines)

@@ -116,8 +116,9 @@ def _told(program: Program, motion: Ints, kind: str, message: str) -> list[Issue
     """Return a warning for motions (n,) if there are any."""
     if len(motion) == 0:
         return []
-    line = int(program.motions.line[motion[0]])
-    return [Issue("warning", kind, message, source_line=line, count=len(np.unique(motion)))]
+    line = program.motions.line[motion]
+    count, lines = len(np.unique(motion)), tuple(np.unique(line).tolist())
+    return [Issue("warning", kind, message, source_line=int(line[0]), count=count, lines=lines)]
 
 
 def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) -> PathForces:
@@ -178,6 +179,9 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
             "a FEED force on a move along the spindle, which has no feed direction: x is the travel direction of the "
             "last move that had one, before any such move that of the first"
         )
-        line = int(m.line[int(np.argmax(needs))])
-        issues.append(Issue("info", "feed-direction", message, source_line=line, count=int(needs.sum())))
+        line = m.line[needs]
+        lines = tuple(np.unique(line).tolist())
+        issues.append(
+            Issue("info", "feed-direction", message, source_line=int(line[0]), count=int(needs.sum()), lines=lines)
+        )
     return travel, issues

@@ -35,8 +35,9 @@ class ImpossiblePathError(PostprocError):
 def unreachable(program: Program, motion: Ints) -> Issue:
     """Return the error of motions (n,) on which the robot does not reach a place."""
     message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
-    line = int(program.motions.line[motion[0]])
-    return Issue("error", "unreachable", message, source_line=line, count=len(np.unique(motion)))
+    line = program.motions.line[motion]
+    count, lines = len(np.unique(motion)), tuple(np.unique(line).tolist())
+    return Issue("error", "unreachable", message, source_line=int(line[0]), count=count, lines=lines)
 
 
 def check_ends(program: Program, robot: RobotModel) -> None:
@@ -102,5 +103,8 @@ def _reach(robot: RobotModel) -> float:
 
 def _check(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> None:
     if bad.any():
-        line = int(program.motions.line[motion[int(np.argmax(bad))]])
-        raise ImpossiblePathError(Issue("error", kind, message, source_line=line, count=int(bad.sum())))
+        line = program.motions.line[motion[bad]]
+        lines = tuple(np.unique(line).tolist())
+        raise ImpossiblePathError(
+            Issue("error", kind, message, source_line=int(line[0]), count=int(bad.sum()), lines=lines)
+        )

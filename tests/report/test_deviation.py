@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from postproc.errors import Issue
 from postproc.program import CIRC, Event
 from postproc.report import page, summary
 from postproc.report.deviation import places
@@ -197,3 +198,9 @@ def test_operations_begin_at_comments_and_at_changes_of_the_tool():
     assert sum(each.cutting for each in found) == np.count_nonzero(~result.rapid)
     assert max(each.before.largest for each in found) == pytest.approx(1.5e-3, rel=1e-3)
     assert "POCKET T4" in _read(result).text("operations")
+
+
+def test_an_issue_is_told_with_all_its_lines():
+    issue = Issue("warning", "no-force", "no force", 3, count=7, lines=(3, 4, 5, 9, 20, 21, 22))
+    text = _read(fabricated.with_changes(fabricated.result(), issues=(issue,))).text("issues")
+    assert "warning no force 3–5, 9, 20–22 7" in text

@@ -218,8 +218,10 @@ def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
         yield Issue("info", kind, message, row + 1)
     if len(path.held_back):
         message = "Rapid moves before X, Y and Z are all known are held back until the position is complete."
-        yield Issue("info", "start-position", message, int(path.held_back[0]) + 1, count=len(path.held_back))
+        lines = tuple((path.held_back + 1).tolist())
+        yield Issue("info", "start-position", message, lines[0], count=len(lines), lines=lines)
     nowhere = np.setdiff1d(path.still, path.held_back)
     if len(nowhere):
         message = "A move that goes nowhere is left out."
-        yield Issue("info", "null-move", message, int(nowhere[0]) + 1, count=len(nowhere))
+        lines = tuple((nowhere + 1).tolist())
+        yield Issue("info", "null-move", message, lines[0], count=len(lines), lines=lines)

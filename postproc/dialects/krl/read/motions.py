@@ -270,7 +270,9 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and is left out of "
         "what is said of the tolerance."
     )
-    return [Issue("info", "blending-by-speed", message, int(rows.line[found[0]]), count=len(found))]
+    line = rows.line[found]
+    lines = tuple(np.unique(line).tolist())
+    return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(found), lines=lines)]
 
 
 def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, MotionStatement]) -> list[Issue]:
@@ -285,5 +287,6 @@ def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int,
     ):
         found = np.flatnonzero(rows)
         if len(found):
-            issues.append(Issue("info", kind, message, int(line[found[0]]), count=len(found)))
+            lines = tuple(np.unique(line[found]).tolist())
+            issues.append(Issue("info", kind, message, int(line[found[0]]), count=len(found), lines=lines))
     return issues
