@@ -109,6 +109,20 @@ class Machine(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     clearance_Z: Length | None = None  # noqa: N815 - as it stands in the file
 
 
+class Rotary(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Rotary axes of a program with tool-centre-point control.
+
+    :param axes: their letters from the part outwards: A, B, C turn about X, Y, Z.
+    :param signs: 1 or −1 for each.
+    :param tcp_on: codes between which (and `tcp_off`) alone X, Y, Z are those of the tip; none: always.
+    """
+
+    axes: list[Literal["A", "B", "C"]]
+    signs: list[Literal[1, -1]] = []
+    tcp_on: list[str] = []
+    tcp_off: list[str] = []
+
+
 class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How KRL is read.
 
@@ -134,6 +148,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     gcode: GCode = GCode()
     krl: Krl = Krl()
     machine: Machine = Machine()
+    rotary: Rotary | None = None
     m_codes: dict[str, list[str]] = {}
     tools: dict[str, Frame] = {}
     work_offsets: dict[str, Frame] = {}
@@ -203,10 +218,21 @@ def load(path: str | Path) -> Cell:
     for key in cell.m_codes:
         if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
             raise CellError(f"[m_codes] {key}", file=str(path), advice="Valid names: M10, M111 …")
+    if cell.rotary is not None:
+        _check_rotary(cell.rotary, str(path))
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
     content["config_dat"] = None if cell.config_dat is None else _portable(cell.config_dat)
     content["krl"] = msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search])
     return Cell(**content, folder=str(path.parent))
+
+
+def _check_rotary(rotary: Rotary, file: str) -> None:
+    if not 1 <= len(rotary.axes) <= 2 or len(set(rotary.axes)) != len(rotary.axes):
+        raise CellError("[rotary] axes", file=file, advice='One or two letters, from the part outwards: ["C", "B"].')
+    if len(rotary.signs) not in (0, len(rotary.axes)):
+        raise CellError("[rotary] signs", file=file, advice="Give 1 or -1 for each of the axes.")
+    if bool(rotary.tcp_on) != bool(rotary.tcp_off):
+        raise CellError("[rotary] tcp_on without tcp_off, or the reverse", file=file, advice="Give both, or none.")
 
 
 def _portable(path: str) -> str:

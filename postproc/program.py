@@ -91,6 +91,66 @@ class Motions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Swivel:
+    """How motions turn the tool where its orientation is given by rotary axes, which turn evenly along a motion.
+
+    The direction d from the tip to the spindle is that of R₁(a)·R₂(b)·z. The tool is tilted from z to d by the shortest
+    way: it never spins about itself, so that nothing jumps where the axis next to the part stands along the tool.
+
+    :param begin: (M, k) angles of the axes at the start of each motion, k = 1 or 2 [rad]; `end` (M, k) at its end.
+    :param axes: (k, 3) what they turn about, from the part outwards, in the program frame; sign included.
+    :param frame: (M,) row of `frames` (nf, 3, 3): orientation of the program frame in `$BASE`.
+    :param tool: (3, 3) orientation of the tool frame in the program frame at d = z.
+    :param active: (M,) False for motions that do not start where these angles say.
+    """
+
+    begin: Array
+    end: Array
+    axes: Array
+    frame: Ints
+    frames: Array
+    tool: Array
+    active: Bools
+
+    @property
+    def travel(self) -> Array:
+        """(M,) by how much the axes turn together at most [rad]."""
+        return np.asarray(np.where(self.active, np.abs(self.end - self.begin).sum(axis=1), 0.0))
+
+    def at(self, motion: Ints, t: Array) -> Array:
+        """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
+        begin, end = self.begin[motion], self.end[motion]
+        return self.of(begin + t[:, None] * (end - begin), self.frame[motion])
+
+    def of(self, angles: Array, frame: Ints) -> Array:
+        """Return the orientation of the tool frame (n, 3, 3) in `$BASE` for angles (n, k) [rad] in frames (n,)."""
+        return np.asarray(self.frames[frame] @ tilted(self.direction(angles)) @ self.tool)
+
+    def direction(self, angles: Array) -> Array:
+        """Return d (n, 3), in the program frame, for angles (n, k) [rad]."""
+        out = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
+        for axis, angle in zip(self.axes[::-1], angles.T[::-1], strict=True):
+            cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            out = out * cos + np.cross(axis, out) * sin + (out @ axis)[:, None] * axis * (1.0 - cos)
+        return out
+
+
+def tilted(direction: Array) -> Array:
+    """Return the rotations (n, 3, 3) that turn z into unit vectors (n, 3) by the shortest way; not into −z.
+
+    >>> tilted(np.array([[1.0, 0.0, 0.0]])).round(12).tolist()
+    [[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]]
+    """
+    x, y, z = direction.T
+    shared = 1.0 / (1.0 + z)
+    out = np.empty((len(direction), 3, 3))
+    out[:, 0] = np.stack([1.0 - x * x * shared, 0.0 - x * y * shared, x], axis=1)
+    out[:, 1] = np.stack([0.0 - x * y * shared, 1.0 - y * y * shared, y], axis=1)
+    out[:, 2] = np.stack([0.0 - x, 0.0 - y, z], axis=1)
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Starts:
     """Where M motions start: where the one before ends, seen in the `$BASE` and with the `$TOOL` of the motion itself.
 
@@ -262,6 +322,7 @@ class Program:
     :param events: what a G-code program does besides moving, in order (KRL keeps its text instead).
     :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
+    :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
@@ -275,6 +336,7 @@ class Program:
     events: tuple[Event, ...] = ()
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
+    swivel: Swivel | None = None
     layout: Layout | None = field(default=None, repr=False)
 
     @property

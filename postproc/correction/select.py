@@ -34,7 +34,14 @@ class Selection:
 
 
 def choose(
-    kind: Ints, sample: Toolpath, arcs: Pieces, command: Array, start: Array, limit: float, whole: Bools
+    kind: Ints,
+    sample: Toolpath,
+    arcs: Pieces,
+    command: Array,
+    start: Array,
+    limit: float,
+    whole: Bools,
+    every: Bools,
 ) -> Selection:
     """Choose targets.
 
@@ -45,8 +52,9 @@ def choose(
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     :param limit: what may be missed [m].
     :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
+    :param every: (M,) motions of which every sample becomes a target.
     """
-    chosen, kinds, via = sample.ends.copy(), kind[sample.motion], np.full(len(sample), -1)
+    chosen, kinds, via = sample.ends | every[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
     lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
     if len(lines):

@@ -50,7 +50,8 @@ def chosen(path: PathUnderLoad, command: Compensation, *, linearize_arcs: bool) 
     position, start = command.pose[:, :3, 3], _starts(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     limit = SHARE_OF_TOLERANCE * path.setting.tolerance
-    selected = select.choose(kind, sample, path.arcs, position, start, limit, whole)
+    every = toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1
+    selected = select.choose(kind, sample, path.arcs, position, start, limit, whole, every)
     movable = np.isnan(m.joints[sample.motion[selected.row], 0])
     row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
     motion = sample.motion[row]

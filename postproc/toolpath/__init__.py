@@ -6,7 +6,7 @@ motion stand together in order, and its end (t = 1) is always among them.
 
 from postproc.toolpath.circles import circle_through
 from postproc.toolpath.path import Arcs, Segments, Toolpath, at, positions, segments, starts, tangent
-from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places
+from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places, swivel_pieces
 from postproc.toolpath.root import (
     base_of,
     columns_in_root,
@@ -39,6 +39,7 @@ __all__ = [
     "positions",
     "segments",
     "starts",
+    "swivel_pieces",
     "tangent",
     "tool_of",
     "wrench_in_root",

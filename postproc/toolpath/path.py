@@ -121,6 +121,8 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         return begin, norm(other[:, :3, 3] - begin), angle_between(one[:, :3, :3], other[:, :3, :3])
 
     begin, length, turn = in_chunks(chord, np.arange(len(m)))
+    if program.swivel is not None:
+        turn = np.maximum(turn, program.swivel.travel)
     arcs = _arcs(program, begin)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
@@ -142,8 +144,8 @@ def _arcs(program: Program, begin: Array) -> Arcs:
 def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """Return the nominal path at places (motion, t).
 
-    LIN: position linear, orientation by one rotation. CIRC: rotation about the arc's axis with a linear rise, the
-    orientation as for LIN. PTP: only its end (t = 1) is known here.
+    LIN: position linear, orientation by one rotation, or as rotary axes turn (`Program.swivel`). CIRC: rotation about
+    the arc's axis with a linear rise, the orientation as for LIN. PTP: only its end (t = 1) is known here.
     """
     m = program.motions
     pose = m.target[motion]
@@ -153,6 +155,10 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         before = path.start.at(motion[still])
         pose[still] += (1.0 - t[still])[:, None, None] * (before - pose[still])
     turning = np.flatnonzero(turns >= _STILL)
+    if program.swivel is not None:
+        active = program.swivel.active[motion[turning]]
+        swivelling, turning = turning[active], turning[~active]
+        pose[swivelling, :3, :3] = program.swivel.at(motion[swivelling], t[swivelling])
     if len(turning):
         rows = motion[turning]
         pose[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])

@@ -11,14 +11,18 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from postproc.frames import RAD_PER_DEG, Array, norm
-from postproc.program import CIRC, PTP, Bools, Ints, Program
+from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program
 from postproc.toolpath.path import Segments
 
 _STEP = 0.020
 """Spacing of samples [m] for a tolerance of 0.01 mm; it grows with the root of the tolerance (a chord's sagitta)."""
 _REFERENCE_TOLERANCE = 1e-5
 _TURN = 3.0 * RAD_PER_DEG
+_LEVER = 0.1
+"""Length of tool [m] along which it must not lean from where its rotary axes hold it by more than the tolerance."""
+_MOST_SWIVEL = 60.0 * RAD_PER_DEG
+"""Rotary axes turn by at most this on one piece: two rotations of the same ends are then told apart."""
 _LARGEST = 120.0 * RAD_PER_DEG
 """Pieces of arcs turn by at most this angle: three points then define the circle well."""
 _MEASURED = 45.0 * RAD_PER_DEG
@@ -199,6 +203,7 @@ def places(
     m = program.motions
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
     count = np.ceil(np.maximum(path.length / step, path.turn / _TURN) - 1e-9)
+    count = np.maximum(count, swivel_pieces(program, path, tolerance))
     count[m.kind == PTP] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
@@ -216,6 +221,27 @@ def places(
         again = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))
         motion, t = np.delete(motion, again), np.delete(t, again)
     return motion, t
+
+
+def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
+    """Return into how many pieces (M,) straight motions are divided so that the tool turns as its rotary axes do.
+
+    A robot turns the tool by one rotation along each piece. How far it leans wrongly goes with its length squared;
+    over `_LEVER` of the tool that must stay within the tolerance.
+    """
+    swivel = program.swivel
+    out = np.ones(len(program.motions), dtype=np.int64)
+    if swivel is None:
+        return out
+    rows = np.flatnonzero((swivel.travel > 0.0) & (program.motions.kind == LIN))
+    start, end = path.start.at(rows), program.motions.target[rows]
+    leans = np.zeros(len(rows))
+    for share in (0.25, 0.5, 0.75):
+        t = np.full(len(rows), share)
+        leans = np.maximum(leans, angle_between(interpolated(start, end, t)[:, :3, :3], swivel.at(rows, t)))
+    needed = np.maximum(np.sqrt(leans * _LEVER / tolerance), swivel.travel[rows] / _MOST_SWIVEL)
+    out[rows] = np.maximum(1, np.ceil(needed - 1e-9)).astype(np.int64)
+    return out
 
 
 def _even(rows: Ints, number: Ints) -> tuple[Ints, Array]:

@@ -75,7 +75,8 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
 def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str, *, bulk: bool) -> Program:
     run = executed(document)
     source = run.source
-    columns, odd = words.read_plain(source) if bulk else words.leave_all(source)
+    rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
+    columns, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
     modes = read_modes(source, odd, columns, cell, run.faults)
     base, tools, numbers = cell.base.pose(), [cell.tool.pose()], {}
     for number in dict.fromkeys(number for _, number in modes.tools):
@@ -97,7 +98,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
         home=home,
     )
-    path = read_path(columns, modes, setting, speeds)
+    path = read_path(columns, modes, setting, speeds, cell.rotary)
     comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
@@ -123,6 +124,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         tools=np.stack(tools),
         notes=notes,
         events=events,
+        swivel=path.swivel,
         still=np.unique(run.main[path.still]),
         issues=tuple(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
     )

@@ -91,6 +91,7 @@ class Modes:
     :param origins: changes of the program frame other than by G54…, in order.
     :param returns: row → what goes to a place of the machine there.
     :param tools: changes (row, tool number), in order.
+    :param tip: changes (row, whether X, Y, Z are those of the tip although rotary axes turn: 1 or 0), in order.
     :param dwells: rows with G4.
     :param happenings: events in order.
     :param issues: what the user should know.
@@ -105,6 +106,7 @@ class Modes:
     origins: Sequence[Origin]
     returns: Mapping[int, Return]
     tools: Sequence[tuple[int, float]]
+    tip: Sequence[tuple[int, float]]
     dwells: Sequence[int]
     happenings: Sequence[Happening]
     issues: Sequence[Issue]
@@ -150,6 +152,7 @@ def read_modes(
         origins=reader.origins,
         returns=reader.returns,
         tools=reader.tools,
+        tip=reader.tip,
         dwells=reader.dwells,
         happenings=reader.happenings,
         issues=reader.issues,
@@ -174,6 +177,13 @@ class _Reader:
         self.happenings: list[Happening] = []
         self.issues: list[Issue] = []
         self.offsets = {"G54", *cell.work_offsets}
+        rotary = cell.rotary
+        self.rotary = "" if rotary is None else "".join(rotary.axes)
+        self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.rotary]
+        self.tip: list[tuple[int, float]] = []
+        self.tip_on, self.tip_off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
+        if rotary is not None and not rotary.tcp_on:
+            self.tip_on, self.tip_off = ("G43.4", "M128"), ("M129",)
         self.mm_per_unit = 1.0
         self.spindle: EventKind = "spindle_off"
         self.coolant = self.ended = self.shifted = False
@@ -202,17 +212,17 @@ class _Reader:
             raise refused
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        if codes.TOOL_LENGTH in g:
+        if codes.TOOL_LENGTH in g or (43.4 in g and self.rotary):
             self._tool_length(row, values.pop("H", None))
         elif values.get("H") == 0.0:
             del values["H"]
         for letter in codes.OTHER_AXES:
-            if values.get(letter) == 0.0:
+            if values.get(letter) == 0.0 and letter not in self.rotary:
                 del values[letter]
                 message = f"{letter}0 is read over: the robot has no axis {letter}."
                 self._tell("info", "other-axis", message, row, letter)
         backwards = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
-        for letter in COLUMNS:
+        for letter in self.letters:
             if letter in values:
                 self.columns[letter][row] = values.pop(letter)
         for letter in values:
@@ -236,6 +246,8 @@ class _Reader:
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.columns["G"][row] = code
+            elif self._tip(row, f"G{code:g}"):
+                pass
             elif code not in codes.ACCEPTED_G:
                 refused = refused or codes.refusal("G", code)
         if refused is not None:
@@ -247,6 +259,11 @@ class _Reader:
         if not using:
             return
         takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
+        turned = [letter for letter in self.rotary if letter in values]
+        if turned and (using[0] in codes.ORIGINS or self.cell.machine.home is None):
+            raise BlockError(f"{turned[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
+        for letter in turned:
+            values[letter] = 0.0  # where the axes of the machine are at home
         axes = {"XYZ".index(letter): value * self.mm_per_unit for letter, value in takes.items()}
         if len(using) > 1 or set(g) & {2.0, 3.0, *codes.CYCLES}:
             raise BlockError("two codes that take the same words in one block", "Write one block for each.")
@@ -264,6 +281,14 @@ class _Reader:
                 )
             self.shifted |= code in (codes.LOCAL, codes.SHIFT)
             self.origins.append(Origin(row, code, axes))
+
+    def _tip(self, row: int, code: str) -> bool:
+        """Return whether a code says that X, Y, Z are those of the tip, or no more, although the axes turn."""
+        on = code in self.tip_on
+        if on or code in self.tip_off:
+            self.tip.append((row, float(on)))
+            return True
+        return False
 
     def _return(self, row: int, code: float, axes: Mapping[int, float]) -> None:
         machine = self.cell.machine
@@ -360,6 +385,8 @@ class _Reader:
                 if self.coolant:
                     self.happenings.append(Happening(row, True, "coolant_off"))
         for code in m:
+            if self._tip(row, f"M{code:g}"):
+                continue
             own = self.cell.m_codes.get(f"M{code:g}")
             if own is None and code not in codes.ACCEPTED_M:
                 raise BlockError(*codes.refusal("M", code))

@@ -53,6 +53,7 @@ class Moves:
     :param code: (N,) 0 to 3.
     :param begin: (N, 3) and `end` (N, 3).
     :param frame: (N,) row of `frames`; `tool`: (N,) row of `$TOOL`.
+    :param turn: (N, 2, k) angles of the rotary axes at begin and end [deg].
     :param bottom: (N,) True where a cycle turns round.
     :param home: (N,) True for moves to [machine] home.
     :param frames: (nf, 4, 4) program frames in `$BASE` [m].
@@ -69,6 +70,7 @@ class Moves:
     end: Array
     frame: Ints
     tool: Ints
+    turn: Array
     bottom: Bools
     home: Bools
     frames: Array
@@ -94,12 +96,13 @@ class _Walk:
         self.frames = [np.eye(4)]
         self.position = setting.start[:3, 3] / M_PER_MM
         self.known = np.zeros(3, dtype=bool)
+        self.angles = np.zeros(rows.rotary.shape[1])
         self.tool = 0
         self.cycle = Cycle()
         switched = [h for h in modes.happenings if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
         self.spindle_rows = [h.row for h in switched]
         self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in switched)]
-        self.parts: list[tuple[Ints, Array, Array, Array, int, int]] = []
+        self.parts: list[tuple[Ints, Array, Array, Array, Array, int, int]] = []
         self.bottoms: list[int] = []
         self.homes: list[int] = []
         self.number = 0
@@ -154,12 +157,28 @@ class _Walk:
                 after[:, axis] = held(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
         before = np.concatenate([self.position[None], after[:-1]])
+        turn = self._turned(begin, end)
         moving = np.flatnonzero(rows.moving[begin:end])
-        self._add(begin + moving, rows.motion[begin + moving], before[moving], after[moving])
+        self._add(begin + moving, rows.motion[begin + moving], before[moving], after[moving], turn[moving])
         self.position = after[-1]
+
+    def _turned(self, begin: int, end: int) -> Array:
+        """Return the angles (n, 2, k) before and behind some lines."""
+        words = self.rows.rotary[begin:end]
+        after = np.empty((end - begin, len(self.angles)))
+        for axis, angle in enumerate(self.angles.tolist()):
+            if self.rows.incremental[begin]:
+                after[:, axis] = angle + np.cumsum(np.nan_to_num(words[:, axis]))
+            else:
+                after[:, axis] = held(words[:, axis], angle)
+        before = np.concatenate([self.angles[None], after[:-1]])
+        self.angles = after[-1]
+        return np.stack([before, after], axis=1)
 
     def _drill(self, begin: int, end: int) -> None:
         rows = self.rows
+        if not np.isnan(rows.rotary[begin:end]).all():
+            self.faults.append((begin, "rotary axes in a cycle", "Turn them in a block before."))
         spindle = self._spindle(begin, end)
         places: list[tuple[float, float, float]] = []
         row_of: list[int] = []
@@ -227,6 +246,7 @@ class _Walk:
                 self.told.append((row, "start-position", message))
             return
         self.homes.append(self.number)
+        self.angles = np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0)
         self._go(row, self.position)
         self.known &= ~named
         self.losses.append((row + 1, named))
@@ -243,8 +263,10 @@ class _Walk:
         self._add(np.array([row]), np.zeros(1), self.position[None], place[None])
         self.position = place
 
-    def _add(self, row: Ints, code: Array, begin: Array, end: Array) -> None:
-        self.parts.append((row, code, begin, end, len(self.frames) - 1, self.tool))
+    def _add(self, row: Ints, code: Array, begin: Array, end: Array, turn: Array | None = None) -> None:
+        if turn is None:
+            turn = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
+        self.parts.append((row, code, begin, end, turn, len(self.frames) - 1, self.tool))
         self.number += len(row)
 
     def _reframe(self, offset: float) -> None:
@@ -301,9 +323,12 @@ class _Walk:
         flags = np.zeros((2, self.number), dtype=bool)
         flags[0, self.bottoms] = True
         flags[1, self.homes] = True
-        parts = self.parts or [(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), 0, 0)]
-        row, code, begin, end = (np.concatenate([part[n] for part in parts]) for n in range(4))
-        frame, tool = (np.repeat([part[n] for part in parts], [len(part[0]) for part in parts]) for n in (4, 5))
+        if not self.parts:
+            self._add(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+        parts = self.parts
+        row = np.concatenate([part[0] for part in parts])
+        code, begin, end, turn = (np.concatenate([part[n] for part in parts]) for n in (1, 2, 3, 4))
+        frame, tool = (np.repeat([part[n] for part in parts], [len(part[0]) for part in parts]) for n in (5, 6))
         return Moves(
             row=row,
             code=code,
@@ -311,6 +336,7 @@ class _Walk:
             end=end,
             frame=frame,
             tool=tool,
+            turn=turn,
             bottom=flags[0],
             home=flags[1],
             frames=np.stack(self.frames),

@@ -10,15 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from postproc.cell import Rotary
 from postproc.dialects.gcode.arcs import SAME_MM, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.cycles import Done
 from postproc.dialects.gcode.mistakes import faults_of
 from postproc.dialects.gcode.modes import Modes
 from postproc.dialects.gcode.moves import Moves, Setting, moves_of
+from postproc.dialects.gcode.rotary import check_turning, swivel_of
 from postproc.dialects.gcode.rows import Rows, in_force, rows_of
 from postproc.frames import M_PER_MM, Array, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel
 
 _S_PER_MIN = 60.0
 
@@ -44,6 +46,7 @@ class Path:
     """The motions of a program, and what was noticed.
 
     :param motions: see `Motions`; their lines are rows + 1.
+    :param swivel: see `Program`.
     :param row: (M,) row that makes each motion, never decreasing.
     :param still: (n,) rows of moves that are not in `motions`, ascending: they go nowhere, or are held back.
     :param held_back: (n,) those of them that are rapid moves before the position is known.
@@ -52,6 +55,7 @@ class Path:
     """
 
     motions: Motions
+    swivel: Swivel | None
     row: Ints
     still: Ints
     held_back: Ints
@@ -59,18 +63,22 @@ class Path:
     told: Sequence[tuple[int, str, str]]
 
 
-def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting, speeds: Speeds) -> Path | list[Fault]:
+def read_path(
+    columns: Mapping[str, Array], modes: Modes, setting: Setting, speeds: Speeds, rotary: Rotary | None
+) -> Path | list[Fault]:
     """Return the motions of a program, or the reasons why it cannot be read, in order of lines.
 
     :param columns: words of all lines, see `postproc.dialects.gcode.words.read_plain`.
     :param modes: the other blocks.
-    :param setting: what the cell says about frames; `speeds` about the rest.
+    :param setting: what the cell says about frames, `rotary` about axes that turn, `speeds` about the rest.
     """
-    rows = rows_of(columns, modes)
+    rows = rows_of(columns, modes, rotary)
     moves = moves_of(rows, modes, setting)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
+    if not faults and rotary is not None:
+        faults = check_turning(rows, moves, rotary)
     if faults:
         return faults
     held_back, arriving = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
@@ -80,13 +88,16 @@ def read_path(columns: Mapping[str, Array], modes: Modes, setting: Setting, spee
         arriving[end : end + 1] = moves.code[end : end + 1] == 0.0
     distance = norm(moves.end - moves.begin)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    stays = (distance <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
+    turns = (moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1)
+    stays = ~turns & (distance <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
     kept = np.flatnonzero(~stays & ~held_back)
-    motions = _motions(rows, moves, (circular, arcs), kept, arriving[kept] | moves.home[kept], modes, setting, speeds)
+    free = arriving[kept] | moves.home[kept]
+    swivel = None if rotary is None else swivel_of(moves, kept, free, rotary, setting)
+    motions = _motions(rows, moves, (circular, arcs), kept, free, swivel, modes, setting, speeds)
     done = [(int(np.searchsorted(kept, at)), row, what) for at, row, what in moves.done]
     away = moves.row[held_back]
     still = np.unique(np.concatenate([away, moves.row[stays]]))
-    return Path(motions, moves.row[kept], still, np.unique(away), done, moves.told)
+    return Path(motions, swivel, moves.row[kept], still, np.unique(away), done, moves.told)
 
 
 def _arcs(rows: Rows, moves: Moves, circular: Ints) -> Arcs:
@@ -113,6 +124,7 @@ def _motions(
     circles: tuple[Ints, Arcs],
     kept: Ints,
     free: Bools,
+    swivel: Swivel | None,
     modes: Modes,
     setting: Setting,
     speeds: Speeds,
@@ -129,7 +141,10 @@ def _motions(
     target = np.zeros((len(kept), 4, 4))
     target[:, 3, 3] = 1.0
     frames = moves.frames[moves.frame[kept]] if len(moves.frames) > 1 else moves.frames
-    target[:, :3, :3] = frames[:, :3, :3] @ setting.orientation
+    if swivel is None:
+        target[:, :3, :3] = frames[:, :3, :3] @ setting.orientation
+    else:
+        target[:, :3, :3] = swivel.of(swivel.end, swivel.frame)
     target[:, :3, 3] = _placed(frames, moves.end[kept])
     is_arc = np.flatnonzero(kind == CIRC)
     if len(is_arc):
@@ -148,6 +163,9 @@ def _motions(
     per_minute = rows.feed[row].copy()
     timed = rows.inverse_time[row] & ~rapid
     per_minute[timed] *= _lengths(moves, kept, circles)[timed]
+    if swivel is not None:  # a move that turns alone has no length: the controller turns as fast as it does
+        turning = timed & (_lengths(moves, kept, circles) <= SAME_MM)
+        per_minute[turning] = speeds.rapid * _S_PER_MIN / M_PER_MM
     feed = np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
     blend = in_force(modes.blends, speeds.approximation, modes.rows)[row]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from postproc.cell import Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes
 from postproc.frames import Array
@@ -21,6 +22,8 @@ class Rows:
     :param named: where a motion is named, not carried on.
     :param feed: mm/min; in G93 1/min.
     :param moving: lines with G0…G3 that move; `drilling`: with a cycle.
+    :param rotary: (L, k) words of the rotary axes [deg].
+    :param tip: whether X, Y, Z are those of the tip although rotary axes turn.
     :param to_r: G99.
     :param pecks: Q; `repeats`: L.
     """
@@ -38,6 +41,8 @@ class Rows:
     absolute_centre: Bools
     moving: Bools
     drilling: Bools
+    rotary: Array
+    tip: Bools
     inverse_time: Bools
     to_r: Bools
     pecks: Array
@@ -58,7 +63,7 @@ def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) ->
     return np.repeat(np.array(values, dtype=float), np.diff(at))
 
 
-def rows_of(columns: Mapping[str, Array], modes: Modes) -> Rows:
+def rows_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -> Rows:
     """Return words and modal state of the lines of a program."""
     count = modes.rows
     state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
@@ -69,7 +74,10 @@ def rows_of(columns: Mapping[str, Array], modes: Modes) -> Rows:
     motion = held(code, codes.CANCEL_CYCLE)
     circular = (motion == 2.0) | (motion == 3.0)
     named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
-    axes = ~np.isnan(xyz).all(axis=1)
+    letters = [] if rotary is None else rotary.axes
+    turned = np.stack([columns[letter][:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
+    axes = ~(np.isnan(xyz).all(axis=1) & np.isnan(turned).all(axis=1))
+    always = rotary is None or not rotary.tcp_on
     drilling = np.isin(motion, codes.CYCLES) & axes
     moving = ~drilling & (axes | (circular & (named | ~np.isnan(ijk).all(axis=1))))
     inverse_time = state["feed"] == 93.0
@@ -87,6 +95,8 @@ def rows_of(columns: Mapping[str, Array], modes: Modes) -> Rows:
         absolute_centre=state["centre"] == 90.1,
         moving=moving,
         drilling=drilling,
+        rotary=turned,
+        tip=np.ones(count, dtype=bool) if always else in_force(modes.tip, 0.0, count) > 0.0,
         inverse_time=inverse_time,
         to_r=state["retract"] == 99.0,
         pecks=mm["Q"],

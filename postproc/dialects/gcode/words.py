@@ -1,6 +1,6 @@
 """From text to words: comments, line ends and white space taken out, and plain motion blocks read in bulk.
 
-A plain block holds at most an N word, one of G0…G3 and one each of X Y Z I J K R F, all as decimal numbers. Such
+A plain block holds at most an N word, one of G0…G3 and one each of X Y Z A B C I J K R F, all as decimal numbers. Such
 blocks are nearly all of a program; they are read with a few passes over the bytes of the whole file and never become
 Python objects. Every other block is left to `postproc.dialects.gcode.blocks`, which asks pygcode. Both readings of a
 plain block are equal (property test).
@@ -21,7 +21,8 @@ from postproc.decimals import numbers_in, parsed
 from postproc.frames import Array
 from postproc.program import Document, Ints
 
-COLUMNS = "GXYZIJKRFPQL"
+COLUMNS = "GXYZABCIJKRFPQL"
+_PLAIN = "GXYZABCIJKRF"
 LIMIT = 1e7
 """A word whose magnitude is not below this (10 km, in mm) is taken for a mistake."""
 
@@ -34,7 +35,7 @@ _PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
 _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
 
 _END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER = range(7)
-_CLASSES = {b"\n": _END, b"0123456789": _DIGIT, b".": _DOT, b"+-": _SIGN, b"GXYZIJKRF": _LETTER, b"\x01": _MARK}
+_CLASSES = {b"\n": _END, b"0123456789": _DIGIT, b".": _DOT, b"+-": _SIGN, _PLAIN.encode(): _LETTER, b"\x01": _MARK}
 _CLASS = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER) for c in range(256))
 _FOLLOWERS = {
     _END: (_END, _LETTER, _MARK),
@@ -95,9 +96,10 @@ def split(document: Document, line_starts: Ints) -> Source:
     return Source(code, ends, comments, np.searchsorted(line_starts, at, side="right"))
 
 
-def read_plain(source: Source) -> tuple[dict[str, Array], Ints]:
+def read_plain(source: Source, rotary: str = "") -> tuple[dict[str, Array], Ints]:
     """Read the plain motion blocks of a program in bulk.
 
+    :param rotary: letters of rotary axes; lines with others of A, B, C are not plain.
     :returns: one column (L,) for each letter of `COLUMNS`, the value of its word in each line and NaN where there is
         none, in the units of the program; and the rows of the lines that are not plain, (n,), for which the columns
         hold nothing.
@@ -124,8 +126,10 @@ def read_plain(source: Source) -> tuple[dict[str, Array], Ints]:
     if value is None:
         value = np.fromstring(digits, sep=" ")
 
-    by_letter = {name: np.flatnonzero(letter == ord(name)) for name in "GXYZIJKRF"}
-    refused = [row[np.abs(value) >= LIMIT], row[by_letter["F"]][value[by_letter["F"]] < 0.0]]
+    present = [name for name in _PLAIN if name not in "ABC" or name.encode() in code]
+    by_letter = {name: np.flatnonzero(letter == ord(name)) for name in present}
+    refused = [row[words] for name, words in by_letter.items() if name in "ABC" and name not in rotary]
+    refused += [row[np.abs(value) >= LIMIT], row[by_letter["F"]][value[by_letter["F"]] < 0.0]]
     g = by_letter["G"]
     refused.append(row[g][~np.isin(value[g], (0.0, 1.0, 2.0, 3.0)) | np.signbit(value[g])])
     columns = {name: np.full(len(source), np.nan) for name in COLUMNS}

@@ -1,0 +1,134 @@
+"""Five axes with tool-centre-point control, against rotations of another library."""
+
+import itertools
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from scipy.spatial.transform import Rotation, Slerp
+
+import postproc
+from postproc import toolpath
+from postproc.cell import Cell, Frame, Machine, Rotary
+from postproc.errors import ProgramError
+from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
+
+HEAD = "G21 G90 G17\nG0 A0 B0 C0\nG0 X0 Y0 Z9 F600\n"
+PAIRS = [[a, b] for a, b in itertools.permutations("ABC", 2)] + [["A"], ["B"], ["C"]]
+
+
+def cell(axes: list[str], signs: list[int] | None = None, **keys: object) -> Cell:
+    return replace(CELL, rotary=Rotary(axes=axes, signs=signs or [1] * len(axes), **keys))
+
+
+def expected(axes: list[str], signs: list[int], degrees: list[float]) -> np.ndarray:
+    """The direction from the tip to the spindle."""
+    turned = Rotation.identity()
+    for axis, sign, angle in zip(axes, signs, degrees, strict=True):
+        turned = turned * Rotation.from_euler({"A": "x", "B": "y", "C": "z"}[axis], sign * angle, degrees=True)
+    return turned.apply([0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("axes", PAIRS, ids="".join)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_tool_points_where_the_axes_turn_it_all_along_a_move(axes: list[str], sign: int) -> None:
+    signs = [sign, -sign][: len(axes)]
+    others = "".join(f" {letter}0" for letter in "ABC" if letter not in axes)
+    head = HEAD.replace("A0 B0 C0", " ".join(f"{letter}0" for letter in axes))
+    first, second = dict(zip(axes, (20.0, 35.0), strict=False)), dict(zip(axes, (-50.0, 60.0), strict=False))
+    text = head + "".join(
+        f"G1 X{x} " + " ".join(f"{letter}{angle}" for letter, angle in words.items()) + others + "\n"
+        for x, words in ((10, first), (40, second))
+    )
+    program = read(text + "M2", cell(axes, signs))
+    path = toolpath.segments(program, START_FLANGE)
+    t = np.linspace(0.05, 1.0, 20)
+    for motion, before, after in ((1, dict.fromkeys(axes, 0.0), first), (2, first, second)):
+        poses = toolpath.at(program, path, np.full(len(t), motion), t).pose
+        for share, pose in zip(t, poses, strict=True):
+            angles = [before[letter] + share * (after[letter] - before[letter]) for letter in axes]
+            np.testing.assert_allclose(-pose[:3, 2], expected(axes, signs, angles), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(program.motions.target[:, :3, :3]), 1.0)
+    assert outcome(text + "M2", cell(axes, signs), bulk=True) == outcome(text + "M2", cell(axes, signs), bulk=False)
+
+
+def test_where_the_axis_stands_along_the_tool_nothing_spins() -> None:
+    program = read(HEAD.replace("A0 ", "") + "G1 C170\nX5 C-90\nX9 B10\nX9.1 B0\nC0\nX12\nM2", cell(["C", "B"]))
+    rotations = program.motions.target[:, :3, :3]
+    np.testing.assert_allclose(rotations[[0, 1, 2, 4, 5, 6]], np.broadcast_to(rotations[0], (6, 3, 3)), atol=1e-12)
+    turned = Rotation.from_matrix(rotations[3] @ rotations[0].T).magnitude()
+    assert turned == pytest.approx(np.radians(10.0), abs=1e-12)
+
+
+def test_the_redundancy_turns_the_tool_about_its_axis() -> None:
+    text = HEAD.replace("A0 ", "") + "G1 X5 B30 C20\nM2"
+    one = cell(["C", "B"])
+    other = replace(one, gcode=replace(one.gcode, redundancy_deg=40.0))
+    relative = read(text, one).motions.target[1, :3, :3].T @ read(text, other).motions.target[1, :3, :3]
+    np.testing.assert_allclose(Rotation.from_matrix(relative).as_rotvec(degrees=True), [0, 0, -40], atol=1e-9)
+
+
+def test_increments_and_turns_alone_are_moves() -> None:
+    program = read(HEAD.replace("A0 ", "") + "G91 G1 B10\nB10 C5\nX5\nM2", cell(["C", "B"]))
+    assert len(program.motions) == 4
+    np.testing.assert_allclose(-program.motions.target[3, :3, 2], expected(["C", "B"], [1, 1], [5, 20]), atol=1e-12)
+
+
+FAULTS = {
+    "an arc that turns": ("G2 X10 I5 B10", {}, "rotary axes turn along an arc"),
+    "another axis": ("G1 X1 A10", {}, "A word without a code"),
+    "upwards": ("G1 X1 B180", {}, "points away from the part"),
+    "no tip": ("G1 B10\nX5", {"tcp_on": ["G43.4"], "tcp_off": ["G49"]}, "without tool-centre-point control"),
+    "no tip any more": (
+        "G43.4 H1\nG1 X5 B10\nG49\nG0 Z50",
+        {"tcp_on": ["G43.4"], "tcp_off": ["G49"]},
+        "without tool-centre-point control",
+    ),
+    "in a cycle": ("G81 X1 Z-1 R1 B5", {}, "rotary axes in a cycle"),
+}
+
+
+@pytest.mark.parametrize(("text", "keys", "problem"), FAULTS.values(), ids=FAULTS)
+def test_what_rotary_axes_cannot_do_is_told(text: str, keys: dict[str, list[str]], problem: str) -> None:
+    with pytest.raises(ProgramError, match=problem):
+        read(HEAD.replace("A0 ", "") + text + "\nM2", cell(["C", "B"], **keys))
+
+
+def test_codes_of_tool_centre_point_control_are_read() -> None:
+    text = HEAD.replace("A0 ", "") + "{on}\nG1 X5 B10\nB0\n{off}\nG0 Z50\nM2"
+    for on, off in (("G43.4 H1", "G49"), ("M128", "M129")):
+        keys = {"tcp_on": [on.split(" ")[0]], "tcp_off": [off]}
+        assert len(read(text.format(on=on, off=off), cell(["C", "B"], **keys)).motions) == 4
+        assert len(read(text.format(on=on, off=off), cell(["C", "B"])).motions) == 4
+
+
+def test_home_brings_rotary_axes_home() -> None:
+    own = replace(cell(["C", "B"]), machine=Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0)))
+    text = HEAD.replace("A0 ", "") + "G1 X5 B10\nG28 G91 Z0\nG28 B0\nG90\nG0 X1 Y1\nZ5\nM2"
+    program = read(text, own)
+    np.testing.assert_allclose(-program.motions.target[-1, :3, 2], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(ends(program)[-1], [1, 1, 5], atol=1e-9)
+
+
+def test_targets_are_inserted_so_that_the_robot_turns_the_tool_as_the_axes_do() -> None:
+    own = postproc.load_cell(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+    own = replace(own, rotary=Rotary(axes=["C", "B"]), base=Frame(X=1500.0, Y=-200.0, Z=700.0))
+    robot = postproc.load_robot(own.robot)
+    lines = ["G21 G90", "G0 B0 C0", "G0 X0 Y0 Z50", "(FORCE FX=100 FY=50 FZ=80)", "G1 Z0 F1200"]
+    lines += ["X40 B20 C30", "X60 Y5 C120 B15", "B0 C180"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "five.nc"
+        path.write_text("\n".join([*lines, "G0 Z60", "M30", ""]))
+        program = postproc.read_program(path, robot, own)
+    result = postproc.process(program, robot, own)
+    assert result.inserted > 20
+    rows = np.flatnonzero(np.isin(result.motion, np.flatnonzero(program.swivel.travel > 0.0)))
+    for k in rows[1:]:
+        motion, t = int(result.motion[k]), float(result.t[k])
+        begin = float(result.t[k - 1]) if result.motion[k - 1] == motion else 0.0
+        turned = Slerp([0.0, 1.0], Rotation.from_matrix(result.nominal[k - 1 : k + 1, :3, :3]))(np.linspace(0, 1, 9))
+        places = begin + np.linspace(0, 1, 9) * (t - begin)
+        own_turn = Rotation.from_matrix(program.swivel.at(np.full(9, motion), places))
+        assert (turned.inv() * own_turn).magnitude().max() < 1.5 * 1e-5 / 0.1
