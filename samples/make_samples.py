@@ -370,11 +370,80 @@ def long_lin() -> tuple[str, str]:
     return "\n".join(out) + "\n", "\n".join(rows) + "\n"
 
 
+PLATE_PROCESS = """# What makes the forces of plate.nc: aluminium, one cutter of 12 mm, and a blank with a slanted edge.
+[material]
+name = "al_6082_t6_carbide"
+
+[tools.1]
+shape = "flat"
+diameter_mm = 12
+flutes = 3
+
+[stock]
+file = "plate.stl"              # closed, mm, in $BASE
+resolution_mm = 0.5
+"""
+
+
+def plate() -> tuple[str, str]:
+    """A pocket and a contour as FreeCAD writes them, without a word of forces, and the blank as STL."""
+    out = [
+        "(Exported by FreeCAD)", "(Post Processor: linuxcnc_post)", "(begin preamble)", "G17 G54 G40 G49 G80 G90",
+        "G21",
+        "(begin operation: TC: Endmill 12 mm)", "M5", "M6 T1", "G43 H1", "M3 S9000",
+        "(finish operation: TC: Endmill 12 mm)", "(begin operation: Pocket)", "G0 X55.000 Y40.000 Z30.000",
+        "G0 X55.000 Y40.000 Z2.000",
+    ]  # fmt: skip
+    depth = 0.0
+    for level in (-3.0, -6.0):
+        out.append(f"G1 X58.000 Y40.000 Z{depth:.3f} F1200.000")
+        for _ in range(3):
+            depth = depth + (level - 0.0 if level == -3.0 else -3.0) / 3.0
+            out.append(f"G3 X58.000 Y40.000 Z{depth:.3f} I-3.000 J0.000 F600.000")
+        depth = level
+        for step in range(1, 5):
+            x, y = 3.0 + 5.5 * step, 3.0 + 3.5 * step
+            out += [
+                f"G1 X{55 + x:.3f} Y{40 + y:.3f} F1500.000", f"G1 X{55 - x:.3f} Y{40 + y:.3f}",
+                f"G1 X{55 - x:.3f} Y{40 - y:.3f}", f"G1 X{55 + x:.3f} Y{40 - y:.3f}", f"G1 X{55 + x:.3f} Y{40 + y:.3f}",
+            ]  # fmt: skip
+        out += ["G0 Z2.000", "G0 X58.000 Y40.000"]
+    out += ["(finish operation: Pocket)", "(begin operation: Contour)", "G0 X-10.000 Y-4.000", "G0 Z-8.000"]
+    out += [
+        "G1 X2.000 Y2.000 F1200.000", "G1 X98.000 Y2.000", "G3 X108.000 Y12.000 I0.000 J10.000", "G1 X108.000 Y68.000",
+        "G3 X98.000 Y78.000 I-10.000 J0.000", "G1 X12.000 Y78.000", "G3 X2.000 Y68.000 I0.000 J-10.000",
+        "G1 X2.000 Y-8.000", "G0 Z30.000", "(finish operation: Contour)", "(begin postamble)", "M5", "M2",
+    ]  # fmt: skip
+    outline = [(0.0, 0.0), (110.0, 0.0), (110.0, 68.0), (98.0, 80.0), (0.0, 80.0)]
+    return "\n".join(out) + "\n", _prism("plate", outline, -14.0, 0.0)
+
+
+def _prism(name: str, outline: list[tuple[float, float]], bottom: float, top: float) -> str:
+    """Return a convex prism as STL text."""
+    faces = []
+    for k in range(1, len(outline) - 1):
+        a, b, c = outline[0], outline[k], outline[k + 1]
+        faces.append(((0, 0, 1), [(*p, top) for p in (a, b, c)]))
+        faces.append(((0, 0, -1), [(*p, bottom) for p in (a, c, b)]))
+    for (ax, ay), (bx, by) in zip(outline, [*outline[1:], outline[0]], strict=True):
+        length = math.hypot(bx - ax, by - ay)
+        normal = ((by - ay) / length, (ax - bx) / length, 0)
+        faces.append((normal, [(ax, ay, bottom), (bx, by, bottom), (bx, by, top)]))
+        faces.append((normal, [(ax, ay, bottom), (bx, by, top), (ax, ay, top)]))
+    lines = [f"solid {name}"]
+    for normal, corners in faces:
+        lines += ["  facet normal " + " ".join(f"{value:.6f}" for value in normal), "    outer loop"]
+        lines += ["      vertex " + " ".join(f"{value:.3f}" for value in corner) for corner in corners]
+        lines += ["    endloop", "  endfacet"]
+    return "\n".join([*lines, f"endsolid {name}"]) + "\n"
+
+
 def make() -> dict[str, str]:
     """Return all samples: file name → content."""
     freeform_program, freeform_forces = freeform()
     inline_src, inline_dat = inline()
     long_program, long_forces = long_lin()
+    plate_program, plate_stock = plate()
     return {
         "cell_kr270.toml": CELL_KR270,
         "cell_kr16.toml": CELL_KR16,
@@ -382,6 +451,9 @@ def make() -> dict[str, str]:
         "pocket.nc": pocket(),
         "freeform.nc": freeform_program,
         "freeform.forces.csv": freeform_forces,
+        "plate.nc": plate_program,
+        "plate.stl": plate_stock,
+        "plate.process.toml": PLATE_PROCESS,
         "inline.src": inline_src,
         "inline.dat": inline_dat,
         "long_lin.src": long_program,

@@ -48,6 +48,9 @@ def _shared(command: _Command) -> _Command:
         click.option(
             "--forces", type=_PATH, help="CSV file of cutting forces, or a folder with NAME.csv for each program."
         ),
+        click.option(
+            "--process", type=_PATH, help="Material, tools and stock, from which the forces are computed: process.toml."
+        ),
         click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances."),
     ):
         command = option(command)
@@ -108,6 +111,7 @@ def convert(
     Examples:
       postproc convert samples/pocket.nc --cell samples/cell_kr270.toml -o out
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
+      postproc convert samples/plate.nc --cell samples/cell_kr270.toml --process samples/plate.process.toml
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
       postproc convert samples/pocket.nc --cell samples/cell_irb6700.toml --to rapid -o out
     """  # noqa: D301 - click: keep these lines as they are
@@ -130,6 +134,13 @@ def convert(
 
 def _of_files(options: dict[str, Any]) -> dict[str, Any]:
     """Take those options away that say which files there are; the others are settings."""
+    process = options.pop("process")
+    if process is not None:
+        if options["forces"] is not None:
+            raise click.UsageError("--forces and --process exclude each other.")
+        if process.suffix.lower() != ".toml":
+            raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
+        options["forces"] = process
     return {name: options.pop(name) for name in ("dialect", "to", "forces", "output") if name in options}
 
 
@@ -150,11 +161,13 @@ def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | Non
 def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> None:
     """Predict how far the tool leaves the path of PROGRAM as it stands; nothing is corrected.
 
-    For part.nc this writes part.predict.report.json, part.predict.targets.csv and part.predict.report.html.
+    For part.nc this writes part.predict.report.json, part.predict.targets.csv and part.predict.report.html. With
+    --process, force and deflection are iterated: the tool cuts where it gives way to.
 
     \b
-    Example:
+    Examples:
       postproc predict samples/pocket.nc --cell samples/cell_kr270.toml -o out
+      postproc predict samples/plate.nc --cell samples/cell_kr270.toml --process samples/plate.process.toml
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 

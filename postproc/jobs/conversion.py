@@ -9,17 +9,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from postproc import correction, files, forces, interrupts, report
+from postproc import correction, files, interrupts, report
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError
+from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
 from postproc.jobs import outputs
+from postproc.jobs.force_source import predicted, source_of
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.marking import marked
 from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
+from postproc.machining import ProcessSource
+from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
@@ -44,9 +48,9 @@ def converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, read:
     """
     try:
         with interrupts.heard(), _no_collection():
-            result = _result(job, settings, cell, robot, read())
+            result, source = _result(job, settings, cell, robot, read())
             if not result.failed:
-                content, contents = _contents(job, settings, cell, result)
+                content, contents = _contents(job, settings, cell, result, source)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.set_aside(job, settings.mode))
     program = str(job.program)
@@ -93,11 +97,16 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program) -> Result:
-    source = None if job.forces is None else forces.read(job.forces)
-    result = correction.process(
-        program, robot, cell, source, settings.mode, linearize_arcs=settings.linearize_arcs, to=job.to
-    )
+def _result(
+    job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program
+) -> tuple[Result, ForceSource | None]:
+    source = source_of(job.forces, cell)
+    if settings.mode == "predict" and isinstance(source, ProcessSource):
+        result, source = predicted(program, robot, cell, source)
+    else:
+        result = correction.process(
+            program, robot, cell, source, settings.mode, linearize_arcs=settings.linearize_arcs, to=job.to
+        )
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)
@@ -106,11 +115,11 @@ def _result(job: Job, settings: Settings, cell: Cell, robot: RobotModel, program
         written = f"{job.stem}{job.writer.extension}"
         note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
-    return result
+    return result, source
 
 
 def _contents(
-    job: Job, settings: Settings, cell: Cell, result: Result
+    job: Job, settings: Settings, cell: Cell, result: Result, source: ForceSource | None
 ) -> tuple[Summary, dict[str, bytes | Iterable[bytes]]]:
     """Return the summary, and what to write: file name → content."""
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
@@ -124,6 +133,8 @@ def _contents(
         contents[f"{stem}forces.csv"] = carried
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     contents[f"{stem}report.html"] = report.page(result, tolerance)
+    if isinstance(source, ProcessSource) and source.found is not None:
+        contents[f"{stem}stock.glb"] = bytes(as_trimesh(*source.found.mesh()).export(file_type="glb"))
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:

@@ -28,7 +28,8 @@ def find_jobs(
     :param inputs: of a folder, the files with a known extension are taken; of a pattern too, unless `dialect` says how
         to read whatever it matches.
     :param dialect: how to read all of them; None = by extension.
-    :param forces: CSV file (for one program), or a folder that holds NAME.csv or NAME.forces.csv for each.
+    :param forces: CSV file (for one program), process.toml (for all), or a folder that holds NAME.csv or
+        NAME.forces.csv for each.
     :param output: folder to write into; None = a folder `corrected` beside each program.
     :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
@@ -100,7 +101,7 @@ def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pat
     if forces is None:
         return dict.fromkeys(programs)
     if not forces.is_dir():
-        if len(programs) > 1:
+        if len(programs) > 1 and forces.suffix.lower() != ".toml":
             raise ForceError(
                 f"one force file for {len(programs)} programs",
                 file=str(forces),

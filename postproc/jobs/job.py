@@ -16,7 +16,7 @@ class Job:
     :param program: its file.
     :param dialect: name of the format to read it in.
     :param output: folder to write into.
-    :param forces: CSV file with its forces, or None.
+    :param forces: CSV file with its forces, or process.toml from which they are computed, or None.
     :param name: of the written program, and of the files beside it; None = that of the file.
     :param to: name of the format to write it in; None = its own if that is written, else KRL.
     """
@@ -51,6 +51,8 @@ class Job:
         """Return the names of the files that may be written: programs, then reports."""
         report = self.report(mode).removesuffix("report.json")
         reports = [f"{report}{kind}" for kind in ("report.json", "targets.csv", "report.html")]
+        if self.forces is not None and self.forces.suffix.lower() == ".toml":
+            reports.append(f"{report}stock.glb")
         if mode == "predict":
             return reports
         if self.forces is not None:

@@ -98,6 +98,8 @@ def estimate(
     bounds = (*material.bounds, material.top)
     sweep = Sweep(material, process, turning, program.motions.feed, law)
     cuts = _thinned(sweep, steps, None if progress is None else lambda done: progress(done, len(steps.motion)))
+    if shift is not None:  # where a tip stands that comes back from its deflection is no matter of a rapid move
+        sweep.collided.clear()
     told += list(_told(program, sweep, law, cuts, turning, process))
     if not sweep.contact:
         raise _no_contact(program, steps, bounds, process, stock)

@@ -42,6 +42,10 @@ class ProcessSource:
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
 
+    def shifted(self, shift: Shift) -> ProcessSource:
+        """Return the same process for a tip that gives way."""
+        return ProcessSource(self._process, self._axis, self._ramp, stock=self._stock, shift=shift)
+
     @property
     def name(self) -> str:
         """The file of the process."""

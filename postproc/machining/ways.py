@@ -43,7 +43,7 @@ class Ways:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shift:
-    """Where a tip that gives way really is: (n,) motions, t and (n, 3) displacements [m] in the frame of the map."""
+    """Where a tip that gives way really is: (n,) motions, t and (n, 3) displacements [m], `$BASE`."""
 
     motion: Ints
     t: Array
@@ -88,9 +88,9 @@ def ways(
     if arc.any():
         leave[arc] = tangent(program, path, motion[arc], first[arc])
         arrive[arc] = tangent(program, path, motion[arc], last[arc])
-    begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
     if shift is not None:
         begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
+    begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
     joined = np.zeros(len(motion), dtype=bool)
     joined[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (turning.tool[motion[1:]] == turning.tool[motion[:-1]])
     moves = (norm(end - begin) > _STILL) & (turning.tool[motion] >= 0)
