@@ -12,11 +12,14 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from postproc.dialects.dialect import Dialect, Writer
 from postproc.errors import InputError, ProgramError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "postproc.dialects"
 _ASKED = ("name", "extensions", "command_decimals", "writer", "companions", "read")
@@ -133,6 +136,8 @@ def _ours(name: str) -> Dialect:
 @cache
 def _others() -> dict[str, Dialect | str]:
     """Return the dialects of other packages by name, or why one of them cannot be used."""
+    from importlib.metadata import entry_points  # needed where a dialect is asked for that is not ours
+
     return {entry.name: _other(entry) for entry in entry_points(group=GROUP) if entry.name not in _OURS}
 
 

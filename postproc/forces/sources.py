@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from postproc.errors import ForceError, PostprocError
 from postproc.forces.knots import ForceSource
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 READERS = {".csv": "postproc.forces.table:read_force_csv"}
 """What reads the files of `--forces`, by their extension: module and function, imported when such a file is named."""
@@ -25,6 +28,8 @@ def read(path: Path) -> ForceSource:
     """
     extension = path.suffix.lower()
     if extension not in READERS:
+        from importlib.metadata import entry_points  # needed where a file is not of our own kinds
+
         added = {entry.name.lower(): entry for entry in entry_points(group=GROUP)}
         if extension in added:
             return _read_by(added[extension], path)

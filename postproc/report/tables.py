@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Collection, Sequence
-
-_WIDEST = 10_000
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = "") -> str:
@@ -21,15 +18,13 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[
     X       1.5
     Y     -12.0
     """
-    from rich.console import Console  # not needed by who writes files alone
-    from rich.table import Table
-    from rich.text import Text
-
-    made = Table(box=None, pad_edge=False, padding=(0, 1))
-    for column, title in enumerate(head):
-        made.add_column(Text(title), justify="right" if column in right else "left", no_wrap=True)
-    for row in rows:
-        made.add_row(*map(Text, row))
-    out = io.StringIO()
-    Console(file=out, width=_WIDEST, color_system=None, legacy_windows=False).print(made)
-    return "\n".join(indent + line.rstrip() for line in out.getvalue().splitlines())
+    cells = [tuple(head), *map(tuple, rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join(
+        indent
+        + "  ".join(
+            cell.rjust(width) if column in right else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    )

@@ -22,7 +22,9 @@ def others(monkeypatch):
 
     def pretend(**places: str) -> None:
         found = [EntryPoint(name, place, registry.GROUP) for name, place in places.items()]
-        monkeypatch.setattr(registry, "entry_points", lambda group: [entry for entry in found if entry.group == group])
+        monkeypatch.setattr(
+            "importlib.metadata.entry_points", lambda group: [entry for entry in found if entry.group == group]
+        )
         registry._others.cache_clear()
 
     yield pretend

@@ -76,7 +76,7 @@ def test_what_a_source_must_not_give_is_told_with_its_name_and_line(changes, mes
 
 def added(monkeypatch, **entries):
     found = tuple(EntryPoint(name, value, sources.GROUP) for name, value in entries.items())
-    monkeypatch.setattr(sources, "entry_points", lambda *, group: found if group == sources.GROUP else ())
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: found if group == sources.GROUP else ())
 
 
 def test_a_file_is_read_by_the_package_that_names_its_extension(tmp_path, monkeypatch):
