@@ -28,6 +28,17 @@ def _frame(text: str) -> Numbers | int:
     return int(text) if text.strip().isdecimal() else _numbers(text)
 
 
+def _robot(text: str) -> str:
+    from postproc.errors import ModelError
+    from postproc.robot import find
+
+    try:
+        find(text)
+    except ModelError as cause:
+        raise click.BadParameter(str(cause)) from None
+    return text
+
+
 def _parsed(kind: Any) -> Any:
     return lambda _ctx, _param, text: None if text is None else kind(text)
 
@@ -82,7 +93,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
         from postproc.robot import shipped
 
         click.echo(f"Robots that come along: {', '.join(shipped())}")
-        given["robot"] = click.prompt("Robot, or the path of a model folder", default="kuka_kr270")
+        given["robot"] = click.prompt("Robot, or the path of a model folder", default="kuka_kr270", value_proc=_robot)
     if given["base"] is None:
         from postproc.jobs.cell_file import usual_base
 

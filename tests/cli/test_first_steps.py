@@ -181,8 +181,9 @@ def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
         done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n")
         assert done.exit_code == 0, done.output
         assert "out of reach" not in done.stderr
-    done = run("init", input="\nnonsense\n900,0,600\n\n\n")
+    done = run("init", input="KR270\n\nnonsense\n900,0,600\n\n\n")
     assert done.exit_code == 0, done.output
+    assert "no robot 'KR270'" in done.output
     cell = cells.load("cell.toml")
     assert (cell.robot, keys(cell.base)[:3], cell.tool.Z) == ("kuka_kr270", [900, 0, 600], 350)
     assert cell.start.joints == (0, -70, 110, 0, 50, 0)
