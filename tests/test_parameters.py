@@ -22,6 +22,8 @@ JOINT = st.sampled_from(robot.JOINTS)
 ANY = st.one_of(
     st.builds(robot.JointCompliance, JOINT),
     st.builds(robot.FadingPart, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
+    st.builds(robot.Knee, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
+    st.builds(robot.Backlash, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.LinkSpring, st.sampled_from(("base", *robot.JOINTS)), st.sampled_from(robot.LINK_AXES)),
     st.sampled_from(robot.COMPENSATOR),
 )
@@ -38,13 +40,20 @@ def test_no_other_name_is_read(name):
 
 
 @pytest.mark.parametrize(
-    "kind", [robot.JointCompliance("A3"), robot.FadingPart("A3", 90.0), robot.LinkSpring("A3", "RX")]
+    "kind",
+    [
+        robot.JointCompliance("A3"),
+        robot.FadingPart("A3", 90.0),
+        robot.Knee("A3", 90.0),
+        robot.Backlash("A3", 20.0),
+        robot.LinkSpring("A3", "RX"),
+    ],
 )
 def test_slope_of_a_spring_is_the_derivative_of_its_deflection(kind):
     torque, rest, h = np.linspace(-300.0, 300.0, 41), np.linspace(-80.0, 200.0, 41), 1e-3
     _, slope = kind.effect(torque, rest)
     difference = (kind.effect(torque + h, rest)[0] - kind.effect(torque - h, rest)[0]) / (2 * h)
-    np.testing.assert_allclose(slope, difference, rtol=1e-7)
+    np.testing.assert_allclose(slope, difference, rtol=1e-7, atol=1e-11 * np.abs(slope).max())
     np.testing.assert_array_equal(kind.effect(0.0 * torque, rest)[0], 0.0)
 
 

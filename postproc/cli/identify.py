@@ -125,6 +125,29 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
     _show(identify_geometry(output=output, **request), output, as_json)
 
 
+@identify.command()
+@click.argument("model", type=_FILE, metavar="MODEL_DIR")
+@click.argument("measurements", type=_FILE)
+@click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
+def validate(model: Path, measurements: Path, experiment: Path) -> None:
+    """Hold a model against readings it was not identified from: does its bound keep what it promises?
+
+    MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same robot, best in other configurations.
+    Prints, for each level of loads, the displacements measured, what the model leaves of them, the noise in that, its
+    95 % bound, the factor, and the share of displacements whose error is inside the bound.
+
+    \b
+    Example:
+      postproc identify validate my_robot validation.csv --experiment experiment.toml
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.identification_files import validate_model
+
+    result, text = validate_model(model, measurements, experiment)
+    click.echo(text)
+    for name in result.left_out:
+        click.echo(f"warning: outlier: {name}", err=True)
+
+
 def _show(done: IdentifiedFolder, output: Path, as_json: bool) -> None:
     import json
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from postproc import kinematics
+from postproc import elastostatics, kinematics
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector
 from postproc.kinematics import JointPath
@@ -28,6 +28,8 @@ _HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
+_BEYOND = 1.1
+"""Torque of a load, over the largest that was measured, beyond which the model is extrapolated."""
 _NO_SIGN = 0.01 * RAD_PER_DEG
 """A joint angle nearer to zero than this has no sign that T could name."""
 
@@ -250,3 +252,26 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
         "nominal ones. Use a smaller approximation distance where this matters.",
         level="warning",
     )
+
+
+def beyond_measured(
+    program: Program, robot: RobotModel, motion: Ints, q: Array, tool: Array, wrench: Array
+) -> Iterator[Issue]:
+    """Warn of loads that put more torque on a joint than the measurements of the model did.
+
+    :param motion: (K,) of each target.
+    :param q: (K, 6) [rad].
+    :param tool: (4, 4) or (K, 4, 4).
+    :param wrench: (K, 6) at the TCP, root axes [N, N·m].
+    """
+    if robot.measured is None:
+        return
+    _, jacobian = kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), tool)
+    torque = np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)]
+    beyond = torque > _BEYOND * robot.measured.torque
+    for joint in np.flatnonzero(beyond.any(axis=0)).tolist():
+        message = (
+            f"the forces put up to {torque[:, joint].max():.0f} N·m on {JOINTS[joint]}; the robot model was measured "
+            f"up to {robot.measured.torque[joint]:.0f}: it and its bound are extrapolated. Measure such loads too."
+        )
+        yield from _first(program, motion, beyond[:, joint], f"beyond-measured-{JOINTS[joint]}", message, "warning")

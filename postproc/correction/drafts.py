@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.compensation import Compensation
-from postproc.correction import blending, commanded, inspection
+from postproc.correction import blending, checks, commanded, inspection
 from postproc.correction.read_back import ReadBack, UnusableTextError, read_back
 from postproc.correction.result import Mode, Result
 from postproc.correction.targets import Chosen
@@ -184,8 +184,9 @@ def _bound(draft: Draft) -> tuple[Array | None, list[Issue]]:
         in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
     spring = path.setting.tool_spring
     in_series = None if spring is None else spring.matrices(path.pose_in_root[row, :3, :3])
-    q, wrench = draft.command.q[row], path.wrench_in_root[row]
-    return elastostatics.position_bound(robot, q, path.tool(row), wrench, in_root, in_series), []
+    q, wrench, tool = draft.command.q[row], path.wrench_in_root[row], path.tool(row)
+    told = checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench)
+    return elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series), list(told)
 
 
 def _carried(draft: Draft, back: ReadBack) -> Knots:

@@ -17,6 +17,8 @@ from postproc.robot import CompensatorTorque, Parameter, RobotModel, Spring, fil
 
 _QUANTILE_95 = 1.6448536
 """Of the normal distribution, one-sided."""
+_LENGTH_95 = 2.7954835
+"""What 95 % of vectors of three standard normal numbers are shorter than (χ² of three degrees of freedom)."""
 
 
 def position_bound(
@@ -29,8 +31,9 @@ def position_bound(
 ) -> Array | None:
     """Return the 95 % bound (N,) [m] on the error of the predicted deflection of the TCP, or None.
 
-    From `RobotModel.covariance` and the sensitivity of the TCP to each identified parameter, at first order, and from
-    the covariance of the wrench through the tangent compliance.
+    Three sources, added as covariances: `RobotModel.covariance` through the sensitivity of the TCP to each identified
+    parameter, at first order; the covariance of the wrench through the tangent compliance; and what the model was off
+    by on configurations it was not fitted to (`RobotModel.discrepancy`), in any direction.
 
     :param q: (N, 6) joint angles [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
@@ -50,6 +53,8 @@ def position_bound(
             spread, compliance = forces
             moved = (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3] @ spread
             position += moved @ np.swapaxes(moved, 1, 2)
+        if robot.discrepancy is not None:
+            position += (robot.discrepancy.at(wrench) / _LENGTH_95)[:, None, None] ** 2 * np.eye(3)
         return (length_bound(position),)
 
     beside = np.zeros((len(q), 6, 6)) if in_series is None else in_series

@@ -1,33 +1,43 @@
-"""Which springs a robot may have: nested structures, from simple to rich.
+"""Which springs a robot may have, and the structures made of them that are tried, from simple to rich.
 
-Joint springs; compensator; gears that stiffen with the load, or with load and weights together; springs of the links in
-six directions; springs where links end and under the base.
+Joint springs; compensator; gears that stiffen with the load, smoothly or with knees, and have backlash; springs of the
+links in six directions; springs where links end and under the base.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from postproc.frames import Array
 from postproc.identification.measurements import Measurements
 from postproc.identification.observability import joint_torques, levels_of, touched
 from postproc.identification.structure import Structure
 from postproc.robot import (
     BASE,
     COMPENSATOR,
-    JOINT_COMPLIANCES,
     JOINTS,
     LINK_AXES,
+    Backlash,
     FadingPart,
     JointCompliance,
+    Knee,
     LinkSpring,
     Parameter,
     RobotModel,
 )
 
-_TORQUE_STEPS = (0.2, 0.6, 2.0)
+JOINT, COMPENSATOR_SPRING, LINK, END = "joint", "compensator", "link", "end"
+FADING, KNEE, BACKLASH = "fading", "knee", "backlash"
+"""Kinds of springs, of which structures are made."""
+
+_FADE_AT = (0.2, 0.6, 2.0)
 """Where parts of a gear fade, over the largest torque measured on its joint."""
+_KNEES_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
+"""Where parts of a gear end: milling loads it to some hundredths of what weights do that show its springs."""
+_TURNS_OVER_AT = (0.01,)
+"""Torque that turns a gear with backlash over to its other flank."""
 _LEAST_TORQUE = 1.0
 """Largest torque [N·m] on a joint below which nothing is said of its gear."""
 
@@ -50,46 +60,60 @@ def _along_joints(robot: RobotModel) -> set[LinkSpring]:
     return found
 
 
-def fading_parts(
-    robot: RobotModel, data: Measurements, joints: Sequence[JointCompliance] = JOINT_COMPLIANCES
-) -> tuple[FadingPart, ...]:
-    """Return the fading parts of the gears of joints, at a fifth to twice the largest torque measured on each."""
-    largest = np.abs(joint_torques(robot, data)).max(axis=0)
-    return tuple(
-        FadingPart(joint.joint, float(f"{step * largest[joint.index]:.2g}"))
-        for joint in joints
-        for step in _TORQUE_STEPS
-        if largest[joint.index] > _LEAST_TORQUE
-    )
+def _gears(
+    kind: type[FadingPart | Backlash], steps: Sequence[float], joints: Sequence[JointCompliance], largest: Array
+) -> Iterator[Parameter]:
+    for joint in joints:
+        if largest[joint.index] > _LEAST_TORQUE:
+            for step in steps:
+                yield kind(joint.joint, float(f"{step * largest[joint.index]:.2g}"))
 
 
-def candidates(robot: RobotModel, data: Measurements) -> list[tuple[str, Structure]]:
-    """Return the nested structures, simple to rich."""
+def everything(
+    robot: RobotModel, data: Measurements, in_gears: bool, compensator: bool
+) -> tuple[Structure, tuple[str, ...]]:
+    """Return the structure with all springs that a robot may have, and of which kind each parameter is.
+
+    :param compensator: K_c and s₀ are looked for, and not the prior's.
+    """
     joints = touched(robot, data)
-    spring = COMPENSATOR if robot.compensator is not None and levels_of(data).max() >= 2 else ()
-    gears = fading_parts(robot, data, joints)
+    largest = np.abs(joint_torques(robot, data)).max(axis=0)
     links, ends = link_springs(robot, rich=False), link_springs(robot, rich=True)
-    # where the geometry is a weightless robot's, the gears feel weights and compensator as they feel a load
-    rest = robot.subtract_reference and (robot.has_weight or bool(spring))
-    lists: list[tuple[str, tuple[Parameter, ...], bool, bool]] = [  # name, parameters, offered, in gears
-        ("joint springs", (), True, False),
-        ("joint springs, compensator", spring, bool(spring), False),
-        ("joint springs, gears stiffen", gears, True, False),
-        ("springs of links", links, True, False),
-        ("springs of links, compensator", (*links, *spring), bool(spring), False),
-        ("springs of links, gears stiffen", (*links, *gears), True, False),
-        ("springs of links, gears stiffen with load and weights", (*links, *gears), rest, True),
-        ("springs of links, compensator, gears stiffen", (*links, *gears, *spring), bool(spring), False),
-        ("springs of links, their ends and the base", ends, True, False),
-        (
-            "springs of links, their ends and the base, gears stiffen with load and weights",
-            (*ends, *gears),
-            rest,
-            True,
-        ),
+    of_kind: dict[str, Iterable[Parameter]] = {
+        JOINT: joints,
+        COMPENSATOR_SPRING: COMPENSATOR if compensator else (),
+        LINK: links,
+        END: (spring for spring in ends if spring not in links),
+        FADING: _gears(FadingPart, _FADE_AT, joints, largest),
+        KNEE: _gears(Knee, _KNEES_AT, joints, largest),
+        BACKLASH: _gears(Backlash, _TURNS_OVER_AT, joints, largest),
+    }
+    pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
+    return Structure(tuple(p for p, _ in pairs), robot, in_gears=in_gears), tuple(kind for _, kind in pairs)
+
+
+def has_compensator(robot: RobotModel, data: Measurements) -> bool:
+    """Return whether a compensator can be looked for: three levels of q2 show how joint 2 changes along its range."""
+    return robot.compensator is not None and int(levels_of(data).max()) >= 2
+
+
+def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
+    """Return names and kinds of springs of the structures that are tried, simple to rich."""
+    gears: list[tuple[str, tuple[str, ...]]] = [
+        ("", ()),
+        (", gears stiffen", (FADING,)),
+        (", gears with knees", (KNEE,)),
+        (", gears stiffen, with knees", (FADING, KNEE)),
+        (", gears stiffen, with backlash", (FADING, BACKLASH)),
+        (", gears with knees and backlash", (KNEE, BACKLASH)),
+        (", gears stiffen, with knees and backlash", (FADING, KNEE, BACKLASH)),
     ]
+    arms: list[tuple[str, tuple[str, ...], list[tuple[str, tuple[str, ...]]]]] = [
+        ("joint springs", (JOINT,), gears[:2]),
+        ("springs of links", (JOINT, LINK), gears),
+        ("springs of links, their ends and the base", (JOINT, LINK, END), [gears[1], gears[3], gears[6]]),
+    ]
+    extra, told = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
     return [
-        (name, Structure((*joints, *more), robot, in_gears=in_gears))
-        for name, more, offered, in_gears in lists
-        if offered
+        (arm + told + gear, (*kinds, *extra, *more)) for arm, kinds, with_gears in arms for gear, more in with_gears
     ]

@@ -1,29 +1,39 @@
-"""Real robots: which springs the data support, by cross-validation over nested structures (`candidates`).
+"""Real robots: which springs the data support, by cross-validation over structures (`candidates`).
 
-Rich structures are fitted with all compliances non-negative and a slight ridge. Every structure predicts configurations
-it was not fitted to; the simplest one within one standard error of the best is taken (Breiman et al. 1984), and none
-that predicts worse than a simpler.
+Every structure is fitted with all compliances non-negative and a ridge on those of which some are looked for, and
+predicts configurations it was not fitted to. What is taken is no single one but the mean of structures, weighted so
+that together they predict best what they have not seen (stacking: Breiman, Machine Learning 24, 1996): a bad fold does
+not decide between two that are alike, and as the model is linear in its parameters the mean is a model of the same
+kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), and what all of them
+share, the pull of the ridge and noise, as the posterior of each structure has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from postproc.errors import PostprocError
 from postproc.frames import Array
-from postproc.identification.candidates import candidates
-from postproc.identification.fit import Fit, covariance_of, gauss_newton, solve
+from postproc.identification.candidates import candidates, everything, has_compensator
+from postproc.identification.displacements import measured_displacements, unwhiten, visible, whiten, whitening
+from postproc.identification.fit import Fit
+from postproc.identification.linearised import Linearised, linearise
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import is_physical
+from postproc.identification.observability import UNCERTAIN, is_physical
 from postproc.identification.placement import Placement
+from postproc.identification.prediction import predict
 from postproc.identification.structure import Structure
-from postproc.robot import RobotModel
+from postproc.program import Ints
+from postproc.robot import CompensatorStiffness, RobotModel
 
 _FOLDS = 10
 _RIDGES = (0.001, 0.003, 0.01, 0.03)
+_START_RIDGE = 0.01
+_LEAST_WEIGHT = 0.02
+"""Structures that weigh less are left out of the mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,18 +43,20 @@ class Candidate:
     :param name: for the user.
     :param parameters: number of parameters.
     :param active: how many of them are not zero.
-    :param rms_mm: residual of the fit, RMS distance.
+    :param rms_sigma: RMS of the whitened residuals of the fit.
     :param held_out: mean square of the whitened residuals of configurations left out; 1 would be noise alone.
-    :param error: standard error of the difference of `held_out` to the best structure.
-    :param chosen: the one that was taken.
+    :param error: standard error of the difference of `held_out` to what was taken.
+    :param weight: its share in what was taken.
+    :param chosen: the one that weighs most.
     """
 
     name: str
     parameters: int
     active: int
-    rms_mm: float
+    rms_sigma: float
     held_out: float
     error: float
+    weight: float
     chosen: bool = False
 
 
@@ -52,118 +64,238 @@ class Candidate:
 class Choice:
     """The chosen fit and why.
 
-    :param fit: with the covariance scaled to what held-out configurations show.
+    :param fit: the mean of structures, with its covariance.
     :param candidates: all structures tried, simple to rich.
     :param reason: one sentence.
     :param held_out: (C,) mean square whitened residual of each configuration when it was left out.
+    :param left_out: (L, P, 3) measured − predicted displacement of each when its configuration was left out [m].
+    :param influence: (p, rows) by how much the parameters change with the whitened readings.
     """
 
     fit: Fit
     candidates: tuple[Candidate, ...]
     reason: str
     held_out: Array
+    left_out: Array
+    influence: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Member:
+    """A structure with a ridge: its columns, and what it leaves (rows,) of configurations left out."""
+
+    name: str
+    columns: Ints
+    ridge: Array
+    left: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Mix:
+    """Structures and their weights on one set of linear equations."""
+
+    structure: Structure
+    equations: Linearised
+    members: tuple[_Member, ...]
+    weights: Array
+
+    @property
+    def by_config(self) -> Array:
+        """Mean squares (C,) of what the mean leaves of configurations left out."""
+        left = sum(weight * member.left for weight, member in zip(self.weights, self.members, strict=True))
+        return self.equations.by_config(np.asarray(left))
+
+    @property
+    def error(self) -> float:
+        """Mean of `by_config`."""
+        return float(self.by_config.mean())
+
+    def solve(self, without: Ints | None = None) -> Array:
+        """Return the scaled parameters of the mean."""
+        return np.asarray(
+            sum(
+                weight * self.equations.solve(member.columns, member.ridge, without)
+                for weight, member in zip(self.weights, self.members, strict=True)
+                if weight > 0.0
+            )
+        )
 
 
 def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choice:
-    """Fit all structures and take one by leave-configurations-out cross-validation.
+    """Fit all structures and take the mean of them that predicts best what was left out.
 
     :raises PostprocError: not even joint springs can be fitted.
     """
-    tried: list[tuple[str, Fit, Array]] = []
-    for name, structure in candidates(robot, data):
+    # where the geometry is a weightless robot's, the gears feel weights and compensator as they feel a load
+    weights_felt = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
+    mixes: list[_Mix] = []
+    for in_gears in (False, True) if weights_felt else (False,):
         try:
-            fit, held_out = _fit(structure, data, placement)
-            if is_physical(fit):
-                tried.append((name, fit, held_out))
+            mixes.append(_mixed(robot, data, placement, in_gears, compensator=False))
         except PostprocError:
-            if not tried:
+            if not mixes and in_gears == weights_felt:
                 raise
-    errors = np.array([error for _, _, error in tried])
-    best = int(np.argmin(errors.mean(axis=1)))
-    difference = errors - errors[best]
-    spread = difference.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
-    taken = best
-    for index in range(len(tried)):
-        simpler = errors[:index].mean(axis=1)
-        if difference[index].mean() <= spread[index] and np.all(errors[index].mean() <= simpler):
-            taken = index
-            break
-    name, fit, held_out = tried[taken]
-    scale = max(1.0, float(held_out.mean()))
-    size = fit.values != 0.0
-    covariance = np.where(np.outer(size, size), fit.covariance * scale, 0.0)
-    fit = Fit(fit.structure, fit.values, covariance, fit.residual, fit.chi2, fit.dof, fit.design, fit.target)
-    table = tuple(
-        Candidate(
-            n,
-            len(f.values),
-            int(np.count_nonzero(f.values)),
-            f.rms * 1e3,
-            float(e.mean()),
-            float(s),
-            index == taken,
-        )
-        for index, ((n, f, e), s) in enumerate(zip(tried, spread, strict=True))
-    )
-    reason = (
-        f"chosen: {name}: on configurations left out its mean square error is {held_out.mean():.2f} σ² "
-        f"(joint springs alone: {errors[0].mean():.2f} σ²)"
-    )
-    if taken != best:
-        reason += (
-            f"; the richer '{tried[best][0]}' gains {difference[taken].mean():.2f} ± {spread[taken]:.2f} σ², which is "
-            "within one standard error"
-        )
-    return Choice(fit, table, reason, held_out)
+    best = min(mixes, key=lambda mix: mix.error)
+    if has_compensator(robot, data):
+        try:
+            other = _mixed(robot, data, placement, best.structure.in_gears, compensator=True)
+            if _clearly_better(other, best):
+                choice = _chosen(other, data, placement)
+                if is_physical(choice.fit) and not _open(choice.fit):
+                    return choice
+        except PostprocError:
+            pass
+    return _chosen(best, data, placement)
 
 
-def _fit(structure: Structure, data: Measurements, placement: Placement) -> tuple[Fit, Array]:
-    regularised = np.array([parameter.sparse for parameter in structure.parameters])
-    if not regularised.any():
-        fit = gauss_newton(structure, data, placement)
-        return fit, held_out_errors(fit, data, None)
-    rough = gauss_newton(structure, data, placement, ridge=np.zeros(len(structure.parameters)), iterations=1)
-    norm = np.linalg.norm(rough.design, axis=0) * regularised
-    errors = [held_out_errors(rough, data, strength * norm) for strength in _RIDGES]
-    best = int(np.argmin([error.mean() for error in errors]))
-    ridge = _RIDGES[best] * norm
-    fit = gauss_newton(structure, data, placement, start=rough.values, ridge=ridge, iterations=5)
-    active = fit.values > 0.0
-    covariance = np.zeros((len(active), len(active)))
-    covariance[np.ix_(active, active)] = covariance_of(fit.design[:, active], structure.usual()[active], ridge[active])
+def _open(fit: Fit) -> bool:
+    """Return whether the stiffness of the compensator is not determined."""
+    spring = CompensatorStiffness()
+    if spring not in fit.given:
+        return False
+    index = fit.structure.parameters.index(spring)
+    return bool(fit.ci95[index] > UNCERTAIN * fit.values[index])
+
+
+def _mixed(robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool) -> _Mix:
+    structure, kinds = everything(robot, data, in_gears, compensator)
+    equations = _settled(structure, data, placement)
+    kind, free = np.array(kinds), _regularised(structure)
+    fold = np.random.default_rng(0).permutation(len(data.q)) % min(_FOLDS, len(data.q))
+    members = []
+    for name, wanted in candidates(compensator):
+        columns = np.flatnonzero(np.isin(kind, wanted))
+        if len(np.unique(kind[columns])) < len(wanted):  # this robot has none of a kind
+            continue
+        for strength in _RIDGES if free[columns].any() else _RIDGES[:1]:
+            ridge = strength * free
+            members.append(_Member(name, columns, ridge, equations.left_out(columns, ridge, fold)))
+    weights = _stacked(equations, members)
+    kept = [index for index, weight in enumerate(weights) if weight > _LEAST_WEIGHT]
+    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0) / weights[kept].sum()
+    return _Mix(structure, equations, tuple(members), weights)
+
+
+def _settled(structure: Structure, data: Measurements, placement: Placement) -> Linearised:
+    """Return the equations near the fit of all springs together."""
+    values, columns = structure.start(), np.arange(len(structure.parameters))
+    for _ in range(2):
+        equations = linearise(structure, values, data, placement)
+        values = equations.solve(columns, _START_RIDGE * _regularised(structure)) / equations.scale
+    return linearise(structure, values, data, placement)
+
+
+def _regularised(structure: Structure) -> Array:
+    return np.array([float(parameter.sparse) for parameter in structure.parameters])
+
+
+def _stacked(equations: Linearised, members: Sequence[_Member]) -> Array:
+    """Return the weights, not negative, their sum one, with which the members predict best what was left out."""
+    from scipy.optimize import nnls
+
+    left = np.array([member.left for member in members]) * np.sqrt(equations.weight)
+    square = left @ left.T / left.shape[1]
+    size = np.trace(square) / len(square)
+    rows = np.linalg.cholesky(square + 1e-9 * size * np.eye(len(square))).T
+    firm = np.sqrt(1e3 * size)
+    weights, _ = nnls(np.vstack([rows, np.full(len(rows), firm)]), np.append(np.zeros(len(rows)), firm), maxiter=1000)
+    return np.asarray(weights / weights.sum())
+
+
+def _clearly_better(one: _Mix, other: _Mix) -> bool:
+    """Compare by configurations, pair by pair: better by more than a standard error."""
+    gain = other.by_config - one.by_config
+    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
+
+
+def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
+    # once more where the mean stands: the effect of what is not linear depends on it a little
+    at_mean = linearise(mix.structure, mix.solve() / mix.equations.scale, data, placement)
+    mix = replace(mix, equations=at_mean)
+    equations, configs = mix.equations, len(data.q)
+    scaled = mix.solve()
+    without = np.array([mix.solve(np.array([index])) for index in range(configs)])
+    left = np.empty(len(equations.target))
+    for index in range(configs):
+        rows = equations.config == index
+        left[rows] = equations.left(without[index], rows)
+    apart = without - without.mean(axis=0)
+    covariance = (configs - 1) / configs * apart.T @ apart
+    influence = np.zeros((len(scaled), len(left)))
+    for weight, member in zip(mix.weights, mix.members, strict=True):
+        if weight > 0.0:
+            found = equations.solve(member.columns, member.ridge)
+            on = np.flatnonzero(found > 0.0)
+            # no spring is negative: what the readings leave open of one is no more than about its value
+            about = np.divide(1.0, found, out=np.zeros_like(found), where=found > 0.0)
+            inverse = np.linalg.inv(equations.normal(on, np.hypot(member.ridge, about)))
+            covariance[np.ix_(on, on)] += weight * inverse
+            rows = equations.design[:, on] / equations.scale[on] * equations.weight[:, None]
+            influence[on] += weight * inverse @ rows.T
+    keep = np.flatnonzero((scaled > 0.0) | (_regularised(mix.structure) == 0.0))
+    onto = equations.projection(keep)
+    scale = equations.scale[keep]
+    structure = replace(mix.structure, parameters=tuple(mix.structure.parameters[index] for index in keep))
+    values = scaled[keep] / scale
+    moved, _ = predict(structure, values, data, placement)
+    residual = (measured_displacements(data, placement) - moved) * visible(data)
+    w = whitening(data)
+    white = whiten(w, residual).ravel()
     fit = Fit(
         structure,
-        fit.values,
-        covariance,
-        fit.residual,
-        fit.chi2,
-        len(fit.target) - int(active.sum()),
-        fit.design,
-        fit.target,
+        values,
+        onto @ covariance @ onto.T / np.outer(scale, scale),
+        residual,
+        float(white @ white),
+        int(np.count_nonzero(np.linalg.norm(equations.design, axis=1) > 0.0)) - len(keep),
+        equations.design[:, keep],
+        equations.target,
     )
-    return fit, held_out_errors(fit, data, ridge)
+    held_out = equations.by_config(left)
+    shape = (len(data.loaded), len(data.points), 3)
+    table = _table(mix)
+    return Choice(
+        fit,
+        table,
+        _reason(mix, table, float(held_out.mean())),
+        held_out,
+        unwhiten(w, left.reshape(shape)),
+        onto @ influence / scale[:, None],
+    )
 
 
-def held_out_errors(fit: Fit, data: Measurements, ridge: Array | None) -> Array:
-    """Return (C,) the mean square whitened residual of each configuration, predicted by a fit to the others.
+def _table(mix: _Mix) -> tuple[Candidate, ...]:
+    """Return a row for each structure, at its best ridge."""
+    equations, mean = mix.equations, mix.by_config
+    rows = []
+    for name in dict.fromkeys(member.name for member in mix.members):
+        mine = [(m, w) for m, w in zip(mix.members, mix.weights, strict=True) if m.name == name]
+        errors = [equations.by_config(member.left) for member, _ in mine]
+        best = int(np.argmin([error.mean() for error in errors]))
+        member, apart = mine[best][0], errors[best] - mean
+        values = equations.solve(member.columns, member.ridge)
+        rows.append(
+            Candidate(
+                name + (" with load and weights" if mix.structure.in_gears and "gears" in name else ""),
+                len(member.columns),
+                int(np.count_nonzero(values)),
+                float(np.sqrt(np.mean(equations.left(values) ** 2))),
+                float(errors[best].mean()),
+                float(apart.std(ddof=1) / np.sqrt(len(apart))),
+                float(sum(weight for _, weight in mine)),
+            )
+        )
+    most = int(np.argmax([row.weight for row in rows]))
+    return tuple(replace(row, chosen=index == most) for index, row in enumerate(rows))
 
-    The model is linear in its parameters to 0.3 %, so the folds use the derivatives at the full fit.
-    """
-    states = len(data.loaded)
-    points = len(data.points)
-    config = data.state_config[data.loaded]
-    row_config = np.repeat(config, points * 3)
-    folds = min(_FOLDS, len(data.q))
-    fold = np.random.default_rng(0).permutation(len(data.q)) % folds
-    out = np.empty(len(data.q))
-    design = fit.design.reshape(states * points * 3, -1)
-    for index in range(folds):
-        test = fold[row_config] == index
-        values = solve(design[~test], fit.target[~test], ridge)
-        left = fit.target[test] - design[test] @ values
-        for row in np.flatnonzero(fold == index):
-            out[row] = np.mean(left[row_config[test] == row] ** 2)
-    return out
+
+def _reason(mix: _Mix, table: Sequence[Candidate], held_out: float) -> str:
+    taken = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
+    parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in taken)
+    return (
+        f"chosen: {parts}: on configurations left out the mean square error is {held_out:.2f} σ² (joint springs alone: "
+        f"{table[0].held_out:.2f} σ²)"
+    )
 
 
 def summary(table: Sequence[Candidate]) -> list[dict[str, object]]:
@@ -173,9 +305,10 @@ def summary(table: Sequence[Candidate]) -> list[dict[str, object]]:
             "structure": c.name,
             "parameters": c.parameters,
             "active": c.active,
-            "rms_mm": c.rms_mm,
+            "rms_sigma": c.rms_sigma,
             "held_out_sigma2": c.held_out,
             "standard_error": c.error,
+            "weight": c.weight,
             "chosen": c.chosen,
         }
         for c in table

@@ -45,3 +45,14 @@ def whitening(data: Measurements) -> Array:
 def whiten(w: Array, values: Array) -> Array:
     """Apply (P, L, L) to the states of values (L, P, …)."""
     return np.asarray(np.einsum("plm,mp...->lp...", w, values))
+
+
+def unwhiten(w: Array, values: Array) -> Array:
+    """Undo `whiten` for values (L, P, …)."""
+    return np.stack(
+        [
+            np.linalg.solve(w[point], values[:, point].reshape(len(values), -1)).reshape(values[:, point].shape)
+            for point in range(values.shape[1])
+        ],
+        axis=1,
+    )

@@ -104,13 +104,19 @@ class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`."""
+    """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`.
+
+    `load_error_percent`: standard deviation of what all loads are wrong by together; `load_point_sigma_mm`: of where
+    they act, in each direction.
+    """
 
     robot: str
     sigma_mm: Positive
     load_point: FlangePoint
     points: dict[str, Marker]
     payload: Payload | None = None
+    load_error_percent: NotNegative = 0.0
+    load_point_sigma_mm: NotNegative = 0.0
     rig: Rig | None = None
     tracker: Tracker | None = None
     floor: Floor = Floor()

@@ -127,11 +127,19 @@ def geometry_folder(
 
 def summary(data: dict[str, Any]) -> str:
     """Return the identified values as a table for a terminal."""
-    lines = []
+    lines = [data["verdict"]["line"]] if "verdict" in data else []
     for name, entry in data.get("parameters", {}).items():
         half = "" if entry["ci95"] is None else f" ± {entry['ci95']:.3g}"
         mark = "" if entry["observable"] else "   (prior: not observable)"
+        mark = mark if entry.get("determined", True) else "   (not determined: the interval is larger than the value)"
         lines.append(f"{name:>12} = {entry['value']:.5g}{half} {entry['unit']}{mark}")
+    if "parameters" in data:
+        lines.append("k1 … k6 contain the spring of the link about the same axis: the intervals are of that sum")
+    for level in data.get("discrepancy", ()):
+        lines.append(
+            f"on configurations left out, {level['load_N']:.0f} N: {level['held_out_mm']:.3f} mm RMS, of which "
+            f"{level['noise_mm']:.3f} noise; 95 % of what the model does not explain below {level['u95_mm']:.3f} mm"
+        )
     if "residual" in data:
         residual = data["residual"]
         lines.append(

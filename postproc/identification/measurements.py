@@ -30,6 +30,8 @@ class Measurements:
     :param position: (n, 3) in the frame of the measuring device [m].
     :param line: (n,) line in the file.
     :param used: (n,) False for readings left out as outliers.
+    :param load_error: standard deviation of what all loads are wrong by together, as a share.
+    :param load_point_error: standard deviation of where they act, in each direction [m].
     """
 
     file: str
@@ -48,6 +50,8 @@ class Measurements:
     position: Array
     line: Array
     used: Bools
+    load_error: float = 0.0
+    load_point_error: float = 0.0
 
     @property
     def loaded(self) -> Ints:

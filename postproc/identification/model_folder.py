@@ -15,14 +15,17 @@ from postproc.errors import InputError, ModelError
 from postproc.frames import MM_PER_M
 from postproc.identification.experiment import Payload
 from postproc.identification.fit import NORMAL_95, to_file_units
+from postproc.identification.observability import joint_torques
 from postproc.identification.procedure import Identification
 from postproc.robot import JOINT_COMPLIANCES
 from postproc.robot.model_file import (
     CompensatorEntry,
     CovarianceTable,
+    DiscrepancyEntry,
     Gravity,
     JointSpring,
     LinkSprings,
+    MeasuredEntry,
     ModelFile,
     PayloadEntry,
 )
@@ -62,6 +65,15 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         geometry=prior.geometry,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
         covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
+        discrepancy=DiscrepancyEntry(
+            source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
+        ),
+        measured=MeasuredEntry(
+            source=source,
+            configurations=len(result.data.q),
+            torque_Nm=tuple(np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist()),
+            not_trusted=result.distrust,
+        ),
         masses=prior.masses,
         geometry_nominal=prior.geometry_nominal,
     )
@@ -144,5 +156,8 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
 
 def without_found_springs(content: ModelFile) -> ModelFile:
     """Return a model with joint springs alone: those of links, and what fades of the gears, are looked for anew."""
-    joints = {name: msgspec.structs.replace(spring, stiffening=[]) for name, spring in content.joints.items()}
-    return msgspec.structs.replace(content, joints=joints, links={}, covariance=None)
+    joints = {
+        name: msgspec.structs.replace(spring, stiffening=[], knees=[], backlash=None)
+        for name, spring in content.joints.items()
+    }
+    return msgspec.structs.replace(content, joints=joints, links={}, covariance=None, discrepancy=None, measured=None)

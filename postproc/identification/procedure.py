@@ -11,6 +11,7 @@ import numpy as np
 from postproc.frames import MM_PER_M, Array
 from postproc.identification import outliers
 from postproc.identification.choice import Choice, choose
+from postproc.identification.discrepancy import Discrepancy, discrepancy, left_out_of
 from postproc.identification.displacements import measured_displacements
 from postproc.identification.enhanced import (
     Levels,
@@ -25,6 +26,8 @@ from postproc.identification.observability import NotObservable, not_observable
 from postproc.identification.placement import Placement, locate
 from postproc.identification.plausibility import check_frames, check_loads, check_points
 from postproc.identification.serial import fit_serial
+from postproc.identification.stated_errors import with_stated_errors
+from postproc.identification.trust import judge
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness, RobotModel
 
 Method = Literal["enhanced", "serial"]
@@ -48,6 +51,8 @@ class Identification:
     :param spring: K⁰_θ2, K_c, s₀·K_c from the levels by Eq. (9), (10) (enhanced, if three levels are there).
     :param missing: parameters that the data do not determine.
     :param choice: structures tried, if joint springs did not suffice.
+    :param discrepancy: how far the fit is off on configurations left out.
+    :param distrust: why the model should not be used; empty if it may.
     :param left_out: readings left out.
     :param warnings: what the user should know.
     """
@@ -61,6 +66,8 @@ class Identification:
     spring: SpringOfJoint2 | None
     missing: tuple[NotObservable, ...]
     choice: Choice | None
+    discrepancy: Discrepancy
+    distrust: str
     left_out: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -121,7 +128,12 @@ def identify(
             warnings.append(note + "; " + choice.reason)
             missing = _still_missing(fit, missing)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
-    rest = (tuple(missing), choice, tuple(left_out), tuple(warnings))
+    seen_not = left_out_of(fit, data) if choice is None else choice.left_out
+    off = discrepancy(data, fit, seen_not, explained=choice is None and not _unexplained(found.fit))
+    distrust, more = judge(data, placement, fit, off, choice)
+    warnings += more
+    fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
+    rest = (tuple(missing), choice, off, distrust, tuple(left_out), tuple(warnings))
     return Identification("enhanced", prior, data, placement, fit, found.levels, found.spring, *rest)
 
 
@@ -190,9 +202,11 @@ def _serial(
         covariance[index] = covariance[:, index] = 0.0
     fit = replace(fit, values=values, covariance=covariance)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
-    return Identification(
-        "serial", prior, data, placement, fit, None, None, tuple(missing), None, tuple(left_out), tuple(warnings)
-    )
+    off = discrepancy(data, fit, fit.residual, explained=not _unexplained(fit))
+    distrust, more = judge(data, placement, fit, off, None)
+    fit = with_stated_errors(fit, data, placement, None)
+    rest = (tuple(missing), None, off, distrust, tuple(left_out), tuple(warnings + more))
+    return Identification("serial", prior, data, placement, fit, None, None, *rest)
 
 
 def _noise(data: Measurements) -> tuple[Measurements, list[str]]:

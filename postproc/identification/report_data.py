@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.identification import trust
 from postproc.identification.choice import summary
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.placement import describe, describe_points
@@ -34,6 +35,7 @@ def report_data(result: Identification) -> dict[str, Any]:
             for q, k, d in zip(result.levels.q2, result.levels.compliance, deviation, strict=True)
         ]
     data: dict[str, Any] = {
+        "verdict": {"refused": bool(result.distrust), "line": trust.line(result.distrust)},
         "method": result.method,
         "robot": result.prior.name,
         "parameters": entries,
@@ -50,6 +52,22 @@ def report_data(result: Identification) -> dict[str, Any]:
                 for c, b, a in zip(result.data.config, before, after, strict=True)
             ],
         },
+        "discrepancy": [
+            {"load_N": load, "held_out_mm": held, "noise_mm": noise, "own_mm": own, "u95_mm": u95}
+            for load, held, noise, own, u95 in zip(
+                result.discrepancy.load.tolist(),
+                *(
+                    (values * MM_PER_M).tolist()
+                    for values in (
+                        result.discrepancy.held_out,
+                        result.discrepancy.noise,
+                        result.discrepancy.own,
+                        result.discrepancy.u95,
+                    )
+                ),
+                strict=True,
+            )
+        ],
         "sigma_mm": result.data.sigma * MM_PER_M,
         "base": describe(result.placement),
         "points": describe_points(result.placement, result.data.points),
@@ -83,7 +101,7 @@ def _entries_of(result: Identification, given: dict[Parameter, tuple[float, floa
     def put(name: str, found: tuple[float, float] | None, value: float, unit: str, before: float | None) -> None:
         entry: dict[str, Any] = {"value": value, "ci95": None}
         if found is not None:
-            entry = dict(zip(("value", "ci95"), found, strict=True))
+            entry = dict(zip(("value", "ci95"), found, strict=True)) | {"determined": bool(found[1] <= found[0])}
         entry |= {"unit": unit, "observable": found is not None}
         if before is not None:
             entry["prior"] = before

@@ -16,6 +16,7 @@ from postproc.identification import (
 )
 from postproc.identification.compensator_geometry import CompensatorGeometry
 from postproc.identification.procedure import Depth, Method
+from postproc.identification.validation import Validation, table, validate
 from postproc.jobs.outputs import protect
 from postproc.report.identification import page
 
@@ -95,3 +96,12 @@ def identify_geometry(
     if not overwrite:
         model_folder.protect(output)
     return geometry_folder(measurements, experiment, output, model, page)
+
+
+def validate_model(model: Path, measurements: Path, experiment: Path) -> tuple[Validation, str]:
+    """Hold a model folder against readings that it was not identified from; return the comparison and its table.
+
+    :raises PostprocError: the files are unusable.
+    """
+    result = validate(model, measurements, experiment)
+    return result, table(result)

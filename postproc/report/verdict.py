@@ -119,10 +119,13 @@ def assumed(robot: RobotModel) -> tuple[str, ...]:
 
 
 def _model(robot: RobotModel) -> list[str]:
+    told = []
+    if robot.measured is not None and robot.measured.not_trusted:
+        told.append(f"the robot model is not to be trusted: {robot.measured.not_trusted}")
     names = assumed(robot)
     if not names:
-        return []
-    return [f"values of the robot model are assumed, not measured: {', '.join(names)}"]
+        return told
+    return [*told, f"values of the robot model are assumed, not measured: {', '.join(names)}"]
 
 
 def _assumptions(result: Result) -> list[str]:

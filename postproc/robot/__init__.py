@@ -8,11 +8,11 @@ from postproc.robot.chain import Chain
 from postproc.robot.compensator_parameters import CompensatorPreload, CompensatorStiffness
 from postproc.robot.flexible import elastic_chain
 from postproc.robot.folder import assemble, find, load, shipped
-from postproc.robot.model import Covariance, RobotModel
+from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel
 from postproc.robot.model_file import BASE, FLANGE, JOINTS, Displacement, LinkSprings, ModelFile
 from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR, JOINT_COMPLIANCES, file_slopes
-from postproc.robot.spring_parameters import LINK_AXES, FadingPart, JointCompliance, LinkSpring
+from postproc.robot.spring_parameters import LINK_AXES, Backlash, FadingPart, JointCompliance, Knee, LinkSpring
 from postproc.robot.value_sources import SourcedValue
 
 __all__ = [
@@ -22,16 +22,20 @@ __all__ = [
     "JOINTS",
     "JOINT_COMPLIANCES",
     "LINK_AXES",
+    "Backlash",
     "Chain",
     "CompensatorPreload",
     "CompensatorStiffness",
     "CompensatorTorque",
     "Covariance",
+    "Discrepancy",
     "Displacement",
     "FadingPart",
     "JointCompliance",
+    "Knee",
     "LinkSpring",
     "LinkSprings",
+    "Measured",
     "ModelFile",
     "Parameter",
     "RobotModel",

@@ -12,8 +12,16 @@ from postproc.errors import ModelError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
 from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
-from postproc.robot.model import Covariance, RobotModel
-from postproc.robot.model_file import BASE, FLANGE, JOINTS, CovarianceTable, Displacement, ModelFile
+from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel
+from postproc.robot.model_file import (
+    BASE,
+    FLANGE,
+    JOINTS,
+    CovarianceTable,
+    DiscrepancyEntry,
+    Displacement,
+    ModelFile,
+)
 from postproc.robot.spring_parameters import LinkSpring
 from postproc.robot.value_sources import sourced_values
 
@@ -64,9 +72,13 @@ def load(folder: str | Path) -> RobotModel:
     if missing:
         raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")
     for name, spring in content.joints.items():
-        if sum(part.compliance_urad_per_Nm for part in spring.stiffening) > spring.compliance_urad_per_Nm * (1 + 1e-6):
+        if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
             raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
     _check_covariance(content.covariance, where)
+    if (off := content.discrepancy) is not None and not (
+        0 < len(off.load_N) == len(off.u95_mm) and off.load_N[0] > 0.0 and np.all(np.diff(off.load_N) > 0.0)
+    ):
+        raise ModelError("[discrepancy] needs ascending load_N above zero, and as many u95_mm", file=where)
     path = folder / "robot.urdf"
     robot = assemble(folder.resolve().name, content, urdf.read(files.read_text(path, ModelError), str(path)))
     for parameter in robot.covariance.parameters if robot.covariance is not None else ():
@@ -88,7 +100,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     actual = replace(nominal, placement=placement, flange=flange)
     if (carried := content.payload) is not None:
         actual = actual.with_payload(carried.mass_kg, np.array([carried.X_mm, carried.Y_mm, carried.Z_mm]) * M_PER_MM)
-    values, table = parameters.stated(content), content.covariance
+    values, table, covered = parameters.stated(content), content.covariance, content.measured
     rigid = RobotModel(
         name=name,
         title=content.name,
@@ -105,9 +117,15 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         covariance=None if table is None else Covariance.of(table.parameters, table.matrix),
         sources=tuple(sourced_values(content, nominal)),
         carries_weight=content.gravity.in_gears,
+        discrepancy=_discrepancy(content.discrepancy),
+        measured=None if covered is None else Measured(np.array(covered.torque_Nm), covered.not_trusted),
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
     return rigid.with_link_springs(springs).with_values(values)
+
+
+def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
+    return None if entry is None else Discrepancy(np.array(entry.load_N), np.array(entry.u95_mm) * M_PER_MM)
 
 
 def _placement(entry: Displacement) -> Array:
@@ -125,7 +143,8 @@ def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
         raise ModelError(
             f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called",
             file=where,
-            advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), A2.RX (a spring of a link), K_c, s_0.",
+            advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), k1^800 (what ends there), A4.backlash@3, "
+            "A2.RX (a spring of a link), K_c, s_0.",
         )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:

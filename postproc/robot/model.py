@@ -10,7 +10,7 @@ import numpy as np
 
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
-from postproc.frames import Array
+from postproc.frames import Array, norm
 from postproc.robot import parameters
 from postproc.robot.chain import Chain
 from postproc.robot.flexible import elastic_chain
@@ -45,6 +45,41 @@ class Covariance:
         return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrepancy:
+    """How far the model was off on configurations it was not fitted to, noise and its own uncertainty taken out.
+
+    :param load: (m,) size of the loads there, force [N] and moment [N·m] in one, ascending.
+    :param u95: (m,) what 95 % of the errors were below [m].
+    """
+
+    load: Array
+    u95: Array
+
+    def at(self, wrench: Array) -> Array:
+        """Return the bound (N,) [m] under wrenches (N, 6).
+
+        Between measured loads it is interpolated, above them it grows with the load; below the smallest it does not
+        shrink, as backlash does not: what is off there is off by a milling force too. Without load nothing is.
+        """
+        force = norm(wrench)
+        inside = np.interp(force, self.load, self.u95)
+        beyond = np.maximum(force / self.load[-1], 1.0)
+        return np.where(np.any(wrench != 0.0, axis=1), inside * beyond, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What the measurements of an identified model covered.
+
+    :param torque: (6,) largest on A1…A6 [N·m].
+    :param not_trusted: why the model should not be used; empty if it may.
+    """
+
+    torque: Array
+    not_trusted: str
+
+
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """A robot as the package computes with it. SI units, KUKA joint signs, root frame = `$ROBROOT`.
@@ -66,6 +101,8 @@ class RobotModel:
     :param terms: parameters of springs that do not grow with the torque, with their values.
     :param carries_weight: they feel the torque at rest (weights, compensator) too, not the load alone.
     :param link_springs: springs of the links, in the order of their coordinates.
+    :param discrepancy: by how much the model was off where it was not fitted, or None.
+    :param measured: what the measurements of an identified model covered, or None.
     """
 
     name: str
@@ -85,6 +122,8 @@ class RobotModel:
     terms: tuple[tuple[Spring, float], ...] = ()
     carries_weight: bool = False
     link_springs: tuple[LinkSpring, ...] = ()
+    discrepancy: Discrepancy | None = None
+    measured: Measured | None = None
 
     @cached_property
     def compliance(self) -> Array:
@@ -100,6 +139,8 @@ class RobotModel:
         """Return the compliance (nv,) of terms at small torque."""
         zero, out = np.zeros(1), np.zeros(self.actual.nv)
         for parameter, value in terms:
+            if not parameter.is_compliance:
+                continue
             out[parameter.row(self)] += value * parameter.effect(zero, zero)[1][0]
         return out
 

@@ -38,12 +38,29 @@ class Stiffening(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     compliance_urad_per_Nm: Positive
 
 
+class BacklashEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Backlash of a gear: by how much it lies off to either side; `torque_Nm` turns it over (`parameters.Backlash`)."""
+
+    angle_urad: Positive
+    torque_Nm: Positive
+
+
 class JointSpring(Sourced, frozen=True, kw_only=True):
-    """Compliance of one virtual joint spring, at small torque; `stiffening` says which parts of it fade with load."""
+    """Compliance of one virtual joint spring, at small torque, the spring of its link about the same axis included.
+
+    `stiffening` says which parts of it fade with load, `knees` which end beyond a torque (`parameters.Knee`).
+    """
 
     compliance_urad_per_Nm: Positive
     ci95: NotNegative | None = None
     stiffening: list[Stiffening] = []
+    knees: list[Stiffening] = []
+    backlash: BacklashEntry | None = None
+
+    @property
+    def fades(self) -> float:
+        """How much of the compliance fades or ends with load [µrad/(N·m)]."""
+        return sum(part.compliance_urad_per_Nm for part in (*self.stiffening, *self.knees))
 
 
 class LinkSprings(Sourced, frozen=True, kw_only=True):
@@ -128,6 +145,21 @@ class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     matrix: list[list[Covariant]]
 
 
+class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
+    """How far the model was off on configurations it was not fitted to, noise taken out: 95 % of |error| by load."""
+
+    load_N: list[NotNegative]
+    u95_mm: list[NotNegative]
+
+
+class MeasuredEntry(Sourced, frozen=True, kw_only=True):
+    """What the measurements covered: the largest torque on A1…A6; `not_trusted`: why the model should not be used."""
+
+    configurations: int
+    torque_Nm: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+    not_trusted: str = ""
+
+
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of `model.toml`."""
 
@@ -142,3 +174,5 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     masses: Sourced | None = None
     geometry_nominal: Sourced | None = None
     covariance: CovarianceTable | None = None
+    discrepancy: DiscrepancyEntry | None = None
+    measured: MeasuredEntry | None = None

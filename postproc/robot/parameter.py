@@ -98,9 +98,13 @@ class Parameter(ABC):
 
 
 class Spring(Parameter):
-    """A parameter that adds to the deflection of one coordinate."""
+    """A parameter that adds to the deflection of one coordinate.
+
+    `linear`: it grows with the torque. `is_compliance`: its slope at small torque is part of the spring's compliance.
+    """
 
     linear: ClassVar[bool] = True
+    is_compliance: ClassVar[bool] = True
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return deflection (N,) per unit of the parameter, and its derivative by the torque.

@@ -1,4 +1,4 @@
-"""Parameters of springs: compliance of a joint, the part of it that fades with load, spring of a link."""
+"""Parameters of springs: compliance of a joint, the parts of it that fade with load, backlash, spring of a link."""
 
 from __future__ import annotations
 
@@ -44,8 +44,7 @@ class JointCompliance(Spring):
         """Yield the compliances of [joints], less what fades."""
         for joint in JOINTS:
             spring = content.joints[joint]
-            fades = sum(part.compliance_urad_per_Nm for part in spring.stiffening)
-            yield cls(joint), (spring.compliance_urad_per_Nm - fades) / PER_URAD
+            yield cls(joint), (spring.compliance_urad_per_Nm - spring.fades) / PER_URAD
 
     def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
         """Write [joints.A1]."""
@@ -127,6 +126,123 @@ class FadingPart(Spring):
         u0 = rest / self.torque
         u = torque / self.torque + u0
         return self.torque * (np.arcsinh(u) - np.arcsinh(u0)), 1.0 / np.sqrt(1.0 + u**2)
+
+
+@dataclass(frozen=True, slots=True)
+class Knee(FadingPart):
+    """Part of a joint's compliance that ends where the torque passes `torque` [N·m]: ``k1^800``.
+
+    Deflection T·(f(u) − f(u₀)) with f = u/(1 + u⁴)^¼ and u, u₀ as in `FadingPart`: it grows as a spring's up to T and
+    stays there. Any gear whose compliance falls with load is a sum of such parts, one with a knee too, and beyond the
+    last knee the sum is a straight line.
+    """
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``k1^800``."""
+        return f"{JointCompliance(self.joint).name}^{self.torque:g}"
+
+    @property
+    def title(self) -> str:
+        """Return joint and torque in words."""
+        return f"{JointCompliance(self.joint).name}, up to {self.torque:g} N·m"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the part of a name like ``k6^6.2``."""
+        head, _, torque = name.partition("^")
+        whole = JointCompliance.named(head)
+        try:
+            return None if whole is None else cls(whole.joint, float(torque))
+        except ValueError:
+            return None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield `knees` of [joints]."""
+        for joint in JOINTS:
+            for part in content.joints[joint].knees:
+                yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Add to `knees` of the joint."""
+        part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
+        tables["joints"][self.joint].setdefault("knees", []).append(part)
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return T·(f(u) − f(u₀)) and f′(u)."""
+        u0 = rest / self.torque
+        u = torque / self.torque + u0
+        there, here = 1.0 + u**4, 1.0 + u0**4
+        return self.torque * (u / there**0.25 - u0 / here**0.25), there**-1.25
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(Spring):
+    """Backlash of a gear: it lies off to the side to which it is pressed, ``A4.backlash`` [rad].
+
+    Deflection tanh(v) − tanh(v₀) with v = (torque + rest)/T, v₀ = rest/T; T [N·m] is small: it says over which torque
+    the gear turns over to its other flank.
+    """
+
+    joint: str
+    torque: float
+    sparse: ClassVar[bool] = True
+    linear: ClassVar[bool] = False
+    is_compliance: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``A4.backlash@3``."""
+        return f"{self.joint}.backlash@{self.torque:g}"
+
+    @property
+    def title(self) -> str:
+        """Return the joint in words."""
+        return f"backlash of {self.joint}"
+
+    @property
+    def unit(self) -> str:
+        """Return the unit in files."""
+        return "urad"
+
+    @property
+    def usual(self) -> float:
+        """Return a usual size [rad]."""
+        return 2e-5
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the backlash of a name like ``A4.backlash@3``."""
+        head, _, torque = name.partition(".backlash@")
+        try:
+            return cls(head, float(torque)) if head in JOINTS else None
+        except ValueError:
+            return None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield `backlash` of [joints]."""
+        for joint in JOINTS:
+            if (play := content.joints[joint].backlash) is not None:
+                yield cls(joint, play.torque_Nm), play.angle_urad / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write `backlash` of the joint."""
+        tables["joints"][self.joint]["backlash"] = {"angle_urad": value, "torque_Nm": self.torque}
+
+    def row(self, robot: RobotModel) -> int:
+        """Return the coordinate of the joint."""
+        return JointCompliance(self.joint).row(robot)
+
+    def of(self, robot: RobotModel) -> float:
+        """Return by how much the gear lies off; zero if the robot has no such part."""
+        return dict(robot.terms).get(self, 0.0)
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return tanh(v) − tanh(v₀) and its derivative by the torque."""
+        there, here = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
+        return there - here, (1.0 - there**2) / self.torque
 
 
 @dataclass(frozen=True, slots=True)

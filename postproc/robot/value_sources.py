@@ -26,9 +26,10 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
         value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m)"
-        if spring.stiffening:
-            fades = sum(part.compliance_urad_per_Nm for part in spring.stiffening)
-            value += f", of which {fades:.3g} fade with load"
+        if spring.fades:
+            value += f", of which {spring.fades:.3g} fade with load"
+        if spring.backlash is not None:
+            value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
         yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)
     if (spring_law := content.compensator) is not None:
         value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
@@ -48,6 +49,14 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
             f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
         )
         yield SourcedValue(f"calibrated {name}", value, entry.source, entry.assumed)
+    if (off := content.discrepancy) is not None:
+        pairs = zip(off.u95_mm, off.load_N, strict=False)
+        value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
+        yield SourcedValue("discrepancy (95 %)", value, off.source, off.assumed)
+    if (covered := content.measured) is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in covered.torque_Nm)
+        value = f"{covered.configurations} configurations, up to {torques} N·m on A1 … A6"
+        yield SourcedValue("measured", value, covered.source, covered.assumed)
     masses = ", ".join(f"{mass:g}" for mass in nominal.mass)
     for label, value, entry_source in (
         ("link masses", f"{masses} kg", content.masses),

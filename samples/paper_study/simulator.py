@@ -42,7 +42,8 @@ def rot(axis, angle):
 
 @dataclass
 class Gear:
-    """Torque of a gear τ(θ) with tangent; `kind`: linear, cubic, quadratic or three (three slopes, harmonic drive)."""
+    """Torque of a gear τ(θ) with tangent; `kind`: linear, cubic, quadratic, three (three slopes, harmonic drive), knee
+    (two slopes) or settling."""
 
     kind: str
     k: np.ndarray  # (6,) stiffness at small angle
@@ -60,6 +61,8 @@ class Gear:
             slope = np.where(a < b / 2, k, np.where(a < b, 1.25 * k, 1.5 * k))
             value = k * np.minimum(a, b / 2) + 1.25 * k * np.clip(a - b / 2, 0, b / 2) + 1.5 * k * np.maximum(a - b, 0)
             return np.sign(t) * value, slope
+        if self.kind == "knee":  # slopes k and 2.5 k, changing at b
+            return np.sign(t) * (k * np.minimum(a, b) + 2.5 * k * np.maximum(a - b, 0)), np.where(a < b, k, 2.5 * k)
         if self.kind == "settling":  # secant stiffness grows from k to 1.4 k and stays there
             u = a / b
             return k * t * (1 + 0.4 * u / (1 + u)), k * (1 + 0.4 * u / (1 + u)) + k * a * 0.4 / (1 + u) ** 2 / b
@@ -77,6 +80,8 @@ class TrueRobot:
     offsets: np.ndarray = field(default_factory=lambda: np.zeros(6))
     gears_feel_rest: bool = True
     centres: np.ndarray = field(default_factory=lambda: CENTRES)
+    payload: tuple = (0.0, np.zeros(3))  # what the flange carries always: mass, centre in the flange frame
+    backlash: np.ndarray = field(default_factory=lambda: np.zeros(6))  # each gear lies off by ± this with its torque
 
     def __post_init__(self):
         self.chain = []  # (fixed 4×4, "R"/"P", axis, kind, index)
@@ -157,6 +162,10 @@ class TrueRobot:
                 pose = frames[0][self.body_row[j]]
                 com = pose[:, :3, 3] + pose[:, :3, :3] @ self.centres[j]
                 out += self.pulled(frames, self.body_row[j], com, np.tile([0, 0, -mass * G], (len(x), 1)))
+        if self.payload[0]:
+            flange = self.flange(frames)
+            com = flange[:, :3, 3] + flange[:, :3, :3] @ self.payload[1]
+            out += self.pulled(frames, self.size - 1, com, np.tile([0, 0, -self.payload[0] * G], (len(x), 1)))
         second = self.joint_rows[1]
         out[:, second] -= self._comp(x[:, second])[0]
         return out
@@ -164,7 +173,6 @@ class TrueRobot:
     def solve(self, q, force, point=LOAD_POINT, moment=None, iterations=40):
         """Flange pose (N, 4, 4) under a dead force (N, 3) at a point of the flange frame."""
         base = self.commanded(q)
-        rest_theta = np.zeros((len(q), 6))
         rest = np.zeros_like(base)
         if not self.gears_feel_rest:  # the gears stiffen with the load alone: at rest they are balanced
             rest = self.position_forces(self.frames(base), base)
@@ -180,7 +188,9 @@ class TrueRobot:
                     if self.chain[i][1] == "R":
                         load[:, i] += np.sum(frames[1][i] * moment, axis=1)
             g = load + self.position_forces(frames, x) - rest
-            torque, tangent = self.gear.torque(y[:, self.joint_rows] - rest_theta)
+            # a newton metre or two turn the gear over to its other flank
+            slack = self.backlash * np.tanh(g[:, self.joint_rows] / 2.0)
+            torque, tangent = self.gear.torque(y[:, self.joint_rows] - slack)
             step = np.zeros_like(y)
             tangent[:, 1] += self._comp(x[:, self.joint_rows[1]])[1]
             step[:, self.joint_rows] = (g[:, self.joint_rows] - torque) / tangent
@@ -317,39 +327,51 @@ def plan(rng, count=15, levels=(-10, -40, -70, -100, -130), load=2700.0, tilt=40
     return np.array(q), np.array(f)
 
 
-def measure(robot, q, f, rng, sigma=0.03e-3, repeats=3, points=None):
-    """Exact positions (m, 2, p, 3) [m] in a tilted tracker frame and noisy readings (m, 2, repeats, p, 3)."""
+def largest_torque(q, f, point=LOAD_POINT):
+    """Largest torque (6,) of forces at a point of the flange frame about the joints [N·m]."""
+    bare = TrueRobot(Gear("linear", 1 / PAPER_K, np.ones(6)))
+    frames = bare.frames(bare.commanded(q))
+    flange = bare.flange(frames)
+    return np.abs(bare.pulled(frames, 5, flange[:, :3, 3] + flange[:, :3, :3] @ point, f)).max(axis=0)
+
+
+def measure(robot, q, f, rng, sigma=0.03e-3, repeats=3, points=None, levels=(1.0,), tails=False):
+    """Exact positions (m, 1 + loads, p, 3) [m] in a tilted tracker frame and noisy readings (m, 1 + loads, repeats, p,
+    3): without load, and under the forces times each of `levels`; `tails`: noise with far more gross errors."""
     points = POINTS if points is None else points
     axis = rng.normal(size=3)
     tracker = rot(axis / np.linalg.norm(axis), rng.uniform(0.3, 2.5, 1))[0]
     shift = rng.uniform(-2, 2, 3)
     p = np.array(list(points.values())) + rng.normal(0, 0.5e-3, (len(points), 3))
-    exact = np.empty((len(q), 2, len(points), 3))
-    for load, force in enumerate((0 * f, f)):
+    exact = np.empty((len(q), 1 + len(levels), len(points), 3))
+    for load, force in enumerate((0 * f, *(level * f for level in levels))):
         flange = robot.solve(q, force)
         exact[:, load] = (flange[:, None, :3, 3] + np.einsum("nij,pj->npi", flange[:, :3, :3], p)) @ tracker.T + shift
-    return exact, readings(exact, rng, sigma, repeats)
+    return exact, readings(exact, rng, sigma, repeats, tails)
 
 
-def readings(exact, rng, sigma, repeats):
+def readings(exact, rng, sigma, repeats, tails=False):
+    if tails:  # Student's t of three degrees of freedom, as wide as σ on the whole
+        shape = (*exact.shape[:2], repeats, *exact.shape[2:])
+        return exact[:, :, None] + sigma / np.sqrt(3.0) * rng.standard_t(3, shape)
     return exact[:, :, None] + rng.normal(0, sigma, (*exact.shape[:2], repeats, *exact.shape[2:]))
 
 
-def write(folder: Path, q, f, raw, sigma=0.03e-3, robot="kuka_kr270", points=None):
-    """Write measurements.csv and experiment.toml as FORMATS.md describes them."""
+def write(folder: Path, q, f, raw, sigma=0.03e-3, robot="kuka_kr270", points=None, levels=(1.0,), more=""):
+    """Write measurements.csv and experiment.toml, with lines `more` at its head, as FORMATS.md describes them."""
     points = POINTS if points is None else points
     folder.mkdir(parents=True, exist_ok=True)
     rows = ["config,load,repeat,point,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,Mx,My,Mz,X,Y,Z"]
     for c in range(len(q)):
         angles = ",".join(f"{a:.3f}" for a in np.degrees(q[c]))
-        for load in range(2):
-            force = ",".join(f"{v:.1f}" for v in (f[c] if load else 0 * f[c]))
+        for load, level in enumerate((0.0, *levels)):
+            force = ",".join(f"{v:.1f}" for v in level * f[c])
             for r in range(raw.shape[2]):
                 for name, p in zip(points, raw[c, load, r] * 1e3, strict=True):
                     xyz = f"{p[0]:.4f},{p[1]:.4f},{p[2]:.4f}"
                     rows.append(f"{c + 1},{load},{r + 1},{name},{angles},{force},0.0,0.0,0.0,{xyz}")
     (folder / "measurements.csv").write_text("\n".join(rows) + "\n")
-    text = f'robot = "{robot}"\nsigma_mm = {sigma * 1e3:g}\n\n[load_point]\n'
+    text = f'robot = "{robot}"\nsigma_mm = {sigma * 1e3:g}\n{more}\n[load_point]\n'
     text += "".join(f"{n} = {v * 1e3:g}\n" for n, v in zip("XYZ", LOAD_POINT, strict=True))
     for name, p in points.items():
         text += f"\n[points.{name}]\n" + "".join(f"{n} = {v * 1e3:g}\n" for n, v in zip("XYZ", p, strict=True))

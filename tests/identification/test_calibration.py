@@ -85,7 +85,7 @@ def test_command_writes_a_folder_that_carries_the_geometry(tmp_path):
     assert (
         variants[data["geometry"]["chosen"]]["held_out_rms_mm"] < 0.4 * variants["nominal geometry"]["held_out_rms_mm"]
     )
-    assert "<h2>Geometry" in (tmp_path / "g" / "report.html").read_text(encoding="utf-8")
+    assert "Geometry: unloaded readings" in (tmp_path / "g" / "report.html").read_text(encoding="utf-8")
 
 
 def test_an_exact_robot_keeps_its_nominal_geometry(tmp_path):

@@ -5,6 +5,7 @@ import pytest
 
 from postproc.identification import identify_folder
 from postproc.report.identification import page
+from postproc.robot import parameters
 from samples.paper_study import simulator
 from tests.html_page import read_page
 
@@ -22,7 +23,8 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
     for row in done.data["residual"]["per_configuration"]:
         assert f"{row['config']:g} {row['before_mm']:.3f} {row['after_mm']:.4f}" in read.text("configurations")
     for name, entry in done.data["parameters"].items():
-        assert name.partition("@")[0] in read.text("parameters")
+        parameter = parameters.named(name)
+        assert (name if parameter is None else parameter.title) in read.text("parameters")
         if entry["ci95"] is not None and entry["ci95"] > 0.5 * abs(entry["value"]):
             assert f"± {entry['ci95']:.2g} {entry['unit']} not by itself: wide" in read.text("parameters")
     for entry in done.data["not_observable"]:

@@ -1,0 +1,127 @@
+"""The readings as linear equations in the parameters: fits to all configurations or all but some, without new models.
+
+The model is linear in its parameters to 0.3 %, so that what configurations left out would change is told by the
+derivatives at one point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
+from postproc.identification.measurements import Measurements
+from postproc.identification.placement import Placement
+from postproc.identification.prediction import predict
+from postproc.identification.structure import Structure
+from postproc.program import Ints
+
+_HUBER = 3.5
+"""Length of a residual of a point, in those usual, from which on it counts less (Huber 1964)."""
+_SOFT = 1e-4
+"""Ridge, over the effect of one parameter, that keeps what imitates a parameter small."""
+_MEDIAN_OF_THREE = 1.538
+"""Median length of a vector of three standard normal numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Whitened equations design·p = target.
+
+    :param design: (rows, p), rows are states, points, axes.
+    :param target: (rows,).
+    :param config: (rows,) row of the configuration of each.
+    :param weight: (rows,) of each in the sum of squares; less than one for gross residuals.
+    """
+
+    design: Array
+    target: Array
+    config: Ints
+    weight: Array
+
+    @cached_property
+    def scale(self) -> Array:
+        """Length (p,) of the columns: effect of a unit of each parameter on all readings, in σ."""
+        length = np.linalg.norm(self.design, axis=0)
+        return np.where(length > 0.0, length, 1.0)
+
+    @cached_property
+    def _by_config(self) -> tuple[Array, Array]:
+        rows = self.design / self.scale
+        weighted = rows * self.weight[:, None]
+        here = [self.config == index for index in range(int(self.config.max()) + 1)]
+        return np.array([weighted[r].T @ rows[r] for r in here]), np.array(
+            [weighted[r].T @ self.target[r] for r in here]
+        )
+
+    @cached_property
+    def _whole(self) -> tuple[Array, Array]:
+        square, right = self._by_config
+        return square.sum(axis=0), right.sum(axis=0)
+
+    def normal(self, columns: Ints, ridge: Array) -> Array:
+        """Return the normal matrix of some columns, scaled, with a ridge (p,) in units of 1/σ of their effect."""
+        square = self._whole[0]
+        jitter = 1e-10 * np.trace(square) / len(square)
+        return np.asarray(square[np.ix_(columns, columns)] + np.diag(ridge[columns] ** 2 + jitter))
+
+    def solve(self, columns: Ints, ridge: Array, without: Ints | None = None) -> Array:
+        """Return the scaled parameters (p,) ≥ 0, zero but for some columns, that fit all or most configurations.
+
+        Non-negative least squares (Lawson and Hanson 1974) on the normal equations.
+
+        :param ridge: (p,).
+        :param without: configurations left out.
+        """
+        from scipy.optimize import nnls
+
+        normal, right = self.normal(columns, ridge), self._whole[1]
+        if without is not None:
+            square_out, right_out = (each[without].sum(axis=0) for each in self._by_config)
+            normal, right = normal - square_out[np.ix_(columns, columns)], right - right_out
+        factor = np.linalg.cholesky(normal)
+        found, _ = nnls(factor.T, np.linalg.solve(factor, right[columns]), maxiter=50 * len(columns))
+        values = np.zeros(len(ridge))
+        values[columns] = found
+        return values
+
+    def projection(self, columns: Ints) -> Array:
+        """Return (kept, p) what scaled parameters do, told by some of them alone: the others by what imitates them."""
+        square = self._whole[0]
+        kept = square[np.ix_(columns, columns)] + _SOFT * np.eye(len(columns))
+        out = np.linalg.solve(kept, square[columns])
+        out[:, columns] = np.eye(len(columns))
+        return np.asarray(out)
+
+    def left(self, values: Array, rows: Array | slice = slice(None)) -> Array:
+        """Return target less what scaled parameters give, for some rows."""
+        return np.asarray(self.target[rows] - (self.design[rows] / self.scale) @ values)
+
+    def left_out(self, columns: Ints, ridge: Array, fold: Ints) -> Array:
+        """Return what is left (rows,) of each configuration by fits to those of other folds; `fold` (C,)."""
+        out = np.empty(len(self.target))
+        for index in np.unique(fold):
+            test = fold[self.config] == index
+            out[test] = self.left(self.solve(columns, ridge, np.flatnonzero(fold == index)), test)
+        return out
+
+    def by_config(self, left: Array) -> Array:
+        """Return the weighted mean squares (C,) of residuals (rows,) of each configuration."""
+        count = np.bincount(self.config)
+        return np.asarray(np.bincount(self.config, weights=self.weight * left**2) / count)
+
+
+def linearise(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Linearised:
+    """Return the equations at some values of the parameters; gross residuals there count less."""
+    displacement, w = measured_displacements(data, placement), whitening(data)
+    moved, slopes = predict(structure, values, data, placement)
+    design = whiten(w, slopes).reshape(-1, len(values))
+    white = whiten(w, (displacement - moved) * visible(data))
+    size = np.linalg.norm(white, axis=2)
+    usual = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
+    weight = np.minimum(1.0, _HUBER * max(usual, 1e-12) / np.maximum(size, 1e-300))
+    rows = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
+    return Linearised(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))

@@ -1,0 +1,163 @@
+"""A model held against readings that it was not identified from: predicted against measured displacements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from postproc import elastostatics
+from postproc import robot as robots
+from postproc.frames import MM_PER_M, Array, norm
+from postproc.identification import outliers
+from postproc.identification.discrepancy import LENGTH_95, levels, noise_of
+from postproc.identification.displacements import measured_displacements, visible
+from postproc.identification.experiment import read_experiment
+from postproc.identification.measurements import Measurements
+from postproc.identification.placement import Placement
+from postproc.identification.plausibility import check_frames, check_points
+from postproc.identification.readings import read
+from postproc.robot import RobotModel
+
+_HELD = 0.9
+"""Share of readings inside the bound from which on it counts as held: 0.95 is promised, of errors that are alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValidatedLevel:
+    """How a model fares at one level of loads.
+
+    :param load: force [N] and moment [N·m] in one, median.
+    :param measured: RMS of the displacements measured [m].
+    :param left: RMS of what the model leaves of them [m].
+    :param noise: RMS of the noise in that [m].
+    :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
+    :param bound: RMS of the bound [m].
+    """
+
+    load: float
+    measured: float
+    left: float
+    noise: float
+    inside: float
+    bound: float
+
+    @property
+    def factor(self) -> float:
+        """Displacement over what the model leaves beyond noise; what is below a tenth of the noise counts as that."""
+        rest = np.sqrt(max(self.left**2 - self.noise**2, (0.1 * self.noise) ** 2))
+        return float(self.measured / rest) if rest > 0.0 else float("inf")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """A model against readings.
+
+    :param levels: by load, ascending.
+    :param configurations: how many were compared.
+    :param left_out: gross errors of the readings.
+    """
+
+    levels: tuple[ValidatedLevel, ...]
+    configurations: int
+    left_out: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound held at every level."""
+        return all(level.inside >= _HELD for level in self.levels)
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        if any(np.isnan(level.inside) for level in self.levels):
+            return "the model states no bound: there is nothing that could hold"
+        if self.holds:
+            return f"the model holds: its bound was kept on {self.configurations} configurations"
+        worst = min(self.levels, key=lambda level: level.inside)
+        return (
+            f"THE MODEL DOES NOT HOLD: at {worst.load:.0f} N only {worst.inside:.0%} of the displacements are inside "
+            "its bound. Is it this robot, with this payload, as it was when it was identified?"
+        )
+
+
+def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
+    """Compare a model folder with readings of the same robot, best in configurations that it does not know.
+
+    :raises MeasurementError: the files are unusable.
+    """
+    setup = read_experiment(experiment)
+    robot = robots.load(model)
+    data = read(measurements, setup)
+    check_points(data)
+    data, left_out = outliers.model_free(data)
+    placement = check_frames(robot, data)
+    return Validation(tuple(_levels(robot, data, placement)), len(data.q), tuple(left_out))
+
+
+def _levels(robot: RobotModel, data: Measurements, placement: Placement) -> list[ValidatedLevel]:
+    seen = visible(data)[..., 0] > 0.0
+    measured = measured_displacements(data, placement)
+    predicted, bound = _predicted(robot, data, placement)
+    moved, left = norm(measured), norm(measured - predicted)
+    noise = noise_of(data)
+    inside = left <= np.sqrt(bound**2 + LENGTH_95**2 * noise)
+    load = norm(data.wrench[data.loaded])
+    level = levels(load)
+    found = []
+    for index in range(int(level.max()) + 1):
+        rows = (level == index)[:, None] & seen
+        if rows.any():
+            found.append(
+                ValidatedLevel(
+                    load=float(np.median(load[level == index])),
+                    measured=_rms(moved[rows]),
+                    left=_rms(left[rows]),
+                    noise=_rms(np.sqrt(noise[rows])),
+                    inside=float(np.mean(inside[rows])) if robot.covariance is not None else float("nan"),
+                    bound=_rms(bound[rows]),
+                )
+            )
+    return found
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _predicted(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
+    """Return predicted displacements (L, P, 3) of the points and their bounds (L, P) [m]."""
+    q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
+    at_load = np.eye(4)
+    at_load[:3, 3] = data.load_point
+    pose = elastostatics.deflect(robot, q, at_load, wrench).pose
+    rest = elastostatics.deflect(robot, q, at_load, np.zeros_like(wrench)).pose
+    moved, bound = np.empty((len(q), len(data.points), 3)), np.zeros((len(q), len(data.points)))
+    for index, point in enumerate(placement.points):
+        lever = np.append(point - data.load_point, 1.0)
+        moved[:, index] = ((pose - rest) @ lever)[:, :3]
+        tool = np.eye(4)
+        tool[:3, 3] = point
+        there = wrench.copy()  # the same load, told at the point
+        there[:, 3:] -= np.cross(rest[:, :3, :3] @ lever[:3], wrench[:, :3])
+        found = elastostatics.position_bound(robot, q, tool, there)
+        if found is not None:
+            bound[:, index] = found
+    return moved, bound
+
+
+def table(result: Validation) -> str:
+    """Return the comparison as a table for a terminal."""
+    lines = [
+        result.line,
+        f"{'load N':>8}{'measured mm':>13}{'left mm':>9}{'noise mm':>10}{'bound mm':>10}{'factor':>8}{'inside':>8}",
+    ]
+    for level in result.levels:
+        lengths = "".join(
+            f"{value * MM_PER_M:{width}.3f}"
+            for value, width in ((level.measured, 13), (level.left, 9), (level.noise, 10), (level.bound, 10))
+        )
+        inside = "–" if np.isnan(level.inside) else f"{level.inside:.0%}"
+        lines.append(f"{level.load:8.0f}{lengths}{level.factor:8.1f}{inside:>8}")
+    return "\n".join(lines)

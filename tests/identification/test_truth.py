@@ -1,0 +1,140 @@
+"""Bounds that hold where the model is wrong: against the simulator, on robots that no structure describes exactly."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc import elastostatics, robot
+from postproc.cli import main
+from postproc.identification import identify_folder
+from postproc.identification.discrepancy import left_out_of, levels
+from postproc.identification.procedure import identify
+from postproc.identification.validation import validate
+from samples.paper_study import harness, simulator
+from tests.benchmarks import truth
+
+JOB = simulator.milling_job(np.random.default_rng(4))
+
+
+def row(name):
+    return next(each for each in truth.ROWS if each.name == name)
+
+
+def identified(folder, name, seed=1):
+    true = truth.experiment(row(name), seed, folder)
+    done = identify_folder(folder / "measurements.csv", folder / "experiment.toml", folder / "model")
+    return true, done, robot.load(folder / "model")
+
+
+def job_error(true, model):
+    """Factor, and share inside the bound, on a milling job that nobody measured."""
+    q, force = JOB
+    wrench = np.c_[force, 0 * force]
+    moved = harness.true_deflection(true, q, force)
+    left = np.linalg.norm(moved - elastostatics.deflect(model, q, harness.TOOL, wrench).twist[:, :3], axis=1)
+    bound = elastostatics.position_bound(model, q, harness.TOOL, wrench)
+    return np.sqrt(np.sum(moved**2) / np.sum(left**2)), np.mean(left <= bound), bound
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [("knee at 8 % of the torque", 15), ("backlash 0.05 mrad", 20), ("payload of 150 kg, stated", 60)],
+)
+def test_what_springs_alone_do_not_know_is_found_or_stands_in_the_bound(tmp_path, name, least):
+    true, done, model = identified(tmp_path, name)
+    factor, inside, _ = job_error(true, model)
+    assert factor >= least
+    assert inside >= 0.9
+    if name.startswith("backlash"):
+        assert any("backlash or friction in A" in warning for warning in done.data["warnings"])
+        assert any(isinstance(term, robot.Backlash) for term, _ in model.terms)
+
+
+def test_a_stated_error_of_the_load_widens_every_interval_by_its_share(tmp_path):
+    fits = row("the model fits: joint springs")
+    truth.experiment(fits, 1, tmp_path)
+    data = harness.load(tmp_path)
+    plain, wider = (identify(harness.PRIOR, replace(data, load_error=share)) for share in (0.0, 0.02))
+    for parameter, value, before, after in zip(
+        plain.fit.structure.parameters, plain.fit.values, plain.fit.covariance.diagonal(),
+        wider.fit.covariance.diagonal(), strict=True,
+    ):  # fmt: skip
+        assert after == pytest.approx(before + (0.02 * value) ** 2, rel=1e-9), parameter.name
+
+
+def test_a_stated_error_of_the_load_point_is_what_moving_it_does(tmp_path):
+    fits = row("the model fits: joint springs")
+    truth.experiment(fits, 1, tmp_path)
+    data = harness.load(tmp_path)
+    plain = identify(harness.PRIOR, data)
+    step, expected = 2e-3, np.array(plain.fit.covariance)
+    for axis in np.eye(3):
+        # readings taken at a moved point, told as if they were not
+        moved = identify(harness.PRIOR, replace(data, load_point=data.load_point + step * axis))
+        by_step = (moved.fit.values - plain.fit.values) / step
+        expected += 25e-6 * np.outer(by_step, by_step)
+    found = identify(harness.PRIOR, replace(data, load_point_error=5e-3)).fit.covariance
+    np.testing.assert_allclose(np.sqrt(found.diagonal()), np.sqrt(expected.diagonal()), rtol=0.15)
+
+
+def test_configurations_left_out_are_predicted_as_by_fits_without_them(tmp_path):
+    truth.experiment(row("the model fits: joint springs"), 2, tmp_path)
+    result = identify(harness.PRIOR, harness.load(tmp_path))
+    left = left_out_of(result.fit, result.data)
+    fit, config = result.fit, np.repeat(result.data.state_config[result.data.loaded], 9)
+    scale = np.linalg.norm(fit.design, axis=0)
+    keep = config != 4
+    values = np.linalg.lstsq(fit.design[keep] / scale, fit.target[keep], rcond=None)[0] / scale
+    white = fit.target[~keep] - fit.design[~keep] @ values
+    # one load, three repeats with and without it: σ²·(1/3 + 1/3)
+    own = left[result.data.state_config[result.data.loaded] == 4].ravel() / (result.data.sigma * np.sqrt(2 / 3))
+    np.testing.assert_allclose(own, white, rtol=1e-4, atol=1e-5)
+
+
+def test_levels_of_loads_are_told_apart_and_nothing_else():
+    np.testing.assert_array_equal(levels(np.array([540.0, 2700.0, 530.0, 2610.0, 600.0])), [0, 1, 0, 1, 0])
+
+
+def test_discrepancy_does_not_shrink_below_the_measured_loads_and_is_nothing_without_load():
+    off = robot.Discrepancy(np.array([500.0, 2500.0]), np.array([0.04e-3, 0.08e-3]))
+    wrench = np.zeros((6, 6))
+    wrench[:5, 2] = [-1.0, 100.0, 500.0, 1500.0, 5000.0]
+    np.testing.assert_allclose(off.at(wrench) * 1e3, [0.04, 0.04, 0.04, 0.06, 0.16, 0.0])
+    model = replace(harness.PRIOR, covariance=robot.Covariance((), np.zeros((0, 0))), discrepancy=off)
+    bound = elastostatics.position_bound(model, np.tile(JOB[0][0], (6, 1)), harness.TOOL, wrench)
+    np.testing.assert_allclose(bound, off.at(wrench), rtol=0.02)
+
+
+def test_readings_of_another_robot_do_not_pass_for_this_ones(tmp_path):
+    fits = row("the model fits: springs of links")
+    true, done, _ = identified(tmp_path, fits.name)
+    assert not done.data["verdict"]["refused"]
+    rng = np.random.default_rng(9)
+    for folder, measured in (("same", true), ("other", simulator.hard(rng, **truth.KINDS[0]))):
+        q, f = simulator.plan(rng, 8, tilt=50.0)
+        _, raw = simulator.measure(measured, q, f, rng, truth.SIGMA, levels=truth.TWO)
+        simulator.write(tmp_path / folder, q, f, raw, truth.SIGMA, levels=truth.TWO)
+        files = [tmp_path / folder / name for name in ("measurements.csv", "experiment.toml")]
+        result = validate(tmp_path / "model", *files)
+        assert [round(level.load) for level in result.levels] == [540, 2700]
+        assert result.holds == (folder == "same")
+        if folder == "same":
+            assert min(level.factor for level in result.levels) > 20.0
+        run = CliRunner().invoke(
+            main, ["identify", "validate", str(tmp_path / "model"), str(files[0]), "--experiment", str(files[1])]
+        )
+        assert run.exit_code == 0, run.output
+        assert ("DOES NOT HOLD" in run.output) == (folder == "other")
+
+
+def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says_so(tmp_path):
+    few = replace(row("hard"), poses=8)
+    truth.experiment(few, 0, tmp_path)
+    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
+    assert done.text.startswith("NOT TO BE TRUSTED: ")
+    assert robot.load(tmp_path / "model").measured.not_trusted
+    data = json.loads((tmp_path / "model" / "identification.json").read_text(encoding="utf-8"))
+    assert data["verdict"]["refused"]
