@@ -31,6 +31,18 @@ def test_a_program_in_memory_gives_the_same_bytes_as_the_file_that_it_was_read_f
         assert (tmp_path / "memory" / name).read_bytes() == (tmp_path / "file" / name).read_bytes()
 
 
+@pytest.mark.parametrize(("name", "to"), [("inline.src", None), ("pocket.nc", "rapid")])
+def test_so_it_is_for_krl_and_for_other_dialects_to_write(tmp_path, name, to):
+    cell = SAMPLES / ("cell_irb6700.toml" if to else "cell_kr270.toml")
+    settings = Settings(cell)
+    program = read_program(SAMPLES / name, *reversed(load_setup(settings)))
+    outcome = convert_program(program, settings, tmp_path / "memory", to=to)
+    (by_file,) = convert_all(find_jobs([str(SAMPLES / name)], output=tmp_path / "file", to=to), settings)
+    assert outcome.code == by_file.code == 0
+    for path in map(Path, by_file.written):
+        assert (tmp_path / "memory" / path.name).read_bytes() == path.read_bytes()
+
+
 def test_a_name_that_krl_does_not_allow_is_made_valid_and_told(tmp_path):
     program = pocket()
     text = replace(program.documents[0], name="1001.nc", folder="")

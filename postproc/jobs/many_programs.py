@@ -68,21 +68,25 @@ def _outcomes(
         yield convert(waiting.popleft())
 
 
-def convert_program(program: Program, settings: Settings, output: Path, forces: Path | None = None) -> Outcome:
+def convert_program(
+    program: Program, settings: Settings, output: Path, forces: Path | None = None, to: str | None = None
+) -> Outcome:
     """Convert a program that is not in a file, and write its files: the way in for hosts, which have moves and no text.
 
     All is as for a file: it is read back, simulated and marked; its documents are the text that lines of issues and
-    forces refer to. A name that KRL does not allow is made valid.
+    forces refer to. A name that the controller does not allow is made valid.
 
     :param program: as a reader makes it; `load_setup` gives what is needed to make one.
     :param settings: what is to be done with it.
     :param output: folder to write into.
     :param forces: CSV file with its forces; lines are those of its first document.
+    :param to: dialect to write; None = its own if that is written, else KRL.
     :returns: what came of it; whatever is wrong with the program is told there.
     :raises PostprocError: the cell or the robot is unusable, or an output must not be written.
     """
-    _, writer = registry.written_in(program.dialect)
-    job = Job(Path(program.documents[0].name), program.dialect, output, forces, writer.valid(program.name))
+    written_as, writer = registry.written_in(program.dialect, to)
+    name = program.name if written_as == program.dialect else writer.valid(program.name)
+    job = Job(Path(program.documents[0].name), program.dialect, output, forces, name, to=to)
     with interrupts.held_back():
         with interrupts.heard():
             outputs.check([job], settings.cell, settings.mode, overwrite=settings.overwrite)
