@@ -39,6 +39,7 @@ from postproc.errors import MOST, Issue, Level
 from postproc.frames import M_PER_MM, Array
 from postproc.program import EventKind, Ints
 
+_UNITS_AGAIN = {70.0: 20.0, 71.0: 21.0}
 MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
 _LONG_DWELL_S = 60.0
 _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
@@ -214,6 +215,7 @@ class _Reader:
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.TOOL_LENGTH in g or (43.4 in g and self.rotary):
             self._tool_length(row, values.pop("H", None))
+            values.pop("D", None)  # the number of a radius, which only G41 and G42 use
         elif values.get("H") == 0.0:
             del values["H"]
         for letter in codes.OTHER_AXES:
@@ -246,7 +248,7 @@ class _Reader:
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.columns["G"][row] = code
-            elif self._tip(row, f"G{code:g}"):
+            elif self._tip(row, f"G{code:g}") or self._said_before(code):
                 pass
             elif code not in codes.ACCEPTED_G:
                 refused = refused or codes.refusal("G", code)
@@ -281,6 +283,10 @@ class _Reader:
                 )
             self.shifted |= code in (codes.LOCAL, codes.SHIFT)
             self.origins.append(Origin(row, code, axes))
+
+    def _said_before(self, code: float) -> bool:
+        """Return whether G70 or G71, which Vectric's posts write behind G20 or G21, say nothing else."""
+        return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNITS_AGAIN.get(code)
 
     def _tip(self, row: int, code: str) -> bool:
         """Return whether a code says that X, Y, Z are those of the tip, or no more, although the axes turn."""

@@ -1,0 +1,26 @@
+(Project sign)
+(Created by Estlcam version 11 build 11.245)
+(Machining time about 00:04:10 hours)
+
+(Required tools:)
+(End mill 6mm)
+
+G90
+G00 Z5.0000
+M06 T1 (End mill 6mm)
+M03 S24000
+
+(No. 1 Part: Outside 1)
+G00 X10.0000 Y10.0000
+G00 Z0.5000
+G01 Z0.0000 F600 S24000
+G01 X60.0000 Z-2.0000 F1200
+G03 X70.0000 Y20.0000 I0.0000 J10.0000
+G01 Y40.0000
+G02 X60.0000 Y50.0000 I-10.0000 J0.0000
+G03 X60.0000 Y50.0000 I-3.0000 J0.0000
+G00 Z5.0000
+
+G00 X0.0000 Y0.0000
+M05
+M30
