@@ -160,8 +160,6 @@ def test_circles_are_read_in_bulk_as_one_by_one(line):
     assert (program.motions.blend[1] > 0.0) == ("c_dis" in line.lower() or "C_SPL" in line)
     assert_same(program, read(body(points, "$APO.CDIS=2", FULL, line, FULL, "LIN {X 0} C_DIS", line,
                                    line.replace("80", "81")), bulk=False))  # fmt: skip
-    with pytest.raises(ProgramError, match="X, Y and Z"):
-        read(body(FULL, "CIRC {X 90,Y 10},{X 80,Y 20,Z 30} C_DIS"))
     with pytest.raises(ProgramError, match="2e"):
         read(body(FULL, "CIRC {X 90,Y 2E9,Z 1},{X 80,Y 20,Z 30} C_DIS"))
 
@@ -525,6 +523,31 @@ def test_a_move_to_the_present_position_is_no_motion():
     assert program.still.tolist() == [4, 6]
 
 
+def test_a_move_to_the_present_position_moves_nothing_wherever_it_stands():
+    program = read(
+        body("IF $MODE_OP==#T1 THEN", "PTP $POS_ACT", "ENDIF", FULL, "LOOP", "LIN $POS_ACT C_DIS", "ENDLOOP")
+    )
+    assert program.motions.line.tolist() == [7]
+    assert program.still.tolist() == [5, 9]
+
+
+@pytest.mark.parametrize(
+    ("circle", "whole"),
+    [
+        ("CIRC {X 110,Y 10},{X 120,Y 0}", "CIRC {X 110,Y 10,Z 30},{X 120,Y 0,Z 30}"),
+        ("CIRC {X 110,Y 10},{X 120,Y 0},CA 365", "CIRC {X 110,Y 10,Z 30},{X 120,Y 0,Z 30},CA 365"),
+        ("CIRC {X 110,Y 10,Z 30},{X 120,Y 0}", "CIRC {X 110,Y 10,Z 30},{X 120,Y 0,Z 30}"),
+        ("CIRC {Y 10,X 110},{X 120,Y 0,Z 30}", "CIRC {X 110,Y 10,Z 30},{X 120,Y 0,Z 30}"),
+    ],
+)
+def test_what_circles_lack_is_where_they_begin(circle, whole):
+    start = "LIN {X 100,Y 0,Z 30,A 0,B 0,C 180}"
+    one, other = (read(body(start, line, "LIN {X 130,Y 0,Z 30}")).motions for line in (circle, whole))
+    for name in ("centre", "normal", "sweep", "target"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-12)
+    assert "missing-components" in kinds(read(body(start, circle)))
+
+
 # --- what is kept and passed over --------------------------------------------------------------------------------
 
 
@@ -700,7 +723,9 @@ ERRORS = [
     (["LIN_REL {A 5}"], 4, "relative A, B, C"),
     (["CIRC_REL {X 1},{X 2}"], 4, "CIRC_REL is not supported"),
     ([FULL, "CIRC {X 1,Y 2,Z 3}"], 5, "auxiliary point and an end point"),
-    ([FULL, "CIRC {X 1,Y 2},{X 1,Y 2,Z 3}"], 5, "needs X, Y and Z"),
+    ([FULL, "LIN_REL $POS_ACT"], 5, "where the robot stands"),
+    ([FULL, "CIRC {X 1,Y 2,Z 3},$POS_ACT"], 5, "where the robot stands"),
+    (["IF TRUE THEN", "PTP $POS_ACT:{Z 5}", "ENDIF"], 5, "inside IF"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},{X 4,Y 9,Z 3},CA 0"], 5, "circular angle"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},{X 4,Y 9,Z 3},CA Q"], 5, "circular angle"),
     ([FULL + " C_DIS C_WHAT"], 4, "not understood"),

@@ -59,7 +59,18 @@ class MotionStatement:
     behind: tuple[int, int] | None = None
 
     @property
+    def via_incomplete(self) -> bool:
+        """Whether the auxiliary point takes some of X, Y, Z from where the circle begins."""
+        return self.via is not None and any(value != value for value in self.via.position.values[:3])
+
+    @property
     def plain(self) -> bool:
         """Whether its points are Cartesian, with their numbers in the line: such lines are read all at once."""
         inline = self.end.inline and (self.via is None or self.via.inline)
-        return inline and self.angle is None and not self.end.position.axis and not self.relative
+        return (
+            inline
+            and not self.via_incomplete
+            and self.angle is None
+            and not self.end.position.axis
+            and not self.relative
+        )

@@ -163,7 +163,7 @@ class _Follower:
 
     def _arc_end(self, move: MotionStatement, start: Array) -> Array:
         """Return where a circle with CA ends (3,) [m]."""
-        via, end = arc_points(move)
+        via, end = (np.where(np.isnan(point), start, point) for point in arc_points(move))
         line = np.array([move.line])
         centre, normal, _ = circles(self.source, line, start[None], via[None], end[None])
         return turned(start, centre[0], normal[0], (move.angle or 0.0) * RAD_PER_DEG)

@@ -93,7 +93,7 @@ class MainRoutine:
         """
         level = self.run.level
         opener, opened = level.open[-1] if level.open else ("RETURN", level.returned)
-        if opened:
+        if opened and not self.reader.stays(at, word, start, stop):
             if opened not in self._refused:
                 self._refused.add(opened)
                 raise self.misplaced(at.line, opener, opened)

@@ -65,9 +65,11 @@ class MotionReader:
             if not via or not comma:
                 raise at.error(f"{word} needs an auxiliary point and an end point")
             position = comma.end()
+        if self.stays(at, word, start, stop):
+            return None, self.settings.state, names
         end, position = self._operand(at, position, stop, names)
         if end is None:
-            return None, self.settings.state, names
+            raise at.error(f"{word}: the target is not known: it is where the robot stands", RUN_TIME_ADVICE)
         if kind == CIRC and (match := _ANGLE.match(text, position, stop)):
             angle, position = self._angle(at, match.end(), stop)
         code = stop
@@ -85,6 +87,18 @@ class MotionReader:
             state,
             names,
         )
+
+    def stays(self, at: Place, word: str, start: int, stop: int) -> bool:
+        """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.
+
+        :param word: instruction, upper case.
+        :param start: offset of the instruction.
+        :param stop: offset behind the code of the line.
+        """
+        if KINDS.get(word, CIRC) == CIRC:
+            return False
+        value, _ = parse(at.source, start + len(word), stop)
+        return isinstance(value, Reference) and value.name in _HERE and value.field is None
 
     def _operand(self, at: Place, start: int, stop: int, names: list[int]) -> tuple[Point | None, int]:
         """Return a point and the offset behind it; None for the present position."""
@@ -119,8 +133,6 @@ class MotionReader:
     def _check(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
-        if kind == CIRC and any(value != value for p in (end, via) if p for value in p.position.values[:3]):
-            raise at.error(f"{word} needs X, Y and Z of both points")
 
     def _tail(self, at: Place, kind: int, start: int, stop: int) -> tuple[State, bool]:
         """Return the state, and whether `$APO.CDIS` applies, after reading what follows the points."""

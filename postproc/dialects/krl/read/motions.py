@@ -221,22 +221,23 @@ def _arcs(
         return nothing, nothing, nothing[:, 0]
     centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
     line, start = rows.line[circular], ends.start.at(circular)
-    via, end = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
+    given = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
+    via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in given)
     centre[circular], axis, angle = circles(source, line, start[:, :3, 3], via, end)
     own = np.full(len(rows), np.nan)
     for row, move in moves.items():
         own[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
     own = own[circular]
-    given = ~np.isnan(own)
-    turning = given & ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
+    angled = ~np.isnan(own)
+    turning = angled & ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
     if turning.any():
         raise source.line_error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
             int(line[turning][0]),
             "Give the end of the arc as its end point, without CA.",
         )
-    normal[circular] = np.where(given, np.sign(own), 1.0)[:, None] * axis
-    sweep[circular] = np.where(given, np.abs(own), angle)
+    normal[circular] = np.where(angled, np.sign(own), 1.0)[:, None] * axis
+    sweep[circular] = np.where(angled, np.abs(own), angle)
     return centre, normal, sweep
 
 
@@ -280,7 +281,7 @@ def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int,
     issues = []
     incomplete = np.asarray(missing.any(axis=1))
     for row, move in moves.items():
-        incomplete[row] = not move.end.position.complete
+        incomplete[row] = not move.end.position.complete or move.via_incomplete
     for rows, kind, message in (
         (incomplete, "missing-components", "Missing components keep their previous value (in relative motions: 0)."),
         (assumed, "default-speed", f"$VEL.CP is not set before: the controller's {DEFAULT_SPEED:g} m/s is assumed."),

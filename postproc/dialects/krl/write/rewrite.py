@@ -153,7 +153,7 @@ class _Rewriter:
         split = k > 0 and bool(self.row[k - 1] == row)
         straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
         depends = bool(move.relative) or move.angle is not None
-        moved = bool(move.relative) and bool(self.commanded.moved[row])
+        moved = bool(move.relative or move.via_incomplete) and bool(self.commanded.moved[row])
         forced = straight or (split and (depends or move.kind == CIRC)) or moved
         changed = forced or bool(self.commanded.changed[k])
         if changed and (move.relative or straight):
