@@ -32,6 +32,7 @@ STAGES = {
     "/correction/select.py": "targets",
     "/dialects/krl/write/": "write",
     "/provenance.py": "write",
+    "/correction/read_back.py": "read back",
     "/correction/verify.py": "simulate",
     "/report/targets.py": "CSV",
     "/report/": "page",
@@ -48,6 +49,7 @@ WITHIN = {
         "path and forces": "simulate",
         "read": "read back",
     },
+    "read back": dict.fromkeys(("read", "kinematics", "path and forces"), "read back"),
     "write": {"read": "write"},
     "read": {"kinematics": "read"},
 }
