@@ -51,4 +51,8 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
     ]
     told = {issue.kind for issue in found}
-    return [*found, *(issue for issue in closely.look(path, q, position, arcs) if issue.kind not in told)]
+    lines = closely.lines(path, q, speed)
+    for stretches, apart in ((closely.arcs_of(path, arcs), arcs[:0]), (lines, lines.motion)):
+        found += (issue for issue in closely.look(path, q, position, stretches, apart) if issue.kind not in told)
+        told |= {issue.kind for issue in found}
+    return found

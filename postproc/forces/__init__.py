@@ -8,7 +8,7 @@ from postproc.forces.along import BEHIND_STEP, PathForces, along
 from postproc.forces.axes import Axes
 from postproc.forces.estimate import estimate
 from postproc.forces.feed import last_travel
-from postproc.forces.followed import followed
+from postproc.forces.followed import followed, swung
 from postproc.forces.knots import ForceSource, Knots
 from postproc.forces.sources import read
 from postproc.forces.table import read_force_csv
@@ -28,4 +28,5 @@ __all__ = [
     "of_targets",
     "read",
     "read_force_csv",
+    "swung",
 ]

@@ -55,6 +55,19 @@ def runs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bool
     return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _ACROSS)
 
 
+def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
+    """Return on which straight motions (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
+
+    Nearer to it, FEED axes may swing round by up to half a turn while the tool turns a little.
+    """
+    column, sign = _SPINDLE[axis]
+    ends = at(program, path, lines, np.ones(len(lines)))
+    travel = tangent(program, path, lines, ends.t)
+    start = -sign * path.start.at(lines)[:, :3, column]
+    nearest = np.maximum(*(np.abs(np.einsum("ni,ni->n", z, travel)) for z in (_towards_spindle(ends, axis), start)))
+    return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _ACROSS)
+
+
 def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
     """Return the FEED axes (n, 3, 3) of tool orientations (n, 3, 3) and travel directions (n, 3), all in `$BASE`.
 

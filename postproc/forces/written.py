@@ -4,8 +4,8 @@ Every piece that is written is a motion of its own. Where the force of a motion 
 comes up over its own beginning and acts in full at its end: so each target gets the wrench that acts there. A force
 that is given along a motion is given along each of its pieces too.
 
-The axes are those of `$BASE`, in which a straight piece has the same force throughout; a FEED force on an arc and a
-TOOL force on a motion that turns keep theirs, as these turn along the piece.
+The axes are those of `$BASE`, in which a straight piece has the same force throughout; a FEED force on an arc, and FEED
+and TOOL forces on a motion that turns the tool, keep theirs, as these turn along the piece.
 """
 
 from __future__ import annotations
@@ -108,5 +108,6 @@ def _shortened(knots: Knots) -> Knots:
 def _frame(forces: PathForces, targets: Targets) -> Ints:
     """Return in which frame the force on each piece (K,) is the same throughout, or changes linearly."""
     frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
-    turning = (frame == FEED) & (targets.kind == CIRC) | (frame == TOOL) & (turn > _TURNS)
+    turns = turn > _TURNS
+    turning = (frame == FEED) & ((targets.kind == CIRC) | turns) | (frame == TOOL) & turns
     return np.where(turning, frame, BASE)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from postproc import forces, toolpath
 from postproc.forces import ForceSource, PathForces
-from postproc.program import Program
+from postproc.frames import Array
+from postproc.program import Ints, Program
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments
 from postproc.under_load import bounds
 from postproc.under_load.setting import RobotInCell
@@ -25,6 +26,7 @@ class MotionsUnderLoad:
     :param forces: the forces along them.
     :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
     :param estimate: how far the forces move the tool, about.
+    :param swung: places of straight motions that are needed where FEED forces swing round: motion (n,) and t (n,).
     """
 
     program: Program
@@ -33,6 +35,7 @@ class MotionsUnderLoad:
     forces: PathForces
     softness: tuple[float, float]
     estimate: DisplacementEstimate
+    swung: tuple[Ints, Array]
 
     @classmethod
     def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
@@ -47,7 +50,8 @@ class MotionsUnderLoad:
         bounds.check_between(program, setting.robot, segments)
         along = forces.along(program, segments, source, setting.spindle, setting.ramp)
         softness = setting.softness(program.tools[0])
-        return cls(program, setting, segments, along, softness, forces.estimate(along, softness))
+        swung = forces.swung(along, softness, SHARE_OF_TOLERANCE * setting.tolerance)
+        return cls(program, setting, segments, along, softness, forces.estimate(along, softness), swung)
 
     def pieces(self, *, linearize_arcs: bool = False) -> Pieces:
         """Return into how many pieces to divide the arcs at first.

@@ -46,7 +46,10 @@ class PathUnderLoad:
         :raises ImpossiblePathError: a sample is out of reach.
         """
         program, setting = motions.program, motions.setting
-        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
+        more = motions.swung
+        if also is not None:
+            more = np.append(more[0], also[0]), np.append(more[1], also[1])
+        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, more)
         sample = toolpath.at(program, motions.segments, motion, t)
         wrench = motions.forces.at(sample)
         return cls(

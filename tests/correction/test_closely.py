@@ -13,7 +13,8 @@ import pytest
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells
-from postproc import correction, robot
+from postproc import correction, robot, toolpath
+from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.oracle.arm import Arm
 from tests.programs import program
 
@@ -109,3 +110,19 @@ def test_a_slow_circle_about_a_wrist_singularity_passes(case):
     assert np.ptp(q[:, 3]) > np.radians(100.0)
     assert np.abs(np.diff(q, axis=0)).max() < np.radians(20.0)
     assert errors(made) == []
+
+
+def test_a_line_that_passes_a_limit_between_its_samples_is_refused():
+    """A line across the plane of A1: reach, and with it A2 and A3, have their extreme between its ends."""
+    made = program([("PTP", 0, 190.5, 0), ("LIN", 0, 209.5, 0)], orientation=CELL.tool_pose_in_program())
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(MODEL, CELL), None)
+    path = PathUnderLoad.of(motions, motions.pieces())
+    assert len(path) == 2
+    middle = toolpath.at(made, motions.segments, np.array([1]), np.array([0.5]))
+    (inside,) = [ARM.inverse(motions.program.bases[0] @ middle.pose[0], made.tools[0], path.joints.q[0])]
+    beyond = np.maximum(*path.joints.q) < inside - 1e-6
+    assert beyond.any()
+    for axis in np.flatnonzero(beyond).tolist():
+        upper = MODEL.upper.copy()
+        upper[axis] = 0.5 * (path.joints.q[:, axis].max() + inside[axis])
+        assert errors(made, replace(MODEL, upper=upper)) == [f"joint-limit-A{axis + 1}"]

@@ -133,3 +133,24 @@ def test_deviations_go_with_the_program(tmp_path):
     (tmp_path / "out.csv").write_bytes(report.forces_csv(result))
     rows = forces.read(tmp_path / "out.csv")
     assert np.unique(rows.sigma[rows.wrench.any(axis=1)], axis=0).tolist() == [[20, 0, 5, 0, 0, 0]]
+
+
+TURNING = (
+    "DEF part( )\n$VEL.CP=0.005\nPTP {{X 0,Y 0,Z 200,A 180,B 0,C 180}}\n;FORCE FX=300 FY=100 FZ=50 FRAME=FEED\n"
+    "LIN {{X 0,Y 0,Z 100,A 180,B 50,C 180}}\nLIN {{X 100,Y {},Z 100,A 180,B 80,C 180}}\n"
+    "LIN {{X 200,Y 0,Z 100,A 180,B 100,C 180}}\nEND\n"
+)
+"""The last LIN turns the tool through the direction in which it travels, or past it."""
+
+
+def test_a_line_that_turns_the_tool_past_its_travel_holds_the_tolerance_under_a_feed_force(tmp_path):
+    result = convert("part.src", TURNING.format(1.0))
+    check(result, tmp_path)
+    assert result.between <= CELL.tolerance
+    assert result.documents[0].text.count("FRAME=FEED") > 20  # the force turns with the tool along each piece
+
+
+def test_a_line_that_turns_the_tool_through_its_travel_is_refused_for_the_jump_of_the_force():
+    program = correction.read([decode("part.src", TURNING.format(0.0).encode())], ROBOT, CELL, "part", "krl")
+    issues = [issue for issue in correction.process(program, ROBOT, CELL).issues if issue.level == "error"]
+    assert [(issue.kind, issue.source_line) for issue in issues] == [("force-jump", 7)]
