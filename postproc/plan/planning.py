@@ -17,7 +17,7 @@ from postproc.plan.joint2 import Joint2
 from postproc.plan.measured import Measured, measured
 from postproc.plan.measurement_plan import Options, PlanResult, Size
 from postproc.plan.milling import TestPoses, thinned
-from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, hidden_by_rig, left_uncertain
+from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, hidden_by_rig, left_uncertain, second_load
 from postproc.plan.search import Plan, Task, exchange, improved
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
@@ -87,7 +87,8 @@ def plan_measurements(
                 tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
             interrupted = True
-    warnings = (*problem.warnings, *left_uncertain(found, problem.joint2, blocked))
+    remarks = (*left_uncertain(found, problem.joint2, blocked), *second_load(site, tests))
+    warnings = (*problem.warnings, *remarks)
     wanted, got = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
     return PlanResult(
         options=options,

@@ -19,6 +19,10 @@ NO_TORQUES = (
 )
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
 _VERTICAL = 0.02
+_FAR_LARGER = 2.5
+"""Weight over the force of the work beyond which a second load pays."""
+_LEAST_SHARE = 10.0
+"""Weight over the least second load that the noise allows."""
 
 
 def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
@@ -51,6 +55,19 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int
             "accuracy does not count how wrong it may be"
         )
     return tuple(out)
+
+
+def second_load(site: Site, tests: TestPoses) -> tuple[str, ...]:
+    """Say that each pose should be measured under a load like that of the work too, where the weight is far larger."""
+    work = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
+    weight = site.rig.force
+    if not 0.0 < work < weight / _FAR_LARGER:
+        return ()
+    return (
+        f"the weight pulls with {weight:.0f} N, the work with {work:.0f} N: measure each pose under a second load too, "
+        f"of some {max(work, weight / _LEAST_SHARE):.0f} N. Gears that stiffen, knees and backlash show near the force "
+        "of the work only",
+    )
 
 
 def left_uncertain(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from postproc import elastostatics, robot
+from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
 from postproc.identification import identify_folder
 from postproc.identification.discrepancy import left_out_of, levels
@@ -15,6 +15,7 @@ from postproc.identification.procedure import identify
 from postproc.identification.validation import validate
 from samples.paper_study import harness, simulator
 from tests.benchmarks import truth
+from tests.dialects.gcode_reading import read as gcode_read
 
 JOB = simulator.milling_job(np.random.default_rng(4))
 
@@ -138,3 +139,22 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
     assert robot.load(tmp_path / "model").measured.not_trusted
     data = json.loads((tmp_path / "model" / "identification.json").read_text(encoding="utf-8"))
     assert data["verdict"]["refused"]
+
+
+def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_to_be_trusted():
+    from postproc.correction import checks
+    from postproc.report.verdict import _model
+
+    q, force = JOB
+    wrench = np.c_[force, 0 * force]
+    _, jacobian = kinematics.tcp(harness.PRIOR.actual, q, harness.TOOL)
+    torque = np.abs(np.einsum("kij,ki->kj", jacobian, wrench)).max(axis=0)
+    program = gcode_read("G0 X0 Y0 Z50\nG1 X1 F100\n")
+    motion = np.zeros(len(q), dtype=np.int64)
+    covered = torque * np.array([1.0, 1.0, 1.0, 0.5, 1.0, 1.0])
+    for measured, expected in ((torque, []), (covered, ["beyond-measured-A4"])):
+        model = replace(harness.PRIOR, measured=robot.Measured(measured, "the set-up moved"))
+        issues = list(checks.beyond_measured(program, model, motion, q, harness.TOOL, wrench))
+        assert [issue.kind for issue in issues] == expected
+    assert _model(model)[0] == "the robot model is not to be trusted: the set-up moved"
+    assert not list(checks.beyond_measured(program, harness.PRIOR, motion, q, harness.TOOL, wrench))

@@ -6,7 +6,7 @@ import pytest
 from postproc.errors import PlanError
 from postproc.identification.experiment import read_experiment
 from postproc.identification.readings import read
-from postproc.plan import Options, candidate_poses, constraints, plan_measurements, search
+from postproc.plan import Options, candidate_poses, constraints, plan_measurements, remarks, search
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness
 from samples.paper_study import simulator
 from tests.plan import setting
@@ -112,6 +112,15 @@ def test_a_hanging_weight_cannot_show_k1_and_the_plan_says_so_before_anyone_meas
     assert JOINT_COMPLIANCES[0] not in result.accuracy.parameters
     assert any("k1 is not observable" in text and "max_angle_deg" in text for text in result.warnings)
     assert (result.force[:, :2] == 0).all()
+
+
+@pytest.mark.parametrize(("mass", "told"), [(275, True), (20, False)])
+def test_a_weight_far_heavier_than_the_work_asks_for_a_second_load_like_that(tmp_path, mass, told):
+    site = setting.site(tmp_path, BASIC + f"\n[rig]\nmass_kg = {mass}\n")
+    tests = setting.job()
+    work = np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1))
+    assert (site.rig.force > 2.5 * work) == told
+    assert bool(remarks.second_load(site, tests)) == told
 
 
 def test_a_load_on_the_axis_of_a6_cannot_show_k6(tmp_path):
