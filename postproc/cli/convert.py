@@ -45,6 +45,7 @@ def _shared(command: _Command) -> _Command:
         click.option(
             "-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside the program."
         ),
+        click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
         click.option(
             "--forces", type=_PATH, help="CSV file of cutting forces, or a folder with NAME.csv for each program."
         ),
@@ -126,6 +127,7 @@ def convert(
             "for each program, or write the forces into the programs as comments."
         )
     found = find_jobs(programs, name=name, **_of_files(more))
+    _check_part(more, len(found))
     if name is not None and (fault := found[0].writer.fault_of(name)) is not None:
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
     settings = Settings(mode="nominal" if nominal else "convert", **more)
@@ -142,6 +144,11 @@ def _of_files(options: dict[str, Any]) -> dict[str, Any]:
             raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
         options["forces"] = process
     return {name: options.pop(name) for name in ("dialect", "to", "forces", "output") if name in options}
+
+
+def _check_part(options: dict[str, Any], programs: int) -> None:
+    if options["part"] is not None and programs > 1:
+        raise click.UsageError("--part goes with one program.")
 
 
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
@@ -174,4 +181,5 @@ def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> 
     found = find_jobs([program], **_of_files(more))
     if len(found) > 1:
         raise click.UsageError(f"predict takes one program; {program} names {len(found)}.")
+    _check_part(more, len(found))
     work(ctx, found, Settings(mode="predict", **more), as_json=as_json)

@@ -132,7 +132,15 @@ def _contents(
     if carried is not None:
         contents[f"{stem}forces.csv"] = carried
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
-    contents[f"{stem}report.html"] = report.page(result, tolerance)
+    surface = None
+    if settings.part is not None and len(result):
+        from postproc.jobs.part_file import surface_of  # meshes and trees of points are imported with it
+        from postproc.report.surface import ply
+
+        shapes = job.forces if isinstance(source, ProcessSource) else None
+        surface = surface_of(result, settings.part, shapes)
+        contents[f"{stem}surface.ply"] = ply(surface, cell.output.tolerance_mm * M_PER_MM)
+    contents[f"{stem}report.html"] = report.page(result, tolerance, surface)
     if isinstance(source, ProcessSource) and source.found is not None:
         contents[f"{stem}stock.glb"] = bytes(as_trimesh(*source.found.mesh()).export(file_type="glb"))
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)

@@ -21,6 +21,7 @@ class Settings:
     :param mode: see `correction.process`.
     :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
     :param linearize_arcs: write arcs as lines.
+    :param part: mesh of the part, whose surface is looked at; None = none.
     :param overwrite: replace files that postproc did not write.
     """
 
@@ -29,6 +30,7 @@ class Settings:
     tolerance_mm: float | None = None
     linearize_arcs: bool = False
     overwrite: bool = False
+    part: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from postproc.correction import Result
 from postproc.report.deviation.content import Deviation
@@ -20,13 +21,18 @@ from postproc.report.deviation.sections import (
     view3d,
     worst,
 )
+from postproc.report.deviation.sections import surface as surface_section
 from postproc.report.kit import Note, Page, Section
 from postproc.report.text import targets
+
+if TYPE_CHECKING:
+    from postproc.report.surface import Surface
 
 SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     verdict.section,
     numbers.section,
     view3d.section,
+    surface_section.section,
     along.section,
     histogram.section,
     operations.section,
@@ -50,13 +56,14 @@ _HOW = {
 }
 
 
-def page(result: Result, tolerance: float | None = None) -> Iterator[bytes]:
+def page(result: Result, tolerance: float | None = None, surface: Surface | None = None) -> Iterator[bytes]:
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
     :param result: of one program.
     :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    :param surface: of the part, see `postproc.report.surface`; None = not looked at.
     """
-    told = Deviation(result, tolerance)
+    told = Deviation(result, tolerance, surface)
     sections = tuple(found for make in SECTIONS if (found := make(told)) is not None)
     views = len(result) > 0
     content = told.content
@@ -72,9 +79,9 @@ def page(result: Result, tolerance: float | None = None) -> Iterator[bytes]:
             ),
         ),
         facts=told.facts() if views else None,
-        columns={"places": told.places.columns, "drawn": told.places.drawn} if views else {},
+        columns=told.columns() if views else {},
         scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if views else (),
     ).render()
 
 
-_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "place")
+_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "surface", "place")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -12,8 +13,12 @@ from postproc.correction import Result
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
 from postproc.report.deviation.operations import Operation, operations
 from postproc.report.deviation.places import Places, places
+from postproc.report.kit import Columns
 from postproc.report.summary import Summary, nothing_to_correct, summary
 from postproc.report.verdict import Verdict, verdict
+
+if TYPE_CHECKING:
+    from postproc.report.surface import Surface
 
 _BINS = 60
 
@@ -59,10 +64,12 @@ class Deviation:
 
     :param result: of one program.
     :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    :param surface: of the part, or None.
     """
 
     result: Result
     tolerance: float | None
+    surface: Surface | None = None
 
     @cached_property
     def content(self) -> Summary:
@@ -93,6 +100,20 @@ class Deviation:
     def operations(self) -> list[Operation]:
         """The operations of the program."""
         return operations(self.result)
+
+    def columns(self) -> dict[str, Columns]:
+        """Return the numbers of the page."""
+        out = {"places": self.places.columns, "drawn": self.places.drawn}
+        if self.surface is not None:
+            corners = self.surface.corners.reshape(-1, 3) * MM_PER_M
+            out["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))
+            last = len(self.places.row) - 1
+            place = np.minimum(np.searchsorted(self.places.row, self.surface.row), last)
+            bound = np.full(len(place), np.nan) if self.surface.bound is None else self.surface.bound
+            values = {"before": self.surface.before, "after": self.surface.after, "u95": bound}
+            facets = {name: value * MM_PER_M for name, value in values.items()}
+            out["facets"] = Columns.of({**facets, "place": np.where(self.surface.row < 0, -1, place)})
+        return out
 
     def facts(self) -> Facts:
         """Return what the scripts are told."""

@@ -1,0 +1,136 @@
+"""The surface against closed forms: a plane, a sphere, a step; all within a micrometre."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from postproc.machining.tool import Cutter
+from postproc.program import LIN
+from postproc.report.surface import Surface, ply, surface
+from tests import fabricated
+
+MICRON = 1e-6
+BALL = {0: Cutter(0.005, 0.005, 2)}
+FLAT = {0: Cutter(0.005, 0.0, 2)}
+
+
+def _result(points, deviation, rapid=None, after=0.01, **changes):
+    """A program through points (K, 3) [m], tool upright, with these deviations before; after is a share of them."""
+    count = len(points)
+    base = fabricated.result(count)
+    pose = np.tile(np.diag([-1.0, 1.0, -1.0, 1.0]), (count, 1, 1))
+    pose[:, :3, 3] = points
+    rapid = np.arange(count) == 0 if rapid is None else rapid
+    motions = replace(base.program.motions, kind=np.full(count, LIN), rapid=rapid, target=pose)
+    deviation = np.broadcast_to(deviation, (count, 3))
+    return fabricated.with_changes(
+        base,
+        program=replace(base.program, motions=motions),
+        nominal=pose,
+        deviation_before=deviation,
+        deviation_after=after * deviation,
+        bound=np.full(count, 2e-5),
+        **changes,
+    )
+
+
+def _zigzag(x, y, height):
+    """Passes along x at each y; `height` of the tip over them."""
+    rows = [np.column_stack([x if k % 2 == 0 else x[::-1], np.full(len(x), at)]) for k, at in enumerate(y)]
+    way = np.concatenate(rows)
+    return np.column_stack([way, height(way[:, 0], way[:, 1])])
+
+
+def _facets(vertices, faces):
+    return np.asarray(vertices)[np.asarray(faces)]
+
+
+def _plane(size, count):
+    x, y = np.meshgrid(np.linspace(0.001, size - 0.001, count), np.linspace(0.001, size - 0.001, count))
+    low = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    return low[:, None] + np.array([[0, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
+
+
+def test_on_a_plane_it_is_the_upright_part_of_the_deviation_there():
+    size = 0.05
+    points = _zigzag(np.linspace(-0.01, size + 0.01, 15), np.arange(0, size + 0.003, 0.003), lambda x, y: 0 * x)
+    slope = np.column_stack([2e-4 + 0 * points[:, 0], -1e-4 + 0 * points[:, 0], -1e-4 + 0.004 * points[:, 0]])
+    corners = _plane(size, 17)
+    for cutters in (FLAT, BALL, None):
+        found = surface(_result(points, slope), corners, cutters)
+        exact = -1e-4 + 0.004 * corners.mean(axis=1)[:, 0]
+        assert (found.row >= 0).all()
+        assert np.abs(found.before - exact).max() < MICRON
+        assert np.abs(found.after - 0.01 * exact).max() < MICRON
+        assert found.bound == pytest.approx(2e-5)
+
+
+def test_on_a_sphere_it_is_the_part_along_the_radius():
+    radius, tool, off = 0.02, 0.005, np.array([1.5e-4, -1e-4, 2e-4])
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    corners = _facets(ball.vertices, ball.faces)
+    corners = corners[corners.mean(axis=1)[:, 2] > 0.3 * radius]
+    reach = np.linspace(-0.026, 0.026, 105)
+
+    def height(x, y):
+        """Tip of a ball that rolls over the sphere: its centre is on a larger sphere."""
+        return np.sqrt(np.maximum((radius + tool) ** 2 - x**2 - y**2, 0.0)) - tool
+
+    points = _zigzag(reach, reach, height)
+    found = surface(_result(points, off), corners, BALL)
+    out = corners.mean(axis=1)
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    assert (found.row >= 0).all()
+    assert np.abs(found.before - out @ off).max() < MICRON
+
+
+def test_a_step_has_floor_and_wall_each_along_its_normal_and_what_is_out_of_reach_is_not_told():
+    off = np.array([3e-5, 1e-5, -2e-5])
+    y = np.linspace(-0.02, 0.02, 21)
+    wall = np.column_stack([np.full(21, -0.005), y, np.zeros(21)])  # beside the wall x = 0, on the floor z = 0
+    floor = np.column_stack([np.full(21, -0.012), y[::-1], np.zeros(21)])
+    top = np.column_stack([np.full(21, 0.004), y, np.full(21, 0.006)])
+    points = np.concatenate([wall, floor, [[-0.012, -0.02, 0.03], [0.004, -0.02, 0.03]], top])
+    rapid = np.zeros(len(points), dtype=bool)
+    rapid[[0, 42, 43]] = True
+    small = np.array([[0, 0, 0], [1e-4, 0, 0], [0, 1e-4, 0]])
+    on_floor = np.array([-0.007, 0.003, 0.0]) + small
+    on_wall = np.array([0.0, 0.004, 0.003]) + small[:, [2, 0, 1]][::-1]  # its normal is −x
+    on_top = np.array([0.003, 0.0, 0.006]) + small
+    beyond = np.array([0.05, 0.0, 0.006]) + small
+    below = np.array([0.003, 0.0, -0.006]) + small[::-1]  # seen from below
+    found = surface(_result(points, off, rapid), np.stack([on_floor, on_wall, on_top, beyond, below]), FLAT)
+    assert found.normal[1] == pytest.approx([-1.0, 0.0, 0.0])
+    assert found.before[:3] == pytest.approx([-2e-5, -3e-5, -2e-5], abs=MICRON)
+    assert np.isnan(found.before[3:]).all()
+    assert found.row[3:].tolist() == [-1, -1]
+
+
+def test_rapid_moves_touch_nothing():
+    points = _zigzag(np.linspace(0, 0.05, 11), np.arange(0, 0.05, 0.004), lambda x, y: 0 * x)
+    found = surface(_result(points, [0, 0, 1e-4], np.ones(len(points), dtype=bool)), _plane(0.05, 5), FLAT)
+    assert (found.row < 0).all()
+
+
+def test_colours_and_numbers_of_the_file_are_those_of_the_facets():
+    corners = _plane(0.05, 3)
+    values = np.linspace(-2e-5, 2e-5, 9)
+    values[4] = np.nan
+    made = Surface(corners, np.tile([0.0, 0, 1], (9, 1)), values, 0.1 * values, None, np.where(np.isnan(values), -1, 3))
+    content = ply(made, 1e-5)
+    mesh = trimesh.load(trimesh.util.wrap_as_stream(content), file_type="ply", process=False)
+    assert mesh.faces.tolist() == np.arange(27).reshape(9, 3).tolist()
+    np.testing.assert_allclose(mesh.vertices.reshape(9, 3, 3), corners * 1e3, atol=1e-5)
+    colour = mesh.visual.vertex_colors.reshape(9, 3, 4)
+    assert (colour == colour[:, :1]).all()
+    assert colour[0, 0].tolist() == colour[1, 0].tolist()  # both beyond the limit
+    assert colour[0, 0, 0] > colour[0, 0, 2]  # gouged: towards orange
+    assert colour[8, 0, 2] > colour[8, 0, 0]  # material left: towards blue
+    head, _, body = content.partition(b"end_header\n")
+    assert b"property float before_mm" in head
+    stored = np.frombuffer(body[: 27 * 27], dtype=[("x", "<f4", 3), ("c", "u1", 3), ("v", "<f4", 3)])
+    np.testing.assert_allclose(stored["v"][::3, 0], values * 1e3, atol=1e-8)

@@ -1,0 +1,104 @@
+"""`--part`: from a mesh on disk to the page and the PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner
+
+from postproc.cli import main
+from postproc.correction.process import process
+from postproc.jobs import Settings, load_setup, read_program
+from postproc.jobs.part_file import read_facets, surface_of
+from tests.html_page import read_page
+
+CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")
+PASSES = "".join(f"G1 X{60 if k % 2 == 0 else 0} Y{4 * k}\nY{4 * k + 4}\n" for k in range(10))
+PROGRAM = f"G21 G90\nT1 M6\nG0 X0 Y0 Z5\n(FORCE FX=100 FZ=150)\nG1 Z0 F600\n{PASSES}G0 Z20\n"
+PROCESS = """[material]
+name = "al_7075_t6_carbide"
+[tools.1]
+diameter_mm = 10.0
+flutes = 3
+[stock]
+box = { X = [0.0, 60.0], Y = [0.0, 40.0], Z = [-5.0, 0.0] }
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("part.nc").write_text(PROGRAM)
+    Path("process.toml").write_text(PROCESS)
+    box = trimesh.creation.box(extents=(50, 30, 10))
+    box.apply_translation((30, 20, -5))
+    box.export("part.stl")
+
+
+def _run(command, *arguments, code=0):
+    done = CliRunner().invoke(main, [command, *arguments, "--cell", CELL, "-o", "out"])
+    assert done.exit_code == code, done.output
+    return done
+
+
+def test_the_face_that_is_milled_is_off_by_the_upright_part_of_the_deviation():
+    _run("convert", "part.nc", "--part", "part.stl")
+    read = read_page(Path("out/part.report.html").read_bytes())
+    facets, corners, at = read.columns("facets"), read.columns("corners"), read.columns()
+    touched = facets["place"] >= 0
+    height = corners["z"].reshape(-1, 3)
+    assert touched[(height > -1e-6).all(axis=1)].all()  # the upper face; without shapes of tools what is near it too
+    assert np.isfinite(facets["before"]).tolist() == touched.tolist()
+    cutting = at["rapid"] == 0
+    low, high = at["bZ"][cutting].min(), at["bZ"][cutting].max()
+    upper = (height > -1e-6).all(axis=1)
+    assert facets["before"][upper].min() >= low - 1e-4
+    assert facets["before"][upper].max() <= high + 1e-4
+    assert np.abs(facets["after"][touched]).max() < 1e-3
+    assert "Of the surface touched" in read.text("surface")
+    assert "No gouge deeper than 0.01 mm" in read.text("surface")
+    mesh = trimesh.load("out/part.surface.ply", process=False)
+    assert len(mesh.faces) == len(facets["place"])
+
+
+def test_with_the_shapes_of_the_tools_what_they_do_not_touch_is_not_told():
+    cell, robot = load_setup(Settings(Path(CELL)))
+    result = process(read_program("part.nc", robot, cell), robot, cell)
+    found = surface_of(result, Path("part.stl"), Path("process.toml"))
+    upper = (found.corners[:, :, 2] > -1e-9).all(axis=1)
+    assert ((found.row >= 0) == upper).all()
+
+
+def test_gouges_of_a_program_as_it_stands_are_listed_with_their_lines():
+    Path("part.nc").write_text(PROGRAM.replace("FZ=150", "FZ=-400"))  # pulled into the part
+    _run("convert", "part.nc", "--part", "part.stl", "--nominal", "--tolerance", "0.01", code=3)
+    read = read_page(Path("out/part.report.html").read_bytes())
+    lines = {int(row["data-source-line"]) for row in read.rows if row["in"] == "surface"}
+    assert len(lines) > 5
+    assert min(lines) >= 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("part.nc", "other.nc", "--part", "part.stl"), 2, "--part goes with one program"),
+        (("part.nc", "--part", "gone.stl"), 1, "gone.stl: no mesh that can be read"),
+        (("part.nc", "--part", "process.toml"), 1, "process.toml: no mesh that can be read"),
+    ],
+)
+def test_a_part_that_cannot_be_looked_at_is_an_error_and_nothing_is_written(arguments, code, message):
+    Path("other.nc").write_text(PROGRAM)
+    assert message in _run("convert", *arguments, code=code).output
+    assert not Path("out").exists() or not list(Path("out").iterdir())
+
+
+def test_facets_are_divided_and_cover_the_same_area():
+    corners = read_facets(Path("part.stl"))
+    edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert 0.5 * np.linalg.norm(edges, axis=1).sum() == pytest.approx(2 * (50 * 30 + 50 * 10 + 30 * 10) * 1e-6)
+    assert len(corners) > 5000
+    outward = np.einsum("fi,fi->f", edges, corners.mean(axis=1) - np.array([0.03, 0.02, -0.005]))
+    assert (outward > 0.0).all()
