@@ -62,6 +62,11 @@ class Track:
 def partners(one: Track, other: Track) -> Ints:
     """Return the target of the other program for each of one (n,), ascending; −1 where it has none."""
     out = np.full(len(one), _NONE)
+    if len(other) < len(one):  # it is the first one, then, that has targets between
+        found = partners(other, one)
+        paired = np.flatnonzero(found != _NONE)
+        out[found[paired]] = paired
+        return out
     begin = _alike(one, other)
     out[:begin] = np.arange(begin)
     end = min(_alike(_reversed(one), _reversed(other)), len(one) - begin, len(other) - begin)

@@ -88,6 +88,14 @@ def test_rapid_targets_go_with_rapid_ones():
     assert found.tolist() == [0, 1, 2, 4, 5]
 
 
+def test_a_program_with_fewer_targets_on_the_same_path_leaves_the_others_alone():
+    case = pair(inserted=0.4)
+    found = partners(track(case.shifted), track(case.points))
+    expected = np.full(len(case.shifted), -1)
+    expected[case.true] = np.arange(len(case.points))
+    assert (found == expected).all()
+
+
 def test_an_empty_program_has_no_pairs():
     points = pass_over_a_part(5)
     assert partners(track(points), track(points[:0])).tolist() == [-1] * 5
