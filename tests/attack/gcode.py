@@ -33,8 +33,9 @@ PLACES = {NUMBERS[name]: frame.pose() for name, frame in OFFSETS.items()}
 CELL_HERE = replace(CELL, work_offsets={name: frame for name, frame in OFFSETS.items() if name != "G54"})
 
 REFUSED_HERE = re.compile(
-    r"is not supported|is not known|not in the cell|parameters and expressions|O word|word without a code that uses it"
-    r"|G4 in one block with an arc|before the position is known|plausible range|moves nothing|G80 G80|force comment"
+    r"is not supported|is not known|not in the cell|has no value|O word|neither in this file|without its end|without O"
+    r"|outside of|has not set|levels deep|M98|M99|word without a code that uses it|G4 in one block with an arc"
+    r"|before the position is known|plausible range|moves nothing|G80 G80|force comment"
 )
 """What rs274 may accept and the reader refuses, see `postproc.dialects.gcode`."""
 ACCEPTED_HERE = re.compile(

@@ -30,10 +30,10 @@ MISTAKES = (
     "G", "M", "G1 X1 Z1 P3", "G-1", "M-3",
 )  # fmt: skip
 REFUSED = (
-    "G41 D1", "G42", "G28", "G30 Z1", "G53 G0 X1", "G92 X0", "G10 L2 P1 X0", "G52 X1", "G68", "G81 X1 Y1 Z-1 R1",
-    "G83 Z-1 R1 Q1", "G93", "G95", "G96 S100", "G38.2 Z-1", "G33 Z1 K1", "G5 X1 Y1 I1 J1 P1 Q1", "G43.1 Z1", "G7",
-    "G8", "G57", "G59", "M98 P1", "M99", "M60", "M62 P1", "M66 P1", "#1=5", "G1 X#1", "G1 X[1+2] F10", "O100 sub",
-    "o<x> call", "A1", "G1 B2 F9", "C-3", "U1", "G0 W2",
+    "G41 D1", "G42", "G28", "G30 Z1", "G53 G0 X1", "G68",
+    "G95", "G96 S100", "G38.2 Z-1", "G33 Z1 K1", "G5 X1 Y1 I1 J1 P1 Q1", "G43.1 Z1", "G7",
+    "G8", "G57", "G59", "M60", "M62 P1", "M66 P1", "G1 X#1",
+    "A1", "G1 B2 F9", "C-3", "U1", "G0 W2",
 )  # fmt: skip
 """Blocks that change the motion in a way that is not read: each must be refused, whatever rs274 says."""
 

@@ -5,7 +5,8 @@ Run: python -m tests.benchmarks.convert [--blocks N] [--only WORD …] [--slope]
 Everything is a ratio within one run on one machine, of processor time (user and system), so that other work on the
 machine matters little:
 
-- programs (see `programs.py`): to pygcode merely parsing the file, line by line; KRL to the same pass in G-code;
+- programs (see `programs.py`): to pygcode merely parsing the file, line by line; KRL to the same pass in G-code, a
+  program with subprograms and cycles to its lines as they are executed;
 - peak memory: to 300 MiB and 2 KiB a target;
 - the budget: µs a target by stage (see `budget.py`);
 - a peer's job file (see `peer.py`), seconds a target;
@@ -116,6 +117,11 @@ def main() -> None:
             if wanted(name):
                 path.write_text(text, encoding="utf-8")
                 measured(name, path, path)
+        if wanted("calls and cycles"):
+            text, written = programs.calls(blocks)
+            (folder / "executed.nc").write_text(written, encoding="utf-8")
+            path.write_text(text, encoding="utf-8")
+            measured("calls and cycles", path, folder / "executed.nc")
         if wanted("KRL"):
             path.write_text(texts["numbered lines"], encoding="utf-8")
             (folder / "part.src").write_text(programs.krl(blocks), encoding="utf-8", newline="")

@@ -61,6 +61,20 @@ def rounded_corners(blocks: int) -> str:
     return HEAD + "".join(out) + TAIL
 
 
+def calls(blocks: int) -> tuple[str, str]:
+    """Return pockets by subprogram and holes by cycle, and the same as the lines that are executed."""
+    pocket = ["G1 Z-1.000", *(f"G1 X{n % 8:.3f} Y{n / 8:.3f}" for n in range(60)), "G0 Z5.000"]
+    holes = [f"X{n * 3.0:.3f} Y{n % 5:.3f}" for n in range(36)]
+    body, written = [], []
+    for n in range(max(1, blocks // 100)):
+        place = f"X{n % 12 * 10.0:.3f} Y{n // 12 % 25 * 9.0:.3f}"
+        first = "G98 G83 X0.000 Y0.000 Z-4.000 R2.000 Q3.000"
+        body += [f"G52 {place}", "G0 X0 Y0", f"o100 call [{n % 3}]", first, *holes, "G80"]
+        written += [f"G52 {place}", "G0 X0 Y0", *pocket, first, *holes, "G80"]
+    sub = ["o100 sub", *(line.replace("G1 Z-1.000", "G1 Z[-1 - #1 / 10]") for line in pocket), "o100 endsub"]
+    return HEAD.replace("%\n", "%\n" + "\n".join(sub) + "\n", 1) + "\n".join(body) + "\n" + TAIL, "\n".join(written)
+
+
 def krl(blocks: int) -> str:
     """Return the finishing pass as a KRL program of another post-processor."""
     head = (

@@ -49,9 +49,11 @@ ACCEPTED_G = frozenset(
 )
 ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 
-_COMPENSATION = "Radius compensation is not read: let the CAM system write the path of the tool centre."
+_COMPENSATION = (
+    "Radius compensation is not read: let the CAM system write the centre line of the tool (compensation: in computer)."
+)
 _CYCLE = "This cycle needs an oriented or a reversed spindle: let the CAM system write it out as G0 and G1."
-_FIVE_AXIS = "Five-axis programs are not read: only tool axis −Z."
+_FIVE_AXIS = "Give the rotary axes in the cell, [rotary], for a program with tool-centre-point control."
 _LATHE = "Lathe modes are not read."
 _OUTPUT = "Outputs are not read: remove the block and switch from the KRL program."
 _PLACES = "Stored positions and offsets are not read: put work offsets into the cell, [work_offsets]."

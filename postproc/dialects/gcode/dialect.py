@@ -12,7 +12,7 @@ from postproc.program import Document, Program
 
 
 class GCode:
-    """G-code of three-axis milling."""
+    """G-code of milling with three to five axes."""
 
     name = "gcode"
     extensions = (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp")
