@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -430,3 +430,20 @@ class Written:
     output_line: Ints
     dialect: str
     issues: tuple[Issue, ...] = ()
+
+
+Record = TypeVar("Record")
+
+
+def read_only(record: Record) -> Record:
+    """Return a record with all its arrays, and those of the records in it, made read-only: it is handed on.
+
+    :param record: a dataclass; what else it holds is left alone.
+    """
+    for each in fields(record):  # type: ignore[arg-type]
+        value = getattr(record, each.name)
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+        elif is_dataclass(value) and not isinstance(value, type):
+            read_only(value)
+    return record

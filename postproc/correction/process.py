@@ -16,7 +16,7 @@ from postproc.dialects import registry
 from postproc.errors import ProgramError
 from postproc.forces import ForceSource
 from postproc.frames import Array
-from postproc.program import CIRC, Document, Ints, Program
+from postproc.program import CIRC, Document, Ints, Program, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces
 from postproc.under_load import SHARE_OF_TOLERANCE, ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
@@ -37,7 +37,7 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     program = registry.by_name(dialect).read(documents, cell, RobotInCell.of(robot, cell).forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
-    return program
+    return read_only(program)
 
 
 def process(

@@ -9,7 +9,7 @@ import numpy as np
 from postproc import kinematics, toolpath
 from postproc.frames import Array
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.program import PTP, Ints, Program
+from postproc.program import PTP, Ints, Program, read_only
 from postproc.toolpath import Pieces, Toolpath
 from postproc.under_load import bounds
 from postproc.under_load.motions import MotionsUnderLoad
@@ -52,7 +52,7 @@ class PathUnderLoad:
         motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, more)
         sample = toolpath.at(program, motions.segments, motion, t)
         wrench = motions.forces.at(sample)
-        return cls(
+        path = cls(
             motions,
             arcs,
             sample,
@@ -61,6 +61,7 @@ class PathUnderLoad:
             toolpath.wrench_in_root(program, motion, wrench),
             _joints(program, setting, sample),
         )
+        return read_only(path)
 
     def __len__(self) -> int:
         return len(self.sample)

@@ -1,0 +1,50 @@
+"""What is handed on cannot be changed behind the back of those who hold it, whatever dialect it came from."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from postproc import cell as cells
+from postproc import correction, robot
+from postproc.dialects.text import decode
+from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CELL = cells.load(SAMPLES / "cell_kr270.toml")
+ROBOT = robot.load(robot.find(CELL.robot))
+FILES = {"gcode": ("pocket.nc",), "krl": ("inline.src", "inline.dat")}
+
+
+def arrays(record, where=""):
+    for each in fields(record):
+        value, name = getattr(record, each.name), f"{where}.{each.name}"
+        if isinstance(value, np.ndarray):
+            yield name, value
+        elif is_dataclass(value):
+            yield from arrays(value, name)
+
+
+@pytest.fixture(params=FILES)
+def program(request):
+    documents = [decode(name, (SAMPLES / name).read_bytes()) for name in FILES[request.param]]
+    return correction.read(documents, ROBOT, CELL, "part", request.param)
+
+
+def test_a_program_that_was_read_is_read_only(program):
+    found = dict(arrays(program))
+    assert {".motions.target", ".bases", ".tools"} <= set(found)
+    assert [name for name, value in found.items() if value.flags.writeable] == []
+    with pytest.raises(ValueError, match="read-only"):
+        program.motions.feed[0] = 1.0
+
+
+def test_a_path_under_load_is_read_only_with_all_that_it_holds(program):
+    motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
+    path = PathUnderLoad.of(motions, motions.pieces())
+    found = {name: value for name, value in arrays(path) if ".setting." not in name}
+    assert {".wrench", ".joints.q", ".sample.pose", ".motions.forces.wrench", ".arcs.number"} <= set(found)
+    assert [name for name, value in found.items() if value.flags.writeable] == []
