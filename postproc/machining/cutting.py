@@ -31,7 +31,7 @@ from postproc.machining.sampling import Engaged
 from postproc.machining.stock import Floats
 from postproc.machining.tool import BOTTOM, CORNER, SIDE, Cutter, Edge
 
-_HELIX_PARTS = 8
+_HELIX_PARTS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,25 +155,27 @@ def peak(turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter) -> tuple[Arr
     whole = angles if turn.whole else 2 * angles
     width = 2.0 * np.pi / whole
     share = cutter.teeth * width / (2.0 * np.pi)
-    law = turn.law.chip(chip)
-    total = np.zeros((n, whole, 4))
     columns = [0, 1, 2, 5]
-    for piece in range(pieces):
-        cut = turn.cut[piece::pieces][:, columns] / share
-        rub = turn.rub[piece::pieces][:, columns] / share
-        own = law[:, :, piece, None] * cut + (chip[:, :, piece, None] > 0.0) * rub
-        length = inside.length[:, :, piece].astype(float)
-        if turn.edge.part[piece] == SIDE and cutter.helix > 0.0:
-            part = np.max(length) / _HELIX_PARTS
-            layers = [np.clip(length - k * part, 0.0, part) for k in range(_HELIX_PARTS)]
-            lag = [round((k + 0.5) * part * np.tan(cutter.helix) / cutter.radius / width) for k in range(_HELIX_PARTS)]
-        else:
-            layers, lag = [length], [0]
-        for layer, turned in zip(layers, lag, strict=True):
-            spread = np.zeros((n, whole, 4))
-            spread[:, :angles] = layer[..., None] * own
-            total += np.roll(spread, turned, axis=1)
+    cut, rub = (one.reshape(angles, pieces, 6)[:, :, columns] / np.float32(share) for one in (turn.cut, turn.rub))
+    law, cuts = turn.law.chip(chip), (chip > 0.0).astype(np.float32)
+    side = turn.edge.part == SIDE
+    total = np.zeros((n, 2 * whole, 4), dtype=np.float32)
+    if not side.all():
+        length = inside.length[:, :, ~side]
+        total[:, :angles] = np.einsum("nks,ksj->nkj", length * law[:, :, ~side], cut[:, ~side])
+        total[:, :angles] += np.einsum("nks,ksj->nkj", length * cuts[:, :, ~side], rub[:, ~side])
+    if side.any():
+        piece = int(np.flatnonzero(side)[0])
+        own = law[:, :, piece, None] * cut[:, piece] + cuts[:, :, piece, None] * rub[:, piece]
+        length = inside.length[:, :, piece]
+        parts = _HELIX_PARTS if cutter.helix > 0.0 else 1
+        height = length.max() / parts
+        for k in range(parts):
+            lag = round((k + 0.5) * height * np.tan(cutter.helix) / cutter.radius / width) % whole
+            layer = np.minimum(np.maximum(length - np.float32(k * height), 0.0), height)
+            total[:, lag : lag + angles] += layer[..., None] * own
+    total = total[:, :whole] + total[:, whole:]
     step = whole // cutter.teeth
-    together = sum(np.roll(total, k * step, axis=1) for k in range(cutter.teeth))
-    force = np.sqrt((np.asarray(together)[..., :3] ** 2).sum(axis=-1)).max(axis=1)
-    return np.asarray(force), np.abs(np.asarray(together)[..., 3]).max(axis=1)
+    together = total.reshape(n, cutter.teeth, step, 4).sum(axis=1)
+    force = np.sqrt((together[..., :3] ** 2).sum(axis=-1)).max(axis=1)
+    return np.asarray(force), np.abs(together[..., 3]).max(axis=1)

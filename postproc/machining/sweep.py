@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,11 +27,15 @@ from postproc.program import Bools, Ints
 
 _STRAIGHT = np.cos(np.radians(10.0))
 """Ways that turn by less are taken together."""
+_LONGEST = 20.0
+"""Ways are taken together over so many radii of the tool at most."""
 _ALONG = 1e-3
 """Sine of the angle to the spindle below which a way runs along it."""
 _ELEMENTS = 400_000
 _FINE = 0.5
 """Of a cell: how close the angles stand at the rim where only the cylinder is looked at, cell by cell."""
+_ON_LINE = 1e-6
+"""Directions that differ by less are those of one line."""
 _TOUCHED = 2e-5
 """A rapid move, or a spindle that stands still, may touch material so deep [m] without being told of."""
 
@@ -126,9 +131,9 @@ class Sweep:
                 if begin > 0 and ways.joined[begin]:  # what its predecessor left for the next way
                     remove(self.stock, cutter, ways.begin[begin], ways.begin[begin], last=True)
                 found = _TOUCHED
-            for way in range(begin, end):
-                follows = way + 1 < len(ways.motion) and bool(ways.joined[way + 1]) and bool(near[way + 1])
-                depth = remove(self.stock, cutter, ways.begin[way], ways.end[way], last=bool(found) or not follows)
+            for way, stop in _runs(ways, begin, end) if not found else ((k, k + 1) for k in range(begin, end)):
+                follows = stop < len(ways.motion) and bool(ways.joined[stop]) and bool(near[stop])
+                depth = remove(self.stock, cutter, ways.begin[way], ways.end[stop - 1], last=bool(found) or not follows)
                 if found and depth > found:
                     (self.stood if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
 
@@ -168,7 +173,7 @@ class Sweep:
                     if way > begin:
                         yield begin, way
                     begin, travelled, heading = way, 0.0, leave[way]
-                    limit = 2.0 * self._cutter(int(self.turning.tool[motion[way]])).radius
+                    limit = _LONGEST * self._cutter(int(self.turning.tool[motion[way]])).radius
             travelled += lengths[way]
         if begin < len(motion):
             yield begin, len(motion)
@@ -299,6 +304,13 @@ class Sweep:
         if number not in self._edges:
             self._edges[number] = edge(self._cutter(number), self.stock.cell)
         return self._edges[number]
+
+
+def _runs(ways: Ways, begin: int, end: int) -> Iterator[tuple[int, int]]:
+    """Yield ranges of ways that lie on one line: they are removed in one go."""
+    bends = np.abs(ways.leave[begin + 1 : end] - ways.arrive[begin : end - 1]).max(axis=1, initial=0.0) > _ON_LINE
+    first = [begin, *(np.flatnonzero(bends) + begin + 1).tolist(), end]
+    yield from pairwise(first)
 
 
 def _dot(one: list[float], other: list[float]) -> float:
