@@ -308,7 +308,9 @@ class Sweep:
 
 def _runs(ways: Ways, begin: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield ranges of ways that lie on one line: they are removed in one go."""
-    bends = np.abs(ways.leave[begin + 1 : end] - ways.arrive[begin : end - 1]).max(axis=1, initial=0.0) > _ON_LINE
+    chord = ways.end[begin:end] - ways.begin[begin:end]
+    chord /= np.linalg.norm(chord, axis=1)[:, None]
+    bends = np.abs(np.diff(chord, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
     first = [begin, *(np.flatnonzero(bends) + begin + 1).tolist(), end]
     yield from pairwise(first)
 
