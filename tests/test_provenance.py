@@ -98,7 +98,7 @@ def test_predict_tells_whether_the_text_is_what_was_written(written):
     src.write_bytes(src.read_bytes().replace(b"$VEL.CP=0.01", b"$VEL.CP=0.02"))
     output = run("predict", src, "--cell", CELL, "-o", written / "p")
     assert "unchanged" not in output
-    assert "part.src:5: this program was changed since postproc" in output
+    assert "line 5: this program was changed since postproc" in output
     assert json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]["state"] == "changed"
 
 

@@ -133,7 +133,7 @@ def _commands(task: Task, path: PathUnderLoad) -> Compensation:
 def _drafted(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples; write it and read it back unless there is an error."""
     command = _commands(task, path)
-    chosen = targets.chosen(path, command, linearize_arcs=task.linearize_arcs)
+    chosen = targets.chosen(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
     draft = Draft(path, command, chosen, task.issues(path, command))
     if draft.failed:
         return draft

@@ -42,6 +42,7 @@ def choose(
     limit: float,
     whole: Bools,
     every: Bools,
+    least_arc: tuple[float, float],
 ) -> Selection:
     """Choose targets.
 
@@ -53,6 +54,7 @@ def choose(
     :param limit: what may be missed [m].
     :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
     :param every: (M,) motions of which every sample becomes a target.
+    :param least_arc: see `dialects.dialect.Writer`; a piece of an arc that is less becomes a line.
     """
     chosen, kinds, via = sample.ends | every[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
@@ -63,7 +65,7 @@ def choose(
     circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
     if len(circles):
         before, middle, end = _ends(arcs, circles, sample, command, start)
-        curved = ~_is_flat(before, command[middle], command[end])
+        curved = ~_is_flat(before, command[middle], command[end], *least_arc)
         chosen[end], kinds[end], via[end] = True, np.where(curved, CIRC, LIN), np.where(curved, middle, -1)
     row = np.flatnonzero(chosen)
     return Selection(row, kinds[row], via[row])
@@ -151,9 +153,10 @@ def _divided(nodes: _Nodes, limit: float) -> Ints:
     return np.concatenate(done)
 
 
-def _is_flat(a: Array, b: Array, c: Array) -> Bools:
-    """Return which arcs from a through b to c deviate from their chord by less than a micrometre: they are lines."""
-    chord = c - a
-    length = norm(chord)
-    height = norm(np.cross(chord, b - a)) / np.where(length > 0.0, length, 1.0)
-    return np.asarray((length > 0.0) & (height < _FLAT))
+def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:
+    """Return which arcs from a through b to c are lines: flat to a micrometre, or less than a controller takes."""
+    chord, first = c - a, b - a
+    length, height = norm(chord), norm(np.cross(chord, first))
+    flat = height < _FLAT * length
+    small = np.minimum(length, norm(first)) < distance
+    return np.asarray((length > 0.0) & (flat | small | (height < np.tan(angle) * (chord * first).sum(axis=1))))

@@ -39,10 +39,13 @@ def pieces_needed(path: PathUnderLoad, command: Compensation) -> Pieces:
     return select.pieces_needed(path.arcs, path.sample, command.pose[:, :3, 3], _starts(path, command), limit)
 
 
-def chosen(path: PathUnderLoad, command: Compensation, *, linearize_arcs: bool) -> Chosen:
+def chosen(
+    path: PathUnderLoad, command: Compensation, least_arc: tuple[float, float], *, linearize_arcs: bool
+) -> Chosen:
     """Choose what to write: as few of the samples as hold the tolerance.
 
     :param command: commands of the samples, in `$BASE`.
+    :param least_arc: see `dialects.dialect.Writer`.
     :param linearize_arcs: arcs are written as lines.
     """
     program, sample, m = path.program, path.sample, path.program.motions
@@ -51,7 +54,7 @@ def chosen(path: PathUnderLoad, command: Compensation, *, linearize_arcs: bool) 
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     limit = SHARE_OF_TOLERANCE * path.setting.tolerance
     every = toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1
-    selected = select.choose(kind, sample, path.arcs, position, start, limit, whole, every)
+    selected = select.choose(kind, sample, path.arcs, position, start, limit, whole, every, least_arc)
     movable = np.isnan(m.joints[sample.motion[selected.row], 0])
     row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
     motion = sample.motion[row]

@@ -20,6 +20,13 @@ class Writer(Protocol):
         """Of the main file that is written, with its point."""
         ...
 
+    @property
+    def least_arc(self) -> tuple[float, float]:
+        """Of an arc that the controller takes: how far its other points are from its start [m], and the angle [rad]
+        between them as seen from there. What is less is written as a line.
+        """
+        ...
+
     def fault_of(self, name: str) -> str | None:
         """Return why the controller would refuse a name for a program, or None if it would not."""
         ...

@@ -448,7 +448,7 @@ def test_an_error_names_file_line_text_and_advice() -> None:
     error = fault("(part)\r\nG0 X0 Y0 Z0\r\nN20 g41 D1 x5\r\n")
     assert (error.file, error.line, error.text) == ("part.nc", 3, "N20 g41 D1 x5")
     assert error.problem == "G41 is not supported"
-    assert "path of the tool centre" in str(error.advice)
+    assert "centre line of the tool" in str(error.advice)
 
 
 @pytest.mark.parametrize("data", [b"", b"\n\n", b"\xef\xbb\xbf \r\n", b"G0 X0\0"])

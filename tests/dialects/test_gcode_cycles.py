@@ -107,6 +107,16 @@ def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
     assert caught.value.line == 2
 
 
+def test_a_tap_is_not_drawn_out_by_a_spindle_that_turns_on() -> None:
+    lines = {"spindle_on": ["$OUT[1]=TRUE"], "spindle_off": ["$OUT[1]=FALSE"]}
+    text = f"{HEAD}M3 S200\nG84 X1 Y1 Z-4 R2 F100\nG80\nM2\n"
+    one_way = replace(CELL, gcode=replace(CELL.gcode, **lines))
+    with pytest.raises(ProgramError, match="reversed at the bottom"):
+        read(text, one_way)
+    both = replace(CELL, gcode=replace(CELL.gcode, **lines, spindle_ccw=["$OUT[2]=TRUE"]))
+    assert [event.kind for event in read(text, both).events].count("spindle_ccw") == 1
+
+
 ORIGINS = {
     "G10 L2": "G10 L2 P1 X3 Y-2 Z1\nG0 X1 Y1\nG10 L2 P0 R30\nG1 X2 Y2 Z2\nG2 X4 I1",
     "G10 L2 of another": "G10 L2 P2 X3 Y-2 Z1 R-20\nG0 X1 Y1\nG55 G0 X1 Y1 Z1\nG54 X0",

@@ -198,6 +198,24 @@ def test_no_circle_is_larger_than_abb_allows(tmp_path):
     assert abs(total - 360.0) < 0.5
 
 
+def test_no_circle_is_smaller_than_abb_allows(tmp_path):
+    """Limits of MoveC: 0.1 mm from the start to both points, 1 deg between them as seen from there."""
+    tiny = "G2 X0.1 I0.05\nG2 X0.5 I0.2\nG1 X10\nG3 X10 Y0.6 J0.3\nG1 X40\nG2 X0 Y40.6 I0 J40\n"
+    _, code = parse(convert(tmp_path, f"G90 G21\nF600\nG0 X0 Y0 Z10\nG1 Z0\n(FORCE FX=-90 FY=60)\n{tiny}G0 Z10\nM2\n"))
+    here, circles = None, 0
+    for _, name, arguments, _ in code:
+        if not name.startswith("Move") or name == "MoveAbsJ":
+            continue
+        points = [np.array(target[0]) for target in arguments[: 2 if name == "MoveC" else 1]]
+        if name == "MoveC":
+            a, b = points[0] - here, points[1] - here
+            circles += 1
+            assert min(np.linalg.norm(a), np.linalg.norm(b)) >= 0.1
+            assert np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)) >= 1.0
+        here = points[-1]
+    assert circles > 0
+
+
 def test_the_payload_of_the_cell_is_the_load_of_the_tool(tmp_path):
     cell = tmp_path / "cell.toml"
     cell.write_text(CELL.read_text() + "\n[payload]\nmass_kg = 12.5\nX = 5\nZ = 150\n")

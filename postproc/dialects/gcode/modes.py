@@ -248,6 +248,9 @@ class _Reader:
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.columns["G"][row] = code
+                if code == 84.0 and self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
+                    advice = "Give spindle_ccw in [gcode] of the cell: the KRL lines that turn the spindle backwards."
+                    raise BlockError("G84 needs a spindle that is reversed at the bottom", advice)
             elif self._tip(row, f"G{code:g}") or self._said_before(code):
                 pass
             elif code not in codes.ACCEPTED_G:
@@ -304,6 +307,9 @@ class _Reader:
                 "Say what it means here, in the cell: [machine] home = [A1 … A6] or clearance_Z; or remove the block."
             )
             raise BlockError(f"{name} is not supported without [machine] in the cell", advice)
+        if code == codes.MACHINE and self.columns["G"][row] in (1.0, 2.0, 3.0):
+            advice = "G53 goes to where [machine] says, with G0: write the move in coordinates of the part."
+            raise BlockError(f"{name} with G{self.columns['G'][row]:g}", advice)
         if not axes and code == codes.MACHINE:
             raise BlockError("G53 without X, Y or Z", None)
         if machine.home is None and set(axes) != {2}:

@@ -13,7 +13,7 @@ from postproc.dialects.krl import write
 from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
-from postproc.frames import Array
+from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
 _COMMENT = ";"
@@ -24,6 +24,8 @@ class _Writer:
     """Writes KRL: a program read from KRL in its own text, any other as a new one."""
 
     extension = ".src"
+    least_arc = (2e-5, 0.3 * RAD_PER_DEG)
+    """Assumed: no limit is published; where all three points nearly coincide their digits decide on the circle."""
 
     def fault_of(self, name: str) -> str | None:
         """Return why the controller would refuse a name for a program, or None if it would not."""

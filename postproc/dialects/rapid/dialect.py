@@ -13,7 +13,7 @@ from postproc.dialects.rapid import names
 from postproc.dialects.rapid.read import Layout, read
 from postproc.dialects.rapid.write import write
 from postproc.errors import ProgramError
-from postproc.frames import Array
+from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
 _COMMENT = "!"
@@ -25,6 +25,8 @@ class _Writer:
     """Writes RAPID: new programs only."""
 
     extension = ".mod"
+    least_arc = (1.01e-4, 1.01 * RAD_PER_DEG)
+    """Limits of MoveC, 0.1 mm and 1 deg (Technical reference manual, RAPID Instructions), and 1 % for rounding."""
 
     def fault_of(self, name: str) -> str | None:
         """Return why the controller would refuse a name for a program, or None if it would not."""
