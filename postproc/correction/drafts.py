@@ -26,6 +26,11 @@ _NO_BOUND = (
     "they could be added."
 )
 
+_EXACT_FORCES = (
+    "the forces state no standard deviation: what is to be expected on the part (u95_mm) counts them as exact. A CSV "
+    "says how far they may be off in sFx, sFy, sFz or sigma_percent."
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
@@ -185,8 +190,10 @@ def _bound(draft: Draft) -> tuple[Array | None, list[Issue]]:
     spring = path.setting.tool_spring
     in_series = None if spring is None else spring.matrices(path.pose_in_root[row, :3, :3])
     q, wrench, tool = draft.command.q[row], path.wrench_in_root[row], path.tool(row)
-    told = checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench)
-    return elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series), list(told)
+    told = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
+    if spread is None and robot.covariance is not None and wrench.any():
+        told.append(Issue("info", "exact-forces", _EXACT_FORCES))
+    return elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series), told
 
 
 def _carried(draft: Draft, back: ReadBack) -> Knots:

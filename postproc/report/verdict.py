@@ -135,5 +135,6 @@ def _assumptions(result: Result) -> list[str]:
         out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
     if result.robot.covariance is None:
         out.append("exact parameters: the model has no covariance")
-    out.append("holder, spindle and workpiece rigid; frames ($BASE, $TOOL) as the cell states them")
+    rigid = "holder, spindle and workpiece" if result.deflection_by_tool is None else "workpiece"
+    out.append(f"{rigid} rigid; frames ($BASE, $TOOL) as the cell states them")
     return out

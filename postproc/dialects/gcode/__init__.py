@@ -184,12 +184,12 @@ def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote
 def _told(
     run: Executed, path: Path, modes: Modes, comments: Sequence[tuple[int, str | ForceNote]]
 ) -> tuple[tuple[ForceNote, ...], tuple[Event, ...]]:
-    """Return force comments, and other comments and happenings, in order of their lines.
+    """Return force comments, and other comments and events, in order of their lines.
 
     In one line comments come first, stops last.
     """
     told = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
-    done = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.happenings]
+    done = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.row_events]
     within = [
         (row, 1, at, Event(0, what.kind, 0, what.value or _speed(modes, row, what.kind))) for at, row, what in path.done
     ]
@@ -210,7 +210,7 @@ def _speed(modes: Modes, row: int, kind: str) -> float:
     """Return how fast a spindle turns that a cycle starts anew."""
     if kind == "spindle_off":
         return 0.0
-    return next((h.value for h in reversed(modes.happenings) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
+    return next((h.value for h in reversed(modes.row_events) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
 
 
 def _issues(path: Path, modes: Modes) -> Iterator[Issue]:

@@ -32,7 +32,7 @@ class Step(NamedTuple):
     bottom: bool = False
 
 
-class Done(NamedTuple):
+class CycleEvent(NamedTuple):
     """What happens in a cycle behind a number of its moves: a dwell [s], or the spindle."""
 
     behind: int
@@ -58,7 +58,7 @@ class Cycle:
 
     def hole(
         self, code: float, given: Mapping[str, float], at: Point, modes: tuple[bool, bool], spindle: EventKind
-    ) -> tuple[list[Step], list[Done]]:
+    ) -> tuple[list[Step], list[CycleEvent]]:
         """Return the moves of a line.
 
         :param given: its words: U and V in the plane, Z across it, R, Q [mm], P, L.
@@ -86,7 +86,7 @@ class Cycle:
         if r < z:
             raise BlockError(f"R of the cycle is below its bottom: {r:.4f} mm, {z:.4f} mm", None)
         steps: list[Step] = []
-        done: list[Done] = []
+        done: list[CycleEvent] = []
         if self.level < r:
             steps.append(Step(0.0, (u, v, r)))
             height = r
@@ -121,24 +121,24 @@ class Cycle:
                 depth -= peck
         steps.append(Step(1.0, bottom, bottom=True))
 
-    def _up(self, clear: Point, r: float, steps: list[Step], done: list[Done], spindle: EventKind) -> None:
+    def _up(self, clear: Point, r: float, steps: list[Step], done: list[CycleEvent], spindle: EventKind) -> None:
         """Come back from the bottom."""
         at, dwell = len(steps), self.words.get("P", 0.0)
         if self.code in (82.0, 86.0, 89.0) and dwell > 0.0:
-            done.append(Done(at, "dwell", dwell))
+            done.append(CycleEvent(at, "dwell", dwell))
         if self.code == 84.0:
             if spindle != "spindle_on":
                 raise BlockError("G84 with a spindle that does not turn clockwise", "Start it by M3 before.")
-            done += [Done(at, "spindle_off"), Done(at, "spindle_ccw")]
-            done += [Done(at, "dwell", dwell)] if dwell > 0.0 else []
+            done += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw")]
+            done += [CycleEvent(at, "dwell", dwell)] if dwell > 0.0 else []
             steps.append(Step(1.0, clear, bottom=True))
-            done += [Done(at + 1, "spindle_off"), Done(at + 1, "spindle_on")]
+            done += [CycleEvent(at + 1, "spindle_off"), CycleEvent(at + 1, "spindle_on")]
         elif self.code == 86.0:
             if spindle == "spindle_off":
                 raise BlockError("G86 with a spindle that does not turn", "Start it by M3 before.")
-            done.append(Done(at, "spindle_off"))
+            done.append(CycleEvent(at, "spindle_off"))
             steps.append(Step(0.0, clear))
-            done.append(Done(at + 1, spindle))
+            done.append(CycleEvent(at + 1, spindle))
         elif self.code == 85.0:
             steps += [Step(1.0, (clear[0], clear[1], r)), Step(0.0, clear)]
         else:

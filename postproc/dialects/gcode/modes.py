@@ -71,7 +71,7 @@ class Return(NamedTuple):
     axes: Mapping[int, float]
 
 
-class Happening(NamedTuple):
+class RowEvent(NamedTuple):
     """An event of a line: row of the line, whether it follows the motion of that line, kind and value of `Event`."""
 
     row: int
@@ -94,7 +94,7 @@ class Modes:
     :param tools: changes (row, tool number), in order.
     :param tip: changes (row, whether X, Y, Z are those of the tip although rotary axes turn: 1 or 0), in order.
     :param dwells: rows with G4.
-    :param happenings: events in order.
+    :param row_events: what the lines switch, in order.
     :param issues: what the user should know.
     :param faults: blocks that cannot be read, in order.
     :param complete: False if an end that must be there is missing.
@@ -109,7 +109,7 @@ class Modes:
     tools: Sequence[tuple[int, float]]
     tip: Sequence[tuple[int, float]]
     dwells: Sequence[int]
-    happenings: Sequence[Happening]
+    row_events: Sequence[RowEvent]
     issues: Sequence[Issue]
     faults: Sequence[Fault]
     complete: bool = True
@@ -155,7 +155,7 @@ def read_modes(
         tools=reader.tools,
         tip=reader.tip,
         dwells=reader.dwells,
-        happenings=reader.happenings,
+        row_events=reader.row_events,
         issues=reader.issues,
         faults=faults,
         complete=complete,
@@ -175,7 +175,7 @@ class _Reader:
         self.returns: dict[int, Return] = {}
         self.tools: list[tuple[int, float]] = []
         self.dwells: list[int] = []
-        self.happenings: list[Happening] = []
+        self.row_events: list[RowEvent] = []
         self.issues: list[Issue] = []
         self.offsets = {"G54", *cell.work_offsets}
         rotary = cell.rotary
@@ -349,7 +349,7 @@ class _Reader:
                 raise BlockError("G4 in one block with an arc", "Write one block for each.")
             self.dwells.append(row)
             seconds = values.pop("P")
-            self.happenings.append(Happening(row, False, "dwell", seconds))
+            self.row_events.append(RowEvent(row, False, "dwell", seconds))
             if seconds > _LONG_DWELL_S:
                 message = f"Dwell of {seconds:g} s: P counts seconds here, on some controls milliseconds."
                 self._tell("warning", "dwell", message, row)
@@ -389,13 +389,13 @@ class _Reader:
                 self.coolant = code != codes.COOLANT[-1]
                 self._event(row, "coolant_on" if self.coolant else "coolant_off")
             elif code in codes.STOP:
-                self.happenings.append(Happening(row, True, "stop"))
+                self.row_events.append(RowEvent(row, True, "stop"))
             elif code in codes.END:
                 self.ended = True
                 if self.spindle != "spindle_off":
-                    self.happenings.append(Happening(row, True, "spindle_off"))
+                    self.row_events.append(RowEvent(row, True, "spindle_off"))
                 if self.coolant:
-                    self.happenings.append(Happening(row, True, "coolant_off"))
+                    self.row_events.append(RowEvent(row, True, "coolant_off"))
         for code in m:
             if self._tip(row, f"M{code:g}"):
                 continue
@@ -403,7 +403,7 @@ class _Reader:
             if own is None and code not in codes.ACCEPTED_M:
                 raise BlockError(*codes.refusal("M", code))
             if own:
-                self.happenings.append(Happening(row, False, "m_code", code))
+                self.row_events.append(RowEvent(row, False, "m_code", code))
 
     def _spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
         if speed is not None:
@@ -420,4 +420,4 @@ class _Reader:
                 self._tell("warning", "spindle-speed", "The spindle is started without a speed (S).", row)
 
     def _event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
-        self.happenings.append(Happening(row, False, kind, value))
+        self.row_events.append(RowEvent(row, False, kind, value))

@@ -16,7 +16,7 @@ import numpy as np
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.blocks import BlockError
-from postproc.dialects.gcode.cycles import Cycle, Done
+from postproc.dialects.gcode.cycles import Cycle, CycleEvent
 from postproc.dialects.gcode.modes import Modes, Origin, Return
 from postproc.dialects.gcode.rows import Rows, held, in_force
 from postproc.frames import M_PER_MM, Array, inverse, pose_from_xyzabc
@@ -74,7 +74,7 @@ class Moves:
     bottom: Bools
     home: Bools
     frames: Array
-    done: Sequence[tuple[int, int, Done]]
+    done: Sequence[tuple[int, int, CycleEvent]]
     unknown: Sequence[tuple[int, int]]
     offset: Array
     faults: Sequence[tuple[int, str, str | None]]
@@ -99,14 +99,14 @@ class _Walk:
         self.angles = np.zeros(rows.rotary.shape[1])
         self.tool = 0
         self.cycle = Cycle()
-        switched = [h for h in modes.happenings if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
+        switched = [h for h in modes.row_events if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
         self.spindle_rows = [h.row for h in switched]
         self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in switched)]
         self.parts: list[tuple[Ints, Array, Array, Array, Array, int, int]] = []
         self.bottoms: list[int] = []
         self.homes: list[int] = []
         self.number = 0
-        self.done: list[tuple[int, int, Done]] = []
+        self.done: list[tuple[int, int, CycleEvent]] = []
         self.losses: list[tuple[int, Bools]] = [(0, np.ones(3, dtype=bool))]
         self.faults: list[tuple[int, str, str | None]] = []
         self.told: list[tuple[int, str, str]] = []

@@ -13,7 +13,7 @@ import numpy as np
 from postproc.cell import Rotary
 from postproc.dialects.gcode.arcs import SAME_MM, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.blocks import Fault
-from postproc.dialects.gcode.cycles import Done
+from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.mistakes import faults_of
 from postproc.dialects.gcode.modes import Modes
 from postproc.dialects.gcode.moves import Moves, Setting, moves_of
@@ -59,7 +59,7 @@ class Path:
     row: Ints
     still: Ints
     held_back: Ints
-    done: Sequence[tuple[int, int, Done]]
+    done: Sequence[tuple[int, int, CycleEvent]]
     told: Sequence[tuple[int, str, str]]
 
 

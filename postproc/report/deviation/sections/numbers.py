@@ -32,7 +32,8 @@ def section(told: Deviation) -> Section | None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("To be expected on the part", "unknown", "", note, "warning"))
     else:
-        note = f"95 % bound, RMS {millimetres(bound['rms_mm'])} mm: uncertainty of model and forces"
+        rms = millimetres(bound["rms_mm"])
+        note = f"95 % bound, RMS {rms} mm: uncertainty of the model, and of forces that state theirs"
         tiles.append(Tile("To be expected on the part, up to", millimetres(bound["max_mm"]), "mm", note))
     parts: list[Part] = [Tiles(tuple(tiles)), _table(told)]
     share = content["compensated_percent"]
