@@ -76,11 +76,15 @@ class FadingPart(Spring):
     torque: float
     sparse: ClassVar[bool] = True
     linear: ClassVar[bool] = False
+    mark: ClassVar[str] = "@"
+    """Stands between joint and torque in names."""
+    key: ClassVar[str] = "stiffening"
+    """Where such parts stand in [joints] of model.toml."""
 
     @property
     def name(self) -> str:
         """Return e.g. ``k1@800``."""
-        return f"{JointCompliance(self.joint).name}@{self.torque:g}"
+        return f"{JointCompliance(self.joint).name}{self.mark}{self.torque:g}"
 
     @property
     def title(self) -> str:
@@ -89,8 +93,8 @@ class FadingPart(Spring):
 
     @classmethod
     def named(cls, name: str) -> Self | None:
-        """Return the part of a name like ``k6@6.2``."""
-        head, _, torque = name.partition("@")
+        """Return the part of a name like ``k6@6.2``, with the mark of the class."""
+        head, _, torque = name.partition(cls.mark)
         whole = JointCompliance.named(head)
         try:
             return None if whole is None else cls(whole.joint, float(torque))
@@ -99,15 +103,15 @@ class FadingPart(Spring):
 
     @classmethod
     def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield `stiffening` of [joints]."""
+        """Yield the parts that stand under `key` of [joints]."""
         for joint in JOINTS:
-            for part in content.joints[joint].stiffening:
+            for part in getattr(content.joints[joint], cls.key):
                 yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
 
     def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Add to `stiffening` of the joint."""
+        """Add to `key` of the joint."""
         part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
-        tables["joints"][self.joint].setdefault("stiffening", []).append(part)
+        tables["joints"][self.joint].setdefault(self.key, []).append(part)
 
     def row(self, robot: RobotModel) -> int:
         """Return the coordinate of the joint."""
@@ -137,37 +141,13 @@ class Knee(FadingPart):
     last knee the sum is a straight line.
     """
 
-    @property
-    def name(self) -> str:
-        """Return e.g. ``k1^800``."""
-        return f"{JointCompliance(self.joint).name}^{self.torque:g}"
+    mark: ClassVar[str] = "^"
+    key: ClassVar[str] = "knees"
 
     @property
     def title(self) -> str:
         """Return joint and torque in words."""
         return f"{JointCompliance(self.joint).name}, up to {self.torque:g} N·m"
-
-    @classmethod
-    def named(cls, name: str) -> Self | None:
-        """Return the part of a name like ``k6^6.2``."""
-        head, _, torque = name.partition("^")
-        whole = JointCompliance.named(head)
-        try:
-            return None if whole is None else cls(whole.joint, float(torque))
-        except ValueError:
-            return None
-
-    @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield `knees` of [joints]."""
-        for joint in JOINTS:
-            for part in content.joints[joint].knees:
-                yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
-
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Add to `knees` of the joint."""
-        part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
-        tables["joints"][self.joint].setdefault("knees", []).append(part)
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return T·(f(u) − f(u₀)) and f′(u)."""

@@ -19,7 +19,6 @@ from postproc.program import EventKind
 _CLEARANCE_MM = 0.254
 _MOST_PECKS = 10_000
 _NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
-REVERSED: Mapping[EventKind, EventKind] = {"spindle_on": "spindle_ccw", "spindle_ccw": "spindle_on"}
 
 Point = tuple[float, float, float]
 
