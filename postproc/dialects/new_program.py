@@ -195,6 +195,24 @@ class NewProgram:
         return "".join(parts), line
 
 
+def check_name(
+    program: Program, language: str, fault_of: Callable[[str], str | None], valid: Callable[[str], str]
+) -> None:
+    """Refuse a program whose name the controller would not accept.
+
+    :param language: for the message.
+    :param fault_of: see `dialects.dialect.Writer`, and `valid`.
+    :raises ProgramError: says why, and which name would do.
+    """
+    fault = fault_of(program.name)
+    if fault:
+        raise ProgramError(
+            f"{program.name!r} cannot be the name of a {language} program: {fault}",
+            file=program.documents[0].name,
+            advice=f"Rename the file, for example to {valid(program.name)}.",
+        )
+
+
 def number(value: float) -> str:
     """Return a number in fixed-point notation without needless zeros.
 

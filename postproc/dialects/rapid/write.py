@@ -22,12 +22,12 @@ from postproc.chunks import chunks
 from postproc.decimals import Bytes, fixed, lines
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
-from postproc.dialects.new_program import NewProgram, Words, number
+from postproc.dialects.new_program import NewProgram, Words, check_name, number
 from postproc.dialects.rapid import instructions
 from postproc.dialects.rapid.conventions import abb_from_joints, configuration, quaternions
 from postproc.dialects.rapid.instructions import BEGIN, END, NO_EXTERNAL_AXES
 from postproc.dialects.rapid.names import PREFIX, fault_of, valid
-from postproc.errors import CellError, Issue, ProgramError, group_issues
+from postproc.errors import CellError, Issue, group_issues
 from postproc.frames import MM_PER_M, Array
 from postproc.program import (
     CIRC,
@@ -71,13 +71,7 @@ def write(
     :raises ProgramError: the name is not one of RAPID; a move has no feed, or one that would be printed as 0.
     :raises CellError: a line of the cell is no RAPID.
     """
-    fault = fault_of(program.name)
-    if fault:
-        raise ProgramError(
-            f"{program.name!r} cannot be the name of a RAPID program: {fault}",
-            file=program.documents[0].name,
-            advice=f"Rename the file, for example to {valid(program.name)}.",
-        )
+    check_name(program, "RAPID", fault_of, valid)
     return _Writer(program, targets, joints, cell, carried).written()
 
 

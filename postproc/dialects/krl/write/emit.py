@@ -23,8 +23,8 @@ from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.write.frame import axis_motion, head
 from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
 from postproc.dialects.krl.write.target_statements import aggregate_text
-from postproc.dialects.new_program import NewProgram, Words, number
-from postproc.errors import ProgramError, group_issues
+from postproc.dialects.new_program import NewProgram, Words, check_name, number
+from postproc.errors import group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 from postproc.version import VERSION
@@ -60,13 +60,7 @@ def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces |
     :raises ProgramError: the name is not one of KRL; a move has no feed, or one that would be printed as 0.
     :raises ValueError: a number is too large to be written.
     """
-    fault = fault_of(program.name)
-    if fault:
-        raise ProgramError(
-            f"{program.name!r} cannot be the name of a KRL program: {fault}",
-            file=program.documents[0].name,
-            advice=f"Rename the file, for example to {valid(program.name)}.",
-        )
+    check_name(program, "KRL", fault_of, valid)
     return _Emitter(program, targets, cell, carried).written()
 
 
