@@ -13,7 +13,7 @@ from postproc.correction import commanded, inspection, targets, verify
 from postproc.correction.drafts import Draft, Task, result_of
 from postproc.correction.result import Mode, Result
 from postproc.dialects import registry
-from postproc.errors import ProgramError
+from postproc.errors import InputError, ProgramError
 from postproc.forces import ForceSource
 from postproc.frames import Array
 from postproc.program import CIRC, Document, Ints, Program, read_only
@@ -32,8 +32,11 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
 
     :param documents: the main file first.
     :param dialect: name of its format, see `dialects.registry`.
+    :raises InputError: it is in a language that the robot's controller does not read.
     :raises ProgramError: it is not understood; the message names file, line, text and what to do.
     """
+    if registry.by_name(dialect).writer is not None:
+        _check_language(documents[0].name, robot, dialect)
     program = registry.by_name(dialect).read(documents, cell, RobotInCell.of(robot, cell).forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
@@ -61,9 +64,12 @@ def process(
     :param linearize_arcs: write arcs as lines.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
     :returns: a result; with an issue of level error it holds no documents.
+    :raises InputError: the program would be in a language that the robot's controller does not read.
     :raises ForceError: forces that cannot be given to the motions.
     """
-    _, writer = registry.written_in(program.dialect, to)
+    language, writer = registry.written_in(program.dialect, to)
+    if mode != "predict":
+        _check_language(program.documents[0].name, robot, language)
     task = Task(
         program=program,
         robot=robot,
@@ -83,6 +89,16 @@ def process(
         return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
     except ImpossiblePathError as cause:
         return Result.without_targets(program, robot, cell.tool.axis, mode, cause.issue)
+
+
+def _check_language(file: str, robot: RobotModel, language: str) -> None:
+    if robot.language not in ("", language):
+        raise InputError(
+            f"a program in {language} for {robot.title}, whose controller reads {robot.language}",
+            file=file,
+            advice=f"Name another robot in the cell, or convert G-code with --to {robot.language}. What a robot reads "
+            "stands in its model.toml, language.",
+        )
 
 
 def _settled(task: Task, motions: MotionsUnderLoad) -> Draft:

@@ -58,6 +58,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     return ModelFile(
         name=prior.name,
         date=prior.date,
+        language=prior.language,
         joints=joints,
         gravity=Gravity(reference=prior.gravity.reference, in_gears=result.fit.structure.in_gears),
         compensator=_compensator(result, prior, tables["compensator"], source, geometry_source),

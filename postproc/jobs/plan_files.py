@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 
 from postproc import cell as cells
@@ -109,11 +109,13 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
         refuse(foreign(folder, names, record))
     with interrupts.ending_a_search():
         result = plan_measurements(site, tests, request.options(), data, progress)
-    contents: dict[str, bytes | Iterable[bytes]] = {
-        csv: plan_csv(result),
-        src: krl_program(result, cell, PurePath(src).stem).to_bytes(),
-        html: plan_page(result, stem),
-    }
+    contents: dict[str, bytes | Iterable[bytes]] = {csv: plan_csv(result)}
+    if robot.language in ("", KRL.name):
+        contents[src] = krl_program(result, cell, PurePath(src).stem).to_bytes()
+    else:
+        told = f"no {src}: the controller of {robot.title} reads {robot.language}, and only KRL is written for plans"
+        result = replace(result, warnings=(*result.warnings, told))
+    contents[html] = plan_page(result, stem)
     written = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
     return PlanFiles(result, tuple(written))
 

@@ -119,6 +119,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
         measured=None if covered is None else Measured(np.array(covered.torque_Nm), covered.not_trusted),
+        language=content.language,
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
     return rigid.with_link_springs(springs).with_values(values)

@@ -74,6 +74,7 @@ def adopt(text: str, file: str) -> Adopted:
     content = ModelFile(
         name=arm.name or "robot",
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
+        language="krl",
         joints={
             joint: JointSpring(source=f"no published value: {scaled}", assumed=True, compliance_urad_per_Nm=value)
             for joint, value in zip(JOINTS, compliance, strict=True)

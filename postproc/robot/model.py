@@ -103,6 +103,7 @@ class RobotModel:
     :param link_springs: springs of the links, in the order of their coordinates.
     :param discrepancy: by how much the model was off where it was not fitted, or None.
     :param measured: what the measurements of an identified model covered, or None.
+    :param language: dialect that its controller reads; empty where the model does not say.
     """
 
     name: str
@@ -124,6 +125,7 @@ class RobotModel:
     link_springs: tuple[LinkSpring, ...] = ()
     discrepancy: Discrepancy | None = None
     measured: Measured | None = None
+    language: str = ""
 
     @cached_property
     def compliance(self) -> Array:

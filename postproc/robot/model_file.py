@@ -161,11 +161,12 @@ class MeasuredEntry(Sourced, frozen=True, kw_only=True):
 
 
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Content of `model.toml`."""
+    """Content of `model.toml`; `language`: dialect that the robot's controller reads, empty where nobody says."""
 
     name: str
     joints: dict[str, JointSpring]
     date: str = ""
+    language: str = ""
     gravity: Gravity = Gravity()
     compensator: CompensatorEntry | None = None
     payload: PayloadEntry | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -314,8 +315,13 @@ def test_krl_is_not_written_as_rapid(tmp_path):
 def test_what_is_written_is_read_as_the_same_program_in_krl(tmp_path):
     """Both dialects of one program: the same motions, frames, speeds and zones."""
     cell = tmp_path / "cell.toml"
-    own = ("spindle", "coolant", "tool_change")  # lines of RAPID, which are no KRL
-    cell.write_text("".join(line for line in CELL.read_text().splitlines(True) if not line.startswith(own)))
+    own = ("spindle", "coolant", "tool_change", "robot")  # lines of RAPID, which are no KRL
+    shutil.copytree(robot.find(MODEL), tmp_path / "any")  # reads both
+    model = (tmp_path / "any" / "model.toml").read_text()
+    (tmp_path / "any" / "model.toml").write_text(model.replace('language = "rapid"', ""))
+    cell.write_text(
+        'robot = "any"\n' + "".join(line for line in CELL.read_text().splitlines(True) if not line.startswith(own))
+    )
     text = convert(tmp_path, GCODE, "--nominal", cell=cell)
     run("convert", tmp_path / "part.nc", "--cell", cell, "--nominal", "-o", tmp_path / "krl")
     other = krl.read_program(
