@@ -7,8 +7,6 @@ from typing import Any
 
 import click
 
-from postproc.cli.outcomes import styled
-
 _PATH = click.Path(path_type=Path)
 
 
@@ -37,6 +35,7 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
       postproc convert samples/pocket.nc --cell samples/cell_kr270.toml -o out
       postproc compare samples/pocket.nc out/pocket.src --cell samples/cell_kr270.toml -o out
     """  # noqa: D301 - click: keep these lines as they are
+    from postproc.cli.terminal import display
     from postproc.jobs.comparison_files import CompareRequest, compare_programs
     from postproc.report import to_json
     from postproc.report.comparison import of_comparison
@@ -45,6 +44,6 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     if as_json:
         click.echo(to_json(done.summary).decode(), nl=False)
     else:
-        click.echo(of_comparison(done.summary, styled))
+        click.echo(of_comparison(done.summary, display()))
         click.echo(f"written to {done.written[0].parent}: {', '.join(path.name for path in done.written)}")
     ctx.exit(done.code)

@@ -77,25 +77,22 @@ def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]
 def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -> None:
     """Print what came of the programs: summary on stdout, what failed on stderr."""
     from postproc import report
+    from postproc.cli.terminal import display
 
     _print_failures(outcomes)
     if as_json:
         content = {"exit_code": _worst(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
         click.echo(report.to_json(content).decode(), nl=False)
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
-        click.echo(report.of_one(outcomes[0].summary, styled))
+        click.echo(report.of_one(outcomes[0].summary, display()))
         names = ", ".join(Path(path).name for path in outcomes[0].written)
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
-        click.echo(report.of_many([(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]))
+        rows = [(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]
+        click.echo(report.of_many(rows, display()))
         for page in dict.fromkeys(job.output / "index.html" for job in jobs):
             if page.is_file():
                 click.echo(f"overview: {page}")
-
-
-def styled(text: str, state: str) -> str:
-    """Return a verdict in the colour of its state."""
-    return click.style(text, fg={"ok": "green", "warning": "yellow", "failed": "red"}[state], bold=True)
 
 
 def _print_failures(outcomes: Iterable[Outcome]) -> None:

@@ -44,7 +44,7 @@ def robots(ctx: click.Context, /, as_json: bool) -> None:
     if ctx.invoked_subcommand is not None:
         return
     from postproc import robot
-    from postproc.report import table
+    from postproc.cli.terminal import display
 
     models = {known: robot.load(folder) for known, folder in robot.shipped().items()}
     if as_json:
@@ -54,7 +54,7 @@ def robots(ctx: click.Context, /, as_json: bool) -> None:
     for known, model in models.items():
         assumed = sum(entry.assumed for entry in model.sources)
         rows.append((known, model.title, f"{assumed} of {len(model.sources)} assumed"))
-    click.echo(table(("name", "robot", "values"), rows))
+    click.echo(display().table(("name", "robot", "values"), rows))
 
 
 @robots.command()
@@ -68,7 +68,7 @@ def show(name: str, as_json: bool) -> None:
       postproc robots show kuka_kr270
     """  # noqa: D301 - click: keep these lines as they are
     from postproc import robot
-    from postproc.report import table
+    from postproc.cli.terminal import display
 
     model = robot.load(robot.find(name))
     if as_json:
@@ -81,7 +81,7 @@ def show(name: str, as_json: bool) -> None:
         return
     click.echo(f"{model.title} ({model.name})\n")
     rows = [(entry.name, entry.value, "ASSUMED" if entry.assumed else "", entry.source) for entry in model.sources]
-    click.echo(table(("", "value", "", "source"), rows))
+    click.echo(display().table(("", "value", "", "source"), rows))
 
 
 @robots.command()

@@ -9,7 +9,7 @@ from postproc.jobs.cluster import Cluster
 from postproc.jobs.conversion import convert_one, read_program
 from postproc.jobs.inputs import find_jobs, read_documents
 from postproc.jobs.job import Job
-from postproc.jobs.many_programs import convert_all, convert_program
+from postproc.jobs.many_programs import convert_all
 from postproc.jobs.outcome import Outcome, Settings
 from postproc.jobs.outputs import left
 from postproc.jobs.setup import load_robot, load_setup
@@ -21,7 +21,6 @@ __all__ = [
     "Settings",
     "convert_all",
     "convert_one",
-    "convert_program",
     "find_jobs",
     "left",
     "load_robot",

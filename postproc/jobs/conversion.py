@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -37,31 +37,24 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
 
     :raises KeyboardInterrupt: nothing was written.
     """
-    name = None if job.keeps_text else job.stem
-    return converted(job, settings, cell, robot, lambda: read_program(job.program, robot, cell, job.dialect, name))
-
-
-def converted(job: Job, settings: Settings, cell: Cell, robot: RobotModel, read: Callable[[], Program]) -> Outcome:
-    """Return what `convert_one` does, of a program wherever it is from.
-
-    :param read: returns the program; what it raises is the outcome.
-    """
     try:
         with interrupts.heard(), _no_collection():
-            result, source = _result(job, settings, cell, robot, read())
+            name = None if job.keeps_text else job.stem
+            program = read_program(job.program, robot, cell, job.dialect, name)
+            result, source = _result(job, settings, cell, robot, program)
             if not result.failed:
                 content, contents = _contents(job, settings, cell, result, source)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.set_aside(job, settings.mode))
-    program = str(job.program)
+    file = str(job.program)
     if result.failed:
-        return Outcome(program, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
+        return Outcome(file, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
     try:
         written = files.write_whole(job.output, contents)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.left([job], settings.mode))
     exceeded = settings.mode != "predict" and content["tolerance_held"] is False
-    return Outcome(program, EXCEEDED if exceeded else GOOD, content, written=tuple(str(path) for path in written))
+    return Outcome(file, EXCEEDED if exceeded else GOOD, content, written=tuple(str(path) for path in written))
 
 
 def read_program(

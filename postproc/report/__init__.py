@@ -4,7 +4,6 @@ from postproc.report.deviation import page
 from postproc.report.forces import COLUMNS as FORCE_COLUMNS
 from postproc.report.forces import forces_csv
 from postproc.report.summary import Summary, issue_entry, summary, to_json
-from postproc.report.tables import table
 from postproc.report.targets import COLUMNS, targets_csv
 from postproc.report.text import issue_line, of_many, of_one
 
@@ -19,7 +18,6 @@ __all__ = [
     "of_one",
     "page",
     "summary",
-    "table",
     "targets_csv",
     "to_json",
 ]

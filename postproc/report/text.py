@@ -1,11 +1,11 @@
-"""Summaries for a terminal: of one program, and a table for many. Plain text, the same when piped."""
+"""Summaries for a terminal: of one program, and a table for many."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
-from postproc.report.tables import table
+from postproc.report.tables import PLAIN, Display
 from postproc.report.verdict import WORDS, State
 
 _TOLD: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
@@ -13,14 +13,17 @@ _REASONS = 8
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
 
-def of_one(content: Summary, styled: Callable[[str, State], str] = lambda text, _: text) -> str:
+def of_one(content: Summary, display: Display = PLAIN) -> str:
     """Return the summary of one program on one screen: the verdict, the paper's Table 3, what else there is to know.
 
-    :param styled: the verdict as the terminal is to show it, for its state.
+    :param display: how it looks.
     """
     verdict = content["verdict"]
     word = WORDS[content["mode"] != "predict", verdict["state"]]
-    lines = [f"{content['program']}  on {content['robot']}: {targets(content)}", styled(word, verdict["state"])]
+    lines = [
+        f"{content['program']}  on {content['robot']}: {targets(content)}",
+        display.verdict(word, verdict["state"]),
+    ]
     lines += [f"  - {reason}" for reason in verdict["reasons"][:_REASONS]]
     if len(verdict["reasons"]) > _REASONS:
         lines.append(f"  - {len(verdict['reasons']) - _REASONS} more reasons: see the report")
@@ -31,11 +34,11 @@ def of_one(content: Summary, styled: Callable[[str, State], str] = lambda text, 
         lines.append(f"  {nothing}")
     elif content["mode"] == "predict":
         rows = [(label, millimetres(content["before"][key])) for label, key in _ROWS]  # type: ignore[literal-required]
-        lines.append(table(("deviation [mm]", "predicted"), rows, (1,), "  "))
+        lines.append(display.table(("deviation [mm]", "predicted"), rows, (1,), "  "))
     else:
         pairs = [(label, content["before"][key], content["after"][key]) for label, key in _ROWS]  # type: ignore[literal-required]
         rows = [(label, millimetres(old), millimetres(new), times(old, new)) for label, old, new in pairs]
-        lines.append(table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
+        lines.append(display.table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
     lines += ["", *_facts(content)]
     lines += [issue_line(issue, content["program"]) for issue in content["issues"] if issue["level"] == "info"]
     return "\n".join(lines)
@@ -92,10 +95,11 @@ def issue_line(issue: IssueEntry, program: str) -> str:
     return f"{issue['level']}: {where}: {issue['message']}{more}"
 
 
-def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
+def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
     """Return a table of many programs.
 
     :param rows: name, summary (None where it failed) and one word on what came of it.
+    :param display: how it looks.
     """
     lengths_mm = ("max before", "max after", "rms before", "rms after")
     head = ("program", "targets", *(f"{title} [mm]" for title in lengths_mm), "compensated", "result")
@@ -118,7 +122,7 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]]) -> str:
         targets_in_all = str(sum(content["targets"] for content in written))
         total = f"all {len(rows)}, at most"
         cells.append((total, targets_in_all, *map(millimetres, worst), "", "", "", ", ".join(told)))
-    return table(head, cells, right=range(1, 7))
+    return display.table(head, cells, right=range(1, 7))
 
 
 def number(value: float | None, places: int) -> str:

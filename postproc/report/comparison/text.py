@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from postproc.report.comparison.summary import ComparisonSummary
-from postproc.report.tables import table
+from postproc.report.tables import PLAIN, Display
 from postproc.report.text import millimetres
 from postproc.report.verdict import State
 
@@ -19,22 +17,22 @@ _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p9
 _SHOWN = 5
 
 
-def of_comparison(content: ComparisonSummary, styled: Callable[[str, State], str] = lambda text, _: text) -> str:
+def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     """Return the summary of a comparison on one screen.
 
-    :param styled: the verdict as the terminal is to show it, for its state.
+    :param display: how it looks.
     """
     verdict, cut = content["verdict"], content["cut"]
     lines = [
         f"{content['corrected']} against {content['nominal']}  on {content['robot']}: {counted(content)}",
-        styled(WORDS[verdict["state"]], verdict["state"]),
+        display.verdict(WORDS[verdict["state"]], verdict["state"]),
         *(f"  - {reason}" for reason in verdict["reasons"]),
         "",
     ]
     head = ["at cutting targets [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
     sources = [content["offset"]] + ([cut["nominal"], cut["corrected"]] if cut is not None else [])
     rows = [(label, *(millimetres(source[key]) for source in sources)) for label, key in _ROWS]  # type: ignore[literal-required]
-    lines += [table(head, rows, range(1, len(head)), "  "), ""]
+    lines += [display.table(head, rows, range(1, len(head)), "  "), ""]
     lines.append(f"  orientation: {content['rotation']['max_deg']:.4f}° at most")
     for pair in content["largest"][:_SHOWN]:
         if pair["mm"] > 0.0:

@@ -1,0 +1,48 @@
+"""How summaries look on a terminal: coloured, in tables as wide as it; plain where stdout goes elsewhere."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from postproc.report.tables import PLAIN, Display
+
+if TYPE_CHECKING:
+    from postproc.report.verdict import State
+
+_COLOURS: dict[State, str] = {"ok": "green", "warning": "yellow", "failed": "red"}
+
+
+class _Terminal:
+    def verdict(self, text: str, state: State) -> str:
+        return click.style(text, fg=_COLOURS[state], bold=True)
+
+    def table(
+        self, head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = ""
+    ) -> str:
+        from rich import box
+        from rich.console import Console
+        from rich.padding import Padding
+        from rich.table import Table
+        from rich.text import Text
+
+        drawn = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        for column, title in enumerate(head):
+            number = column in right
+            drawn.add_column(
+                Text(title), justify="right" if number else "left", no_wrap=number, min_width=4, overflow="fold"
+            )
+        for row in rows:
+            drawn.add_row(*map(Text, row))
+        console = Console(legacy_windows=False)
+        with console.capture() as shown:
+            console.print(Padding(drawn, (0, 0, 0, len(indent)), expand=False))
+        return shown.get().rstrip("\n")
+
+
+def display() -> Display:
+    """Return how summaries are to look on stdout."""
+    return _Terminal() if sys.stdout.isatty() else PLAIN
