@@ -56,21 +56,22 @@ def read_toml(path: Path, structure: type[T], error: type[InputError], example: 
 
 def convert(data: object, structure: type[T], file: str, error: type[InputError], example: str | None = None) -> T:
     """Check plain data against a msgspec structure; see `read_toml`."""
-    found = list(_wrong_keys(data, msgspec.inspect.type_info(structure), ""))
-    if found:
-        is_missing = any(problem.startswith("missing") for problem, _ in found)
-        advice = example if example and is_missing else None
-        errors = [error(problem, file=file, advice=valid) for problem, valid in found]
-        errors[-1] = error(found[-1][0], file=file, advice="\n".join(filter(None, (found[-1][1], advice))) or None)
-        raise together(errors)
     try:
         return msgspec.convert(data, structure)
     except (msgspec.ValidationError, OverflowError) as cause:
+        kind = msgspec.inspect.type_info(structure)
+        found = list(_wrong_keys(data, kind, ""))
+        if found:
+            is_missing = any(problem.startswith("missing") for problem, _ in found)
+            advice = example if example and is_missing else None
+            errors = [error(problem, file=file, advice=valid) for problem, valid in found]
+            errors[-1] = error(found[-1][0], file=file, advice="\n".join(filter(None, (found[-1][1], advice))) or None)
+            raise together(errors) from cause
         message, at = str(cause).removesuffix("`"), ""
         if " - at `$" in message:
             message, at = message.split(" - at `$")
             message = f"{at.removeprefix('.')}: {message}"
-        valid = _choices(msgspec.inspect.type_info(structure), at)
+        valid = _choices(kind, at)
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
         raise error(message, file=file, advice=valid) from cause

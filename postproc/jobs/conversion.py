@@ -9,21 +9,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from postproc import correction, files, interrupts, report
+from postproc import correction, files, forces, interrupts, report
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError
-from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
 from postproc.jobs import outputs
-from postproc.jobs.force_source import predicted, source_of
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.marking import marked
 from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
-from postproc.machining import ProcessSource
-from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
@@ -41,9 +37,9 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
         with interrupts.heard(), _no_collection():
             name = None if job.keeps_text else job.stem
             program = read_program(job.program, robot, cell, job.dialect, name)
-            result, source = _result(job, settings, cell, robot, program)
+            result, stock = _result(job, settings, cell, robot, program)
             if not result.failed:
-                content, contents = _contents(job, settings, cell, result, source)
+                content, contents = _contents(job, settings, cell, result, stock)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.set_aside(job, settings.mode))
     file = str(job.program)
@@ -92,14 +88,21 @@ def _no_collection() -> Iterator[None]:
 
 def _result(
     job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program
-) -> tuple[Result, ForceSource | None]:
-    source = source_of(job.forces, cell)
-    if settings.mode == "predict" and isinstance(source, ProcessSource):
-        result, source = predicted(program, robot, cell, source)
+) -> tuple[Result, bytes | None]:
+    """Return the result, and what a process leaves of its stock."""
+    mode, linearize, stock = settings.mode, settings.linearize_arcs, None
+    if job.process is None:
+        source = None if job.forces is None else forces.read(job.forces)
+        result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize, to=job.to)
     else:
-        result = correction.process(
-            program, robot, cell, source, settings.mode, linearize_arcs=settings.linearize_arcs, to=job.to
-        )
+        from postproc.jobs import process_forces  # what a cutter does is imported with it
+
+        process = process_forces.read(job.process, cell)
+        if mode == "predict":
+            result, process = process_forces.predicted(program, robot, cell, process)
+        else:
+            result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
+        stock = None if result.failed else process_forces.stock(process)
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)
@@ -108,11 +111,11 @@ def _result(
         written = f"{job.stem}{job.writer.extension}"
         note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
-    return result, source
+    return result, stock
 
 
 def _contents(
-    job: Job, settings: Settings, cell: Cell, result: Result, source: ForceSource | None
+    job: Job, settings: Settings, cell: Cell, result: Result, stock: bytes | None
 ) -> tuple[Summary, dict[str, bytes | Iterable[bytes]]]:
     """Return the summary, and what to write: file name → content."""
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
@@ -130,12 +133,11 @@ def _contents(
         from postproc.jobs.part_file import surface_of  # meshes and trees of points are imported with it
         from postproc.report.surface import ply
 
-        shapes = job.forces if isinstance(source, ProcessSource) else None
-        surface = surface_of(result, settings.part, shapes)
+        surface = surface_of(result, settings.part, job.process)
         contents[f"{stem}surface.ply"] = ply(surface, cell.output.tolerance_mm * M_PER_MM)
     contents[f"{stem}report.html"] = report.page(result, tolerance, surface)
-    if isinstance(source, ProcessSource) and source.found is not None:
-        contents[f"{stem}stock.glb"] = bytes(as_trimesh(*source.found.mesh()).export(file_type="glb"))
+    if stock is not None:
+        contents[f"{stem}stock.glb"] = stock
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:

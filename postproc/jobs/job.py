@@ -8,6 +8,9 @@ from pathlib import Path
 from postproc.correction import Mode
 from postproc.dialects import Writer, registry
 
+_PROCESS = ".toml"
+"""The extension by which a process is told from other files of forces."""
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
@@ -38,6 +41,11 @@ class Job:
         """Return what the written files are called, without extension."""
         return self.program.stem if self.name is None else self.name
 
+    @property
+    def process(self) -> Path | None:
+        """The process.toml from which its forces are computed."""
+        return self.forces if self.forces is not None and self.forces.suffix.lower() == _PROCESS else None
+
     def reads(self) -> list[Path]:
         """Return the files that are read for this program, beside the cell."""
         beside = registry.by_name(self.dialect).companions(self.program)
@@ -51,7 +59,7 @@ class Job:
         """Return the names of the files that may be written: programs, then reports."""
         report = self.report(mode).removesuffix("report.json")
         reports = [f"{report}{kind}" for kind in ("report.json", "targets.csv", "report.html")]
-        if self.forces is not None and self.forces.suffix.lower() == ".toml":
+        if self.process is not None:
             reports.append(f"{report}stock.glb")
         if mode == "predict":
             return reports

@@ -12,7 +12,7 @@ from scipy.optimize import fixed_point
 
 from postproc import correction
 from postproc.cli import main
-from postproc.jobs import force_source
+from postproc.jobs import process_forces
 from tests.machining.setting import AL7075, CELL, ROBOT, SAMPLES, gcode, process, read, tool
 from tests.machining.test_closed_forms import altintas
 
@@ -25,9 +25,9 @@ def test_force_and_deflection_agree_as_in_closed_form(tmp_path):
     """Stock on the right: the tool is pushed off and up, and cuts less wide and less deep by that."""
     program = read(tmp_path, TEXT)
     (tmp_path / "process.toml").write_text(process(tool(16, 3), BOX, 0.25))
-    source = force_source.source_of(tmp_path / "process.toml", CELL)
+    source = process_forces.read(tmp_path / "process.toml", CELL)
     nominal = correction.process(program, ROBOT, CELL, source, "predict")
-    result, _ = force_source.predicted(program, ROBOT, CELL, source)
+    result, _ = process_forces.predicted(program, ROBOT, CELL, source)
     row = int(np.argmin(np.abs(result.t - 0.5) + (program.motions.line[result.motion] != 6)))
     other = int(np.argmin(np.abs(nominal.t - result.t[row]) + (nominal.motion != result.motion[row])))
     # how the tip gives way in y and z: by the response to three forces that differ a little
@@ -41,7 +41,7 @@ def test_force_and_deflection_agree_as_in_closed_form(tmp_path):
             'frame = "BASE"',
         ]
         (tmp_path / "unit.toml").write_text("\n".join(text))
-        unit = correction.process(program, ROBOT, CELL, force_source.source_of(tmp_path / "unit.toml", CELL), "predict")
+        unit = correction.process(program, ROBOT, CELL, process_forces.read(tmp_path / "unit.toml", CELL), "predict")
         at = int(np.argmin(np.abs(unit.t - result.t[row]) + (unit.motion != result.motion[row])))
         steps.append(unit.deviation_before[at] / 100.0)
     compliance = np.array(steps).T

@@ -1,23 +1,19 @@
-"""What stands in a section of a page: plain data; `templates/page.html` says how each part looks."""
+"""What stands in a section of a page: plain data; `appearance` says how each part looks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import Literal
+
+import msgspec
+
+from postproc.report.kit.plots import Plot
 
 State = Literal["ok", "warning", "failed"]
 Kind = Literal["", "good", "warning", "error", "soft"]
 """How a text is shown: plain, or as good, as something to look at, as wrong, as less important."""
 
 
-class Part(Protocol):
-    """What can stand in a section; `template` names the macro of `templates/page.html` that shows it."""
-
-    template: ClassVar[str]
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
+class Cell(msgspec.Struct, frozen=True):
     """Text of a table or a fact.
 
     :param sort: what the column is sorted by where that is not the text.
@@ -30,8 +26,7 @@ class Cell:
     href: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(msgspec.Struct, frozen=True):
     """Row of a table; with `place` it chooses that place in all views.
 
     :param place: row of the page's columns, or None.
@@ -43,8 +38,7 @@ class Row:
     source_line: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
+class Table(msgspec.Struct, frozen=True):
     """Table: the first column names the row, the others are numbers, but for those named in `texts`.
 
     :param caption: says what the table shows, for those who do not see it.
@@ -53,7 +47,6 @@ class Table:
     :param note: a sentence below.
     """
 
-    template: ClassVar[str] = "table"
     head: tuple[str, ...]
     rows: tuple[Row, ...]
     caption: str
@@ -62,16 +55,13 @@ class Table:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Facts:
+class Facts(msgspec.Struct, frozen=True):
     """Names and what is known about them."""
 
-    template: ClassVar[str] = "facts"
     rows: tuple[tuple[str, Cell | str], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Tile:
+class Tile(msgspec.Struct, frozen=True):
     """A number to be seen from afar."""
 
     label: str
@@ -81,47 +71,39 @@ class Tile:
     kind: Kind = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Tiles:
+class Tiles(msgspec.Struct, frozen=True):
     """Some of them, side by side."""
 
-    template: ClassVar[str] = "tiles"
     tiles: tuple[Tile, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Note:
+class Note(msgspec.Struct, frozen=True):
     """A sentence."""
 
     text: str
     kind: Kind = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Notes:
+class Notes(msgspec.Struct, frozen=True):
     """Sentences, with a heading of their own or none.
 
     :param marked: as a list.
     """
 
-    template: ClassVar[str] = "notes"
     notes: tuple[Note, ...]
     title: str = ""
     marked: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(msgspec.Struct, frozen=True):
     """What to think of it all, in one word and one sentence."""
 
-    template: ClassVar[str] = "verdict"
     state: State
     word: str
     sentence: str
 
 
-@dataclass(frozen=True, slots=True)
-class View:
+class View(msgspec.Struct, frozen=True):
     """Room for something that a script of the page draws.
 
     :param name: of the script's view: the element gets the id ``NAME-view``, its controls ``NAME-controls``.
@@ -129,23 +111,23 @@ class View:
     :param note: a sentence below.
     """
 
-    template: ClassVar[str] = "view"
     name: str
     label: str
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Fold:
+class Fold(msgspec.Struct, frozen=True):
     """Parts that are shown when asked for."""
 
-    template: ClassVar[str] = "fold"
     title: str
     parts: tuple[Part, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+Part = Table | Facts | Tiles | Notes | Verdict | Plot | View | Fold
+"""What can stand in a section."""
+
+
+class Section(msgspec.Struct, frozen=True):
     """Section of a page.
 
     :param id: its anchor.

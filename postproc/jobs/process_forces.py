@@ -1,4 +1,4 @@
-"""Where the forces of a job come from: a table by lines, or a process whose cut depends on how the tool gives way."""
+"""Forces of a process: the cut depends on how the tool gives way. Imported only where a process is given."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from postproc import correction, forces, machining
+from postproc import correction, machining
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.errors import Issue
-from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array, norm
 from postproc.machining import ProcessSource, Shift
+from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.robot import RobotModel
 
-PROCESS = ".toml"
-"""The extension by which a process is told from other files of forces."""
 _ROUNDS = 8
 _HALF = 0.5
 """By this share of what the tip moves it is moved in a round: a whole step may go to and fro at walls cut again."""
@@ -28,16 +26,17 @@ _SHARE = 0.03
 """or by less than this share of the deflection: the cells of the map make about that."""
 
 
-def source_of(path: Path | None, cell: Cell) -> ForceSource | None:
-    """Return the source of forces of a file; None without one.
+def read(path: Path, cell: Cell) -> ProcessSource:
+    """Return the source of forces of a process.
 
     :raises ForceError: it is unusable.
     """
-    if path is None:
-        return None
-    if path.suffix.lower() != PROCESS:
-        return forces.read(path)
     return ProcessSource(machining.load(path), cell.tool.axis, cell.output.force_ramp_mm * M_PER_MM)
+
+
+def stock(source: ProcessSource) -> bytes | None:
+    """Return what is left of the stock, as GLB; None where it was not cut."""
+    return None if source.found is None else bytes(as_trimesh(*source.found.mesh()).export(file_type="glb"))
 
 
 def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSource) -> tuple[Result, ProcessSource]:
