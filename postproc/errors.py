@@ -101,6 +101,10 @@ class ProgramError(InputError):
     """A program cannot be read: not understood, incomplete, or not what its extension says."""
 
 
+class SubprogramError(ProgramError):
+    """A file that only other programs call: there is nothing in it to be converted by itself."""
+
+
 class CellError(InputError):
     """A cell file is unusable."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from postproc import jobs
-from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError
+from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.jobs import Job, Settings, convert_all, convert_one, find_jobs
 from tests import fabricated
 
@@ -264,6 +264,22 @@ def test_an_interrupt_while_files_are_replaced_waits_for_the_program_to_be_whole
     assert {path.name.split(".")[0] for path in Path("out").iterdir()} == {"a", "part"}
     assert len(list(Path("out").iterdir())) == 4
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_subprogram_of_a_folder_is_skipped_and_said_to_be_one(folder, computed, monkeypatch):
+    def read(documents, *_):
+        if documents[0].name == "sub.nc":
+            raise SubprogramError("this is a subprogram, O<sub>", file="sub.nc")
+        return fabricated.program()
+
+    monkeypatch.setattr("postproc.correction.read", read)
+    _touch("p/part.nc", "p/sub.nc")
+    part, sub = convert_all(find_jobs(["p"]), Settings(CELL))
+    assert (part.code, sub.code, sub.skipped, part.skipped) == (0, 0, True, False)
+    assert "a subprogram" in sub.message
+    assert "sub.nc" not in Path("p/corrected/index.html").read_text()
+    (alone,) = convert_all(find_jobs(["p/sub.nc"]), Settings(CELL))
+    assert (alone.code, alone.skipped) == (1, False)
 
 
 def test_an_unusable_cell_is_one_error_for_all(folder):

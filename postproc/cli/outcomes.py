@@ -101,7 +101,7 @@ def _print_failures(outcomes: Iterable[Outcome]) -> None:
     for outcome in outcomes:
         if outcome.message:
             text = told(outcome.message, outcome.traceback) if outcome.traceback else outcome.message
-            click.echo(f"Error: {text}", err=True)
+            click.echo(text if outcome.skipped else f"Error: {text}", err=True)
         for issue in outcome.issues:
             click.echo(issue_line(issue_entry(issue), outcome.program), err=True)
         if outcome.issues:
@@ -116,6 +116,8 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
     entry: dict[str, object] = {"program": outcome.program, "exit_code": outcome.code}
     if outcome.summary is not None:
         entry |= {**outcome.summary, "program": outcome.program}
+    elif outcome.skipped:
+        entry["skipped"] = outcome.message
     else:
         entry |= {"error": outcome.message, "issues": [issue_entry(issue) for issue in outcome.issues]}
         entry |= {"earlier": outcome.earlier}
@@ -124,7 +126,7 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
 
 def _word(outcome: Outcome) -> str:
     if outcome.summary is None:
-        return "FAILED"
+        return "skipped: a subprogram" if outcome.skipped else "FAILED"
     issues = outcome.summary["issues"]
     warnings = sum(issue["level"] == "warning" for issue in issues)
     word = "tolerance exceeded" if outcome.code else "written"

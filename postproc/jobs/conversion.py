@@ -13,7 +13,7 @@ from postproc import correction, files, forces, interrupts, report
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
-from postproc.errors import InputError, Issue, PostprocError
+from postproc.errors import InputError, Issue, PostprocError, SubprogramError
 from postproc.frames import M_PER_MM
 from postproc.jobs import outputs
 from postproc.jobs.inputs import read_documents
@@ -41,6 +41,8 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
             if not result.failed:
                 content, contents = _contents(job, settings, cell, result, stock)
     except Exception as cause:
+        if isinstance(cause, SubprogramError) and not job.named:
+            return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
         return replace(failure(job, cause), earlier=outputs.set_aside(job, settings.mode))
     file = str(job.program)
     if result.failed:

@@ -48,7 +48,7 @@ def find_jobs(
         read_as = dialect or registry.of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
         made = writer.valid(path.stem) if name is None and written_as != read_as else name
-        jobs.append(Job(path, read_as, folder, csv[path], made, to))
+        jobs.append(Job(path, read_as, folder, csv[path], made, to, named=str(path) in inputs))
     return jobs
 
 

@@ -22,6 +22,7 @@ class Job:
     :param forces: CSV file with its forces, or process.toml from which they are computed, or None.
     :param name: of the written program, and of the files beside it; None = that of the file.
     :param to: name of the format to write it in; None = its own if that is written, else KRL.
+    :param named: whether the user named the file, and not only its folder or a pattern.
     """
 
     program: Path
@@ -30,6 +31,7 @@ class Job:
     forces: Path | None = None
     name: str | None = None
     to: str | None = None
+    named: bool = True
 
     @property
     def keeps_text(self) -> bool:

@@ -39,7 +39,7 @@ class Outcome:
 
     :param program: its file as the user named it.
     :param code: 0 good, 1 nothing was written, 3 written but a stated tolerance is exceeded.
-    :param summary: content of `report.json`; None if nothing was written.
+    :param summary: content of `report.json`; None if nothing was written, with code 0 where nothing was to be.
     :param message: why nothing was written, where that is not told by `issues`.
     :param issues: what stands against the program, where it was read but not written.
     :param written: files written.
@@ -55,3 +55,8 @@ class Outcome:
     written: tuple[str, ...] = ()
     earlier: str = ""
     traceback: str = ""
+
+    @property
+    def skipped(self) -> bool:
+        """Whether nothing was to be written: a subprogram, which is converted with the programs that call it."""
+        return self.summary is None and self.code == GOOD

@@ -40,7 +40,9 @@ def write(jobs: Sequence[Job], outcomes: Sequence[Outcome], mode: Mode) -> list[
     for folder in folders(jobs, mode):
         failed = [known[str(job.program)] for job in jobs if job.output == folder and str(job.program) in known]
         entries = [
-            Entry(Path(outcome.program).name, "", None, _why(outcome)) for outcome in failed if outcome.summary is None
+            Entry(Path(outcome.program).name, "", None, _why(outcome))
+            for outcome in failed
+            if outcome.summary is None and not outcome.skipped
         ]
         entries += [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
         content = sealed(_HEAD + index_page(entries, folder.resolve().name))

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from postproc.dialects import gcode
-from postproc.errors import ProgramError
+from postproc.errors import ProgramError, SubprogramError
 from postproc.program import Program
 from tests.dialects.gcode_reading import CELL, ends, forward, outcome, read
 from tests.oracle.rs274 import RejectedError, accepts, assert_same_moves, canonical, needs_rs274
@@ -43,6 +43,8 @@ PROGRAMS = {
     "M98 shares parameters": "#1=3\nM98 P5\nG1 Y#1\nM2\nO5\nG1 X#1\n#1=[#1*2]\nM99",
     "L0": "M98 P5 L0\nG1 Y1\nM2\nO5\nG1 X1\nM99",
     "a subprogram after the call": "o5 call [2]\nG1 Y1\nM2\no5 sub\nG1 X#1\no5 endsub",
+    "the label of return says nothing": "o1 sub\no2 if [#1 GT 3]\no2 return [5]\no2 endif\nG1 X1\no1 endsub\n"
+    "o1 call [9]\nG1 Y#<_value>\no1 call [1]",
     "exists": "#<a>=1\nG1 X[EXISTS[#<a>]+1] Y[EXISTS[#<b>]+1]",
     "blocks deleted or not, numbered": "/N10 o1 repeat [2]\nN20 G91 G1 X1\nn30 o1 endrepeat\n/G1 Y[1+1]",
     "comments": "o1 repeat [2] (times) ; so\nG91 G1 X1(one)Y1\no1 endrepeat",
@@ -149,6 +151,48 @@ def test_a_fault_in_another_file_names_it(tmp_path: Path) -> None:
     with pytest.raises(ProgramError, match=r"^100\.nc:2: ") as caught:
         read_in(folder(tmp_path, **{"100_nc": "O100\nG1 X#9\nM99"}), f"{HEAD}M98 P100\nM30")
     assert "G1 X#9" in str(caught.value)
+
+
+ONLY_CALLED = {
+    "hole.ngc": "(a hole)\no<hole> sub\nG1 X1 F60\no<hole> endsub\n",
+    "two.ngc": "%\no1 sub\nG1 X1\no1 endsub\no2 sub\no1 call\no2 endsub\nM2\n%\n",
+    "O0100.nc": "O0100 (POCKET)\nN10 G91 G1 X4\nN20 M99\n",
+}
+
+
+@pytest.mark.parametrize("name", ONLY_CALLED)
+def test_a_file_that_is_only_called_says_so(name: str) -> None:
+    with pytest.raises(SubprogramError, match="this is a subprogram, O"):
+        read_file(name, ONLY_CALLED[name])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("part.nc", "G0 X1 Y1 Z1\nM99"),
+        ("100.nc", "G0 X1 Y1 Z1\nM98 P5\nM30\nO5\nG1 X#9 F60\nM99"),
+        ("100.nc", "o1 sub\no1 endsub\nG1 X#1"),
+    ],
+)
+def test_a_program_is_not_taken_for_a_subprogram(name: str, text: str) -> None:
+    with pytest.raises(ProgramError) as caught:
+        read_file(name, text)
+    assert not isinstance(caught.value, SubprogramError)
+
+
+def read_file(name: str, text: str) -> Program:
+    return gcode.read(gcode.decode(name, text.encode()), CELL, forward, "part")
+
+
+def test_a_program_that_executes_nothing_is_an_error() -> None:
+    with pytest.raises(ProgramError, match="moves nothing"):
+        read("o1 if [0]\nG0 X1 Y1 Z1\no1 endif")
+
+
+def test_all_files_that_are_executed_belong_to_the_program(tmp_path: Path) -> None:
+    folder(tmp_path, slot_ngc="o<slot> sub\nG1 X1\no<slot> endsub\n", other_ngc="o<other> sub\no<other> endsub")
+    program = read_in(tmp_path, f"{HEAD}o<slot> call\nM2\n")
+    assert [document.name for document in program.documents] == ["part.ngc", "slot.ngc"]
 
 
 NUMBERS = st.sampled_from(["0", "1", "2", "3", ".5", "10", "-2", "+1.5", "7.25", "0.00005"])

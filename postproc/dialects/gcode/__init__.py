@@ -36,7 +36,8 @@ from postproc.cell import Cell
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.codes import WORK_OFFSETS
-from postproc.dialects.gcode.execution import Executed, executed
+from postproc.dialects.gcode.executed import Executed
+from postproc.dialects.gcode.execution import executed
 from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import Setting
@@ -118,7 +119,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
     return Program(
         name=name,
         dialect="gcode",
-        documents=(document,),
+        documents=run.documents,
         motions=replace(path.motions, line=line),
         bases=base[None],
         tools=np.stack(tools),

@@ -1,7 +1,8 @@
 """O-words, M98 and M99: what the lines of a file say about the order in which lines are executed.
 
-Labels of IF, WHILE, DO and REPEAT belong to the subprogram that they stand in. A number alone (``O100``) begins a
-subprogram of Fanuc's kind, which M98 calls and M99 ends; ``O100 SUB`` … ``O100 ENDSUB`` is LinuxCNC's.
+Labels of IF, WHILE, DO and REPEAT belong to the subprogram that they stand in; that of RETURN says nothing. A number
+alone (``O100``) begins a subprogram of Fanuc's kind, which M98 calls and M99 ends; ``O100 SUB`` … ``O100 ENDSUB`` is
+LinuxCNC's.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ _LITERAL = re.compile(
     r"|[A-Z](?![#\[+-]|(?:ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)\[)"
 )
 _ORDER = re.compile(r"M0*(2|30|98|99)(?![\d.])")
+_SAYS_NOTHING = re.compile(r"[\x01/%]*(?:N\d+)?\x01*(?:M0*(?:2|30))?\x01*")
+_NUMBERED = re.compile(r"[Oo]?(\d+)")
 _TESTED = ("IF", "ELSEIF", "WHILE", "REPEAT")
 _OPENED_BY = {
     "ENDSUB": ("SUB",),
@@ -124,6 +127,23 @@ class Unit:
             self.lines[row] = _read(self.source.line(row).replace(MARK, ""))
         return self.lines[row]
 
+    def only_defines(self) -> str | None:
+        """Return the name of the subprogram that this file is, where it does nothing but define some; else None.
+
+        LinuxCNC's kind: nothing stands outside of SUB … ENDSUB. Fanuc's kind ends with M99, and is called by number.
+        """
+        inside = np.zeros(len(self.source), dtype=np.bool_)
+        for first in self.subs.values():
+            inside[first : self.links.get(first, (first,))[-1] + 1] = True
+        outside = np.flatnonzero(~inside).tolist()
+        if self.subs and all(_SAYS_NOTHING.fullmatch(self.source.line(row)) for row in outside):
+            return f"O<{next(iter(self.subs))}>"
+        number = _NUMBERED.fullmatch(self.document.name.partition(".")[0])
+        if number:
+            ends = {end for row in outside if self.following[row] == row for end in ordered(self.source.line(row))}
+            return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
+        return None
+
     def _connect(self, notable: Ints) -> None:
         """Find which O-words belong together."""
         open_: list[tuple[str, str, list[int]]] = []
@@ -143,9 +163,12 @@ class Unit:
                 open_.append((keyword, label, [row]))
             elif keyword in _OPENED_BY:
                 wanted = _OPENED_BY[keyword]
-                at = next(
-                    (n for n in reversed(range(len(open_))) if open_[n][0] in wanted and open_[n][1] == label), -1
-                )
+                fits = [
+                    n
+                    for n, (word, name, _) in enumerate(open_)
+                    if word in wanted and (name == label or keyword == "RETURN")
+                ]
+                at = fits[-1] if fits else -1
                 if at < 0:
                     self.faults.append(
                         Fault(row, f"O{label} {keyword} without O{label} {' or '.join(wanted)} before it")

@@ -3,17 +3,11 @@
 Subprograms, loops and branches are written out: what comes out is a program of plain lines, which is then read like any
 other, and each line of it knows where it stands. Runs of lines that hold neither parameters nor O-words are taken over
 as they are, so that this costs little for a program whose subprograms are paths.
-
-A subprogram that is not in the file is looked for in the folder of the program: ``O<name> CALL`` in ``name.ngc``, M98
-P100 in ``100.ngc``, ``O100.nc``, ``o0100.nc`` and so on, first with the extension of the program.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +15,15 @@ import numpy as np
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.blocks import BlockError, Fault
 from postproc.dialects.gcode.control import Block, Order, Unit, is_controlled, ordered
+from postproc.dialects.gcode.executed import Executed, Piece, put_together
 from postproc.dialects.gcode.expressions import whole
 from postproc.dialects.gcode.parameters import Parameters
-from postproc.dialects.gcode.words import MARK, Source
-from postproc.dialects.text import decode, line_starts
-from postproc.errors import MOST, ProgramError
-from postproc.program import Document, Ints
+from postproc.dialects.gcode.subprograms import Library
+from postproc.dialects.gcode.words import MARK
+from postproc.dialects.text import line_starts
+from postproc.errors import MOST, SubprogramError
+from postproc.program import Document
 
-_EXTENSIONS = (".ngc", ".nc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp", ".txt", ".sub", "")
 _MOST_ORDERS = 2_000_000
 """So many lines with parameters or O-words are executed at most: more are taken for an endless loop."""
 _MOST_ROWS = 10_000_000
@@ -38,43 +33,24 @@ _CALL = re.compile(r"([PL])([+-]?(?:\d+\.?\d*|\.\d+))|M0*9[89]")
 _ENDLESS = "An endless loop? Check what ends it."
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Executed:
-    """A program as it is executed.
-
-    :param source: its lines in order, each as often as it is executed.
-    :param documents: the files that they stand in, the program first.
-    :param document: (L,) which of these each line stands in.
-    :param line: (L,) its 1-based line there.
-    :param main: (L,) its line in the program itself: for one of another file, that of the call.
-    :param faults: why it could not be executed (further), in rows of `source`.
-    """
-
-    source: Source
-    documents: tuple[Document, ...]
-    document: Ints
-    line: Ints
-    main: Ints
-    faults: tuple[Fault, ...] = ()
-
-
 def executed(document: Document) -> Executed:
-    """Execute what decides about the order of lines and about their numbers."""
+    """Execute what decides about the order of lines and about their numbers.
+
+    :raises SubprogramError: there is nothing to be executed, only to be called.
+    """
     source = words.split(document, line_starts(document.text))
     if is_controlled(source):
-        return _Run(Unit.of(document, source)).result()
+        unit = Unit.of(document, source)
+        name = None if unit.faults else unit.only_defines()
+        if name is not None:
+            raise SubprogramError(
+                f"this is a subprogram, {name}",
+                file=document.name,
+                advice="It is converted with each program that calls it: convert that.",
+            )
+        return _Run(unit).result()
     line = np.arange(1, len(source) + 1)
     return Executed(source, (document,), np.zeros(len(source), dtype=np.int64), line, line)
-
-
-class _Piece(NamedTuple):
-    """Lines `first` to `last` (exclusive) of a file; `text` if one that is executed with other words than it has."""
-
-    unit: int
-    first: int
-    last: int
-    main: int
-    text: str | None = None
 
 
 class _Frame(NamedTuple):
@@ -98,15 +74,15 @@ class _EndError(Exception):
 
 class _Run:
     def __init__(self, unit: Unit) -> None:
-        self.units = [unit]
+        self.library = Library(unit)
+        self.units = self.library.units
         self.unit, self.row, self.main = 0, 0, -1
         self.known = Parameters()
         self.frames: list[_Frame] = []
         self.counts: dict[tuple[int, int, int], int] = {}
-        self.pieces: list[_Piece] = []
+        self.pieces: list[Piece] = []
         self.rows = self.orders = 0
         self.wrong: dict[tuple[int, int], Fault] = {}
-        self.files: dict[str, Path] | None = None
 
     def result(self) -> Executed:
         """Execute the program from its first line, unless its O-words are wrong."""
@@ -117,7 +93,7 @@ class _Run:
                 self._step()
         except _EndError:
             pass
-        return self._written()
+        return put_together(self.units, self.pieces, list(self.wrong.values()))
 
     def _step(self) -> None:
         unit, row = self.units[self.unit], self.row
@@ -148,7 +124,7 @@ class _Run:
 
     def _take(self, first: int, last: int, text: str | None = None) -> None:
         main = self.main if self.unit else -1
-        self.pieces.append(_Piece(self.unit, first, last, main, text))
+        self.pieces.append(Piece(self.unit, first, last, main, text))
         self.rows += last - first
 
     def _wrong(self, row: int, problem: str, advice: str | None = None) -> None:
@@ -196,7 +172,7 @@ class _Run:
         if "P" not in number:
             raise BlockError("M98 without P", "Write M98 P100 L3: subprogram O100, three times.")
         label, times = str(whole(number["P"])), whole(number.get("L", 1.0))
-        found = self._find(label, own=False)
+        found = self.library.find(label, self.unit, own=False)
         if found is None:
             advice = "Write M98 P100 L3 for three times." if number["P"] >= 1e4 and "L" not in number else None
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
@@ -284,117 +260,17 @@ class _Run:
     def _call(self, row: int, order: Order) -> None:
         label = order.label if isinstance(order.label, str) else str(whole(order.label(self.known)))
         arguments = [value(self.known) for value in order.values]
-        found = self._find(label, own=True)
+        found = self.library.find(label, self.unit, own=True)
         if found is None:
             raise BlockError(f"subprogram O<{label}> is neither in this file nor in its folder", None)
         self._enter(_Frame(label, True, self.unit, self.row, self.main, 0, found[1]), found[0], row)
         self.known.enter(arguments)
 
     def _return(self, order: Order) -> None:
-        if not self.frames or not self.frames[-1].own or self.frames[-1].label != order.label:
+        frame = self.frames[-1] if self.frames else None
+        if frame is None or not frame.own or (order.keyword == "ENDSUB" and frame.label != order.label):
             raise BlockError(f"O{order.label} {order.keyword} outside of O{order.label} SUB", None)
         value = order.values[0](self.known) if order.values else 0.0
         self._leave()
         self.known.put("_value", value)
         self.known.put("_value_returned", float(len(order.values)))
-
-    def _find(self, label: str, *, own: bool) -> tuple[int, int] | None:
-        """Return file and first row of a subprogram."""
-        for n in dict.fromkeys((self.unit, 0)):
-            place = (self.units[n].subs if own else self.units[n].numbers).get(label)
-            if place is not None:
-                return n, place + 1
-        loaded = self._loaded(label)
-        if loaded is None:
-            return None
-        unit = self.units[loaded]
-        place = (unit.subs if own else unit.numbers).get(label, -1)
-        if own and place < 0:
-            raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
-        return loaded, place + 1
-
-    def _loaded(self, label: str) -> int | None:
-        """Return the file of the folder that a subprogram stands in."""
-        for n, unit in enumerate(self.units):
-            if n and _stem(unit.document.name) == label:
-                return n
-        path = self._file(label)
-        if path is None:
-            return None
-        try:
-            document = replace(decode(path.name, path.read_bytes()), folder=str(path.parent))
-        except OSError as cause:
-            raise BlockError(f"subprogram O{label}: {path.name} cannot be read ({cause.strerror})", None) from cause
-        except ProgramError as cause:
-            raise BlockError(f"subprogram O{label}: {cause.problem}", None) from cause
-        unit = Unit.of(document, words.split(document, line_starts(document.text)))
-        if unit.faults:
-            problem, line = unit.faults[0].problem, unit.faults[0].row + 1
-            raise BlockError(f"subprogram O{label}: {path.name}:{line}: {problem}", None)
-        self.units.append(unit)
-        return len(self.units) - 1
-
-    def _file(self, label: str) -> Path | None:
-        main = self.units[0].document
-        if self.files is None:
-            self.files = {}
-            folder = Path(main.folder) if main.folder else None
-            for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
-                if path.name != main.name and path.suffix.lower() in (*_EXTENSIONS, Path(main.name).suffix.lower()):
-                    self.files[path.name.lower()] = path
-        for extension in dict.fromkeys((Path(main.name).suffix.lower(), *_EXTENSIONS)):
-            for name, path in self.files.items():
-                if Path(name).suffix == extension and _stem(name) == label and path.is_file():
-                    return path
-        return None
-
-    def _written(self) -> Executed:
-        """Return the lines that were executed as one program."""
-        units = self.units
-        documents = tuple(unit.document for unit in units)
-        code = b"\n" + b"".join(self._bytes())
-        unit, first, last, main = (
-            np.array(column) for column in zip(*(piece[:4] for piece in self.pieces), strict=True)
-        )
-        count = last - first
-        row = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
-        document, main = np.repeat(unit, count), np.repeat(main, count)
-        comments, rows = self._comments(document, row)
-        ends = np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n"))
-        source, line = Source(code, ends, comments, rows + 1), row + 1
-        return Executed(
-            source, documents, document, line, np.where(main < 0, line, main + 1), tuple(self.wrong.values())
-        )
-
-    def _bytes(self) -> Iterator[bytes]:
-        sources = [(unit.source.code, unit.source.ends.tolist()) for unit in self.units]
-        for piece in self.pieces:
-            if piece.text is not None:
-                yield piece.text.encode("ascii") + b"\n"
-            else:
-                code, ends = sources[piece.unit]
-                yield code[ends[piece.first] + 1 : ends[piece.last] + 1]
-
-    def _comments(self, document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
-        """Return the comments of the lines executed, and the row of each."""
-        texts: list[str] = []
-        at: list[Ints] = []
-        index: list[Ints] = []
-        for n, unit in enumerate(self.units):
-            rows = np.flatnonzero(document == n)
-            lines = unit.source.comment_lines - 1
-            begin, stop = np.searchsorted(lines, row[rows], "left"), np.searchsorted(lines, row[rows], "right")
-            count = stop - begin
-            at.append(np.repeat(rows, count))
-            index.append(len(texts) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - begin, count))
-            texts += unit.source.comments
-        order = np.argsort(np.concatenate(at), kind="stable")
-        chosen = np.concatenate(index)[order].tolist()
-        return tuple(texts[n] for n in chosen), np.concatenate(at)[order]
-
-
-def _stem(file: str) -> str:
-    """Return the label that a file is named by: ``O0100.nc`` → ``100``."""
-    stem = Path(file).stem.lower()
-    number = re.fullmatch(r"o?(\d+)", stem)
-    return stem if number is None else str(int(number[1]))

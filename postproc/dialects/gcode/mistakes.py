@@ -67,7 +67,7 @@ def _check_unknown(rows: Rows, moves: Moves, doubt: _Doubt, check: Callable[...,
     axes = np.asarray(~np.isnan(rows.xyz).all(axis=1))
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may stand anywhere before."
-    for first, complete in moves.unknown:
+    for first, complete in moves.unknown if len(line) else ():
         within = (line >= first) & (line <= complete)
         early = axes & within & ~doubt.position
         problem = "incremental move before the position is known"
