@@ -20,6 +20,22 @@ _FLAT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CommandedPath:
+    """A path as it is commanded.
+
+    :param sample: N places on the path.
+    :param arcs: the pieces of its arcs.
+    :param position: (N, 3) commanded positions at the places, `$BASE` [m].
+    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
+    """
+
+    sample: Toolpath
+    arcs: Pieces
+    position: Array
+    start: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Selection:
     """Rows of the samples that become targets, in order.
 
@@ -34,52 +50,40 @@ class Selection:
 
 
 def choose(
-    kind: Ints,
-    sample: Toolpath,
-    arcs: Pieces,
-    command: Array,
-    start: Array,
-    limit: float,
-    whole: Bools,
-    every: Bools,
-    least_arc: tuple[float, float],
+    path: CommandedPath, kind: Ints, whole: Bools, every: Bools, limit: float, least_arc: tuple[float, float]
 ) -> Selection:
     """Choose targets.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
-    :param sample: N places on the path.
-    :param arcs: the pieces of its arcs.
-    :param command: (N, 3) commanded positions there, `$BASE` [m].
-    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
-    :param limit: what may be missed [m].
     :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
     :param every: (M,) motions of which every sample becomes a target.
+    :param limit: what may be missed [m].
     :param least_arc: see `dialects.dialect.Writer`; a piece of an arc that is less becomes a line.
     """
+    sample, arcs = path.sample, path.arcs
     chosen, kinds, via = sample.ends | every[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
     lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
     if len(lines):
-        nodes = _Nodes.of(lines, sample, command, start)
+        nodes = _Nodes.of(lines, path)
         chosen[nodes.row[_divided(nodes, limit)]] = True
     circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
     if len(circles):
-        before, middle, end = _ends(arcs, circles, sample, command, start)
-        curved = ~_is_flat(before, command[middle], command[end], *least_arc)
+        before, middle, end = _ends(path, circles)
+        curved = ~_is_flat(before, path.position[middle], path.position[end], *least_arc)
         chosen[end], kinds[end], via[end] = True, np.where(curved, CIRC, LIN), np.where(curved, middle, -1)
     row = np.flatnonzero(chosen)
     return Selection(row, kinds[row], via[row])
 
 
-def pieces_needed(arcs: Pieces, sample: Toolpath, command: Array, start: Array, limit: float) -> Pieces:
+def pieces_needed(path: CommandedPath, limit: float) -> Pieces:
     """Return how many pieces of arcs are needed, by what circles through twice as large ones miss.
 
-    :param command: (N, 3) commanded positions of the samples, `$BASE` [m].
-    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     :param limit: what may be missed [m].
     """
+    arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
-    begin, middle_row, end_row = _ends(arcs, stretch, sample, command, start)
+    begin, middle_row, end_row = _ends(path, stretch)
     before, quarter, middle = begin[::2], middle_row[::2], end_row[::2]
     three_quarters, end = middle_row[1::2], end_row[1::2]
     centre, radial, across, angle = circle_through(before, command[middle], command[end])
@@ -95,16 +99,17 @@ def pieces_needed(arcs: Pieces, sample: Toolpath, command: Array, start: Array, 
     return arcs.settled(number)
 
 
-def _ends(arcs: Pieces, stretch: Ints, sample: Toolpath, command: Array, start: Array) -> tuple[Array, Ints, Ints]:
+def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
     """Return where pieces start (n, 3), and the samples (n,) at their middle and end, for all pieces of stretches."""
+    arcs, sample = path.arcs, path.sample
     size = arcs.number * arcs.each
     first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
     number, each = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
     inside = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
     row = np.repeat(first[stretch], number) + inside * each
-    before = command[row - 1]
+    before = path.position[row - 1]
     fresh = (inside == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
-    before[fresh] = start[sample.motion[row[fresh]]]
+    before[fresh] = path.start[sample.motion[row[fresh]]]
     return before, row + each // 2 - 1, row + each - 1
 
 
@@ -121,13 +126,13 @@ class _Nodes:
     first: Ints
 
     @classmethod
-    def of(cls, motions: Ints, sample: Toolpath, command: Array, start: Array) -> _Nodes:
-        count = np.bincount(sample.motion, minlength=len(start))
+    def of(cls, motions: Ints, path: CommandedPath) -> _Nodes:
+        count = np.bincount(path.sample.motion, minlength=len(path.start))
         size = count[motions] + 1
         first = np.cumsum(size) - size
         row = np.arange(size.sum()) + np.repeat((np.cumsum(count) - count)[motions] - first - 1, size)
-        t, position = sample.t[row], command[row]
-        row[first], t[first], position[first] = -1, 0.0, start[motions]
+        t, position = path.sample.t[row], path.position[row]
+        row[first], t[first], position[first] = -1, 0.0, path.start[motions]
         return cls(row, t, position, first)
 
 

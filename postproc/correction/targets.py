@@ -36,7 +36,7 @@ class Chosen:
 def pieces_needed(path: PathUnderLoad, command: Compensation) -> Pieces:
     """Return how many pieces of arcs are needed, by what larger ones miss."""
     limit = SHARE_OF_TOLERANCE * path.setting.tolerance
-    return select.pieces_needed(path.arcs, path.sample, command.pose[:, :3, 3], _starts(path, command), limit)
+    return select.pieces_needed(_commanded(path, command), limit)
 
 
 def chosen(
@@ -50,21 +50,21 @@ def chosen(
     """
     program, sample, m = path.program, path.sample, path.program.motions
     whole, kept = _unchanged(path, command)
-    position, start = command.pose[:, :3, 3], _starts(path, command)
+    commanded = _commanded(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     limit = SHARE_OF_TOLERANCE * path.setting.tolerance
     every = toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1
-    selected = select.choose(kind, sample, path.arcs, position, start, limit, whole, every, least_arc)
+    selected = select.choose(commanded, kind, whole, every, limit, least_arc)
     movable = np.isnan(m.joints[sample.motion[selected.row], 0])
     row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
     motion = sample.motion[row]
     via = np.full((len(row), 3), np.nan)
     arcs = via_row >= 0
-    via[arcs] = position[via_row[arcs]]
+    via[arcs] = commanded.position[via_row[arcs]]
     status, turn = _status_and_turn(program, path.setting.robot, motion, command.q[row])
     keep = kept[motion] & (sample.t[row] == 1.0)
     targets = Targets(motion, sample.t[row], target_kind, command.pose[row], via, keep, status, turn, m.blend[motion])
-    corners, arrive = blending.of_targets(program, targets, start)
+    corners, arrive = blending.of_targets(program, targets, commanded.start)
     blend = blending.distances(program, targets, corners, path.setting.cell)
     return Chosen(replace(targets, blend=blend), row, arrive)
 
@@ -89,6 +89,10 @@ def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools
     last_other = np.maximum.accumulate(np.where(arcs, -1, rows))
     kept = np.where(arcs, last_changed < last_other, ~end_moved)
     return np.where(m.kind == LIN, ~any_moved, kept), kept
+
+
+def _commanded(path: PathUnderLoad, command: Compensation) -> select.CommandedPath:
+    return select.CommandedPath(path.sample, path.arcs, command.pose[:, :3, 3], _starts(path, command))
 
 
 def _starts(path: PathUnderLoad, command: Compensation) -> Array:

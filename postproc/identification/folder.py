@@ -20,6 +20,22 @@ from postproc.identification.report_data import report_data
 from postproc.robot import RobotModel
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choices:
+    """What is identified, and how.
+
+    :param compensator: file of `identify compensator`, whose geometry is taken; None = that of the robot.
+    :param method: see `procedure.identify`.
+    :param structure: whether springs of links and stiffening gears are looked for.
+    :param geometry: calibrate the geometry too, with the springs found.
+    """
+
+    compensator: Path | None = None
+    method: Method = "enhanced"
+    structure: Depth = "auto"
+    geometry: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedFolder:
     """What was written.
@@ -52,18 +68,14 @@ def identify_folder(
     measurements: Path,
     experiment: Path,
     output: Path,
-    compensator: Path | None = None,
-    method: Method = "enhanced",
-    depth: Depth = "auto",
+    choices: Choices = Choices(),
     progress: Callable[[str], None] = lambda _: None,
     render: Callable[[dict[str, Any], str], bytes] | None = None,
-    geometry: bool = False,
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
-    :param geometry: calibrate the geometry too, with the springs found.
+    :param progress: told what is being done.
     :param render: makes `report.html` from the content of `identification.json` and the name of the model.
-
     :raises MeasurementError: the files are unusable.
     :raises InputError: the folder cannot be written.
     """
@@ -72,14 +84,15 @@ def identify_folder(
     shipped = robots.load(prior_folder)
     before = model_folder.without_found_springs(model_folder.read_prior(prior_folder, setup.payload, experiment.name))
     prior = robots.assemble(shipped.name, before, shipped.nominal)
-    if compensator is not None:
-        prior = with_compensator_geometry(prior, compensator)
-    result = identify(prior, read(measurements, setup), method, depth, progress)
+    marked = None
+    if choices.compensator is not None:
+        prior = with_compensator_geometry(prior, choices.compensator)
+        marked = f"identified from markers ({choices.compensator.name})"
+    result = identify(prior, read(measurements, setup), choices.method, choices.structure, progress)
     data = report_data(result)
-    marked = None if compensator is None else f"identified from markers ({compensator.name})"
-    source = f"identified from {measurements.name}, {method}"
+    source = f"identified from {measurements.name}, {choices.method}"
     content = model_folder.model_file(result, before, source, marked)
-    if geometry:
+    if choices.geometry:
         progress("geometry")
         found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
         content, data["geometry"] = found.content, calibration.report_data(found)

@@ -82,8 +82,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
-    settings = Settings(request.cell)
-    cell, robot = load_setup(settings)
+    cell, robot = load_setup(Settings(request.cell))
     nominal = read_program(request.nominal, robot, cell)
     corrected = read_program(request.corrected, robot, cell)
     if not corrected.keeps_text:
@@ -100,7 +99,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         refuse(foreign(folder, names, record))
     source = None if request.forces is None else forces.read(request.forces)
     found = compare(nominal, corrected, robot, cell, source)
-    made = _made_from(request, settings, cell, robot, nominal, corrected)
+    made = _made_from(request, cell, robot, nominal, corrected)
     content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
     contents: dict[str, bytes | Iterable[bytes]] = {
         pairs: pairs_csv(found),
@@ -116,7 +115,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
 
 def _made_from(
-    request: CompareRequest, settings: Settings, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program
+    request: CompareRequest, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program
 ) -> MadeFrom:
     """Return what is known of where the second program comes from."""
     writer = registry.by_name(corrected.dialect).writer
@@ -129,7 +128,7 @@ def _made_from(
     if said.state != "changed" or said.version != VERSION or not all(agrees.values()):
         return MadeFrom(said, agrees, () if said.state == "intact" else None)
     try:
-        again = _written_again(request, settings, cell, robot, nominal, corrected, said.mode)
+        again = _written_again(request, cell, robot, said.mode)
     except PostprocError:
         return MadeFrom(said, agrees)
     edited: list[tuple[str, int]] = []
@@ -144,20 +143,18 @@ def _made_from(
     return MadeFrom(said, agrees, tuple(edited), missing)
 
 
-def _written_again(
-    request: CompareRequest, settings: Settings, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program,
-    mode: str,
-) -> tuple[Document, ...]:  # fmt: skip
+def _written_again(request: CompareRequest, cell: Cell, robot: RobotModel, mode: str) -> tuple[Document, ...]:
     """Return the files that `convert` writes from the same inputs."""
     wanted: Mode = "nominal" if mode == "nominal" else "convert"
     name = request.corrected.stem
-    job = Job(request.nominal, nominal.dialect, request.corrected.parent, request.forces, name, corrected.dialect)
+    read_as, to = (registry.of_file(path).name for path in (request.nominal, request.corrected))
+    job = Job(request.nominal, read_as, request.corrected.parent, request.forces, name, to)
     source = None if request.forces is None else forces.read(request.forces)
     program = read_program(request.nominal, robot, cell, name=None if job.keeps_text else name)
     result = correction.process(program, robot, cell, source, wanted, to=job.to)
     if job.keeps_text and request.nominal.stem != name:
         result = replace(result, documents=job.writer.renamed(result.documents, name))
-    return marked(result, job, settings, cell).documents
+    return marked(result, job, Settings(request.cell), cell).documents
 
 
 def _edited(written: str, text: str) -> tuple[list[int], int]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from postproc.files import foreign_single, refuse
 from postproc.identification import (
+    Choices,
     IdentifiedFolder,
     compensator_geometry,
     geometry_folder,
@@ -15,33 +16,24 @@ from postproc.identification import (
     model_folder,
 )
 from postproc.identification.compensator_geometry import CompensatorGeometry
-from postproc.identification.procedure import Depth, Method
 from postproc.identification.validation import Validation, table, validate
 from postproc.jobs.outputs import protect
 from postproc.report.identification import page
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ElastostaticsRequest:
+class ElastostaticsRequest(Choices):
     """What compliances are identified from, how, and where the model folder is written.
 
     :param measurements: CSV file of readings, unloaded and loaded.
     :param experiment: experiment.toml.
     :param output: model folder to write.
-    :param compensator: file of `identify_compensator`, or None.
-    :param method: see `identification.procedure.identify`.
-    :param structure: whether springs of links and stiffening gears are looked for.
-    :param geometry: calibrate the geometry too.
     :param overwrite: replace files that postproc did not write.
     """
 
     measurements: Path
     experiment: Path
     output: Path
-    compensator: Path | None = None
-    method: Method = "enhanced"
-    structure: Depth = "auto"
-    geometry: bool = False
     overwrite: bool = False
 
 
@@ -71,17 +63,7 @@ def identify_elastostatics(
     """
     if not request.overwrite:
         model_folder.protect(request.output)
-    return identify_folder(
-        request.measurements,
-        request.experiment,
-        request.output,
-        request.compensator,
-        request.method,
-        request.structure,
-        progress,
-        page,
-        geometry=request.geometry,
-    )
+    return identify_folder(request.measurements, request.experiment, request.output, request, progress, page)
 
 
 def identify_geometry(

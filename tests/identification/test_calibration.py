@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
-from postproc.identification import calibration, geometry_folder, identify_folder
+from postproc.identification import Choices, calibration, geometry_folder, identify_folder
 from postproc.identification.placement import kabsch
 from samples.paper_study import harness, simulator
 
@@ -62,7 +62,9 @@ def test_eighteen_displacements_are_left_for_a_six_axis_arm():
 
 def test_geometry_and_sag_are_calibrated_to_a_tenth_of_a_millimetre(tmp_path):
     true = measured(tmp_path, gear="linear")
-    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "m", geometry=True)
+    done = identify_folder(
+        tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "m", Choices(geometry=True)
+    )
     assert done.data["geometry"]["chosen"] == "calibrated geometry with sag"
     before = error_elsewhere(true, harness.PRIOR, np.random.default_rng(9))
     after = error_elsewhere(true, robot.load(tmp_path / "m"), np.random.default_rng(9))
