@@ -22,6 +22,7 @@ from postproc.identification.measurements import Measurements
 from postproc.identification.readings import read
 from postproc.machining.process import ProcessFile
 from postproc.plan import milling
+from postproc.program import parse_force_note
 from postproc.report.comparison import PAIR_COLUMNS
 from postproc.report.targets import COLUMNS
 from postproc.robot import ModelFile
@@ -106,6 +107,31 @@ def test_every_column_is_described_and_the_example_is_read(tmp_path, title):
     assert sorted(described(title)) == sorted(valid)
 
 
+def example(title: str) -> list[str]:
+    """Return the lines of the block without a language in a section."""
+    (found,) = re.findall(r"^```\n(.*?)^```$", pages.section(title), re.M | re.S)
+    return found.splitlines()
+
+
+def test_the_force_comments_shown_are_read_as_they_say():
+    notes = [parse_force_note(line.strip("()"), 1, "part.nc") for line in example("Force comments")]
+    assert [note and (note.wrench, note.frame) for note in notes] == [
+        ((-110.0, -190.0, 130.0, 0.0, 0.0, 0.0), "FEED"),
+        ((0.0, 0.0, 85.5, 0.0, 0.0, -1.2), "BASE"),
+        ((0.0,) * 6, "BASE"),
+    ]
+
+
+@pytest.mark.parametrize(("title", "file"), [("part.mod", "pocket.mod"), ("part.src and part.dat", "pocket.src")])
+def test_lines_shown_of_a_written_program_stand_in_one(readme, title, file):
+    """Names and numbers may differ, and … is anything."""
+    written = (readme[0] / "out" / file).read_text(encoding="ascii")
+    for line in example(title):
+        pattern = re.escape(line.strip().replace("part", "pocket"))
+        pattern = re.sub(r"\\?-?\d+(?:\\\.\d+)*", lambda _: r"-?[\d.]+", pattern).replace("…", ".*")
+        assert re.search(rf"^ *{pattern}\r?$", written, re.M), line
+
+
 def test_columns_of_the_targets_and_of_pairs_are_those_described():
     assert described("part.targets.csv") == list(COLUMNS)
     assert described("part.compare.pairs.csv") == list(PAIR_COLUMNS)
@@ -151,6 +177,7 @@ def results(readme, tmp_path_factory):
     result = CliRunner().invoke(main, [*arguments, "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)])
     assert result.exit_code == 3, result.output
     return {
+        "forces.json": [readme[0] / "plate.forces.json", _forces_with_a_warning(folder)],
         "part.report.json": [
             readme[0] / "out" / "pocket.report.json",
             folder / "inline.report.json",
@@ -166,7 +193,23 @@ def results(readme, tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize("title", ["part.report.json", "part.compare.report.json", "identification.json", "plan.json"])
+def _forces_with_a_warning(folder: Path) -> Path:
+    """Return the forces.json of a program that goes through the material in a rapid move."""
+    (folder / "slot.nc").write_text("G90 G21\nT1 M6\nS8000 M3\nG0 X-20 Y0 Z-1\nG1 X20 F600\nG0 X40\nM2\n")
+    (folder / "slot.process.toml").write_text(
+        '[material]\nname = "al_6082_t6_carbide"\n[tools.1]\ndiameter_mm = 10\nflutes = 2\n'
+        "[stock]\nresolution_mm = 1.0\nbox = { X = [-10, 50], Y = [-20, 20], Z = [-10, 0] }\n"
+    )
+    arguments = ["forces", str(folder / "slot.nc"), "--cell", str(ROOT / "samples" / "cell_kr270.toml")]
+    arguments += ["--process", str(folder / "slot.process.toml"), "-o", str(folder / "slot.forces.csv")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    return folder / "slot.forces.json"
+
+
+@pytest.mark.parametrize(
+    "title", ["forces.json", "part.report.json", "part.compare.report.json", "identification.json", "plan.json"]
+)
 def test_every_key_of_a_result_is_described(results, title):
     found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}
     # nothing to say of a program; a model that states no uncertainty; a program that nobody edited
@@ -175,6 +218,46 @@ def test_every_key_of_a_result_is_described(results, title):
     unknown = {way for way in found if not any(matches(name, way) for name in told)}
     assert unknown == set(), f"FORMATS.md, {title}: say what these are"
     assert [name for name in told if not any(matches(name, way) for way in found)] == []
+
+
+PAGES = {
+    "part.report.html": ("deviation",),
+    "part.compare.report.html": ("comparison",),
+    "report.html of a model folder": ("identification",),
+    "plan.html": ("plan",),
+    "index.html": ("index.py",),
+}
+"""Page and what makes it, below `postproc/report`."""
+
+
+def ids(page: str) -> set[str]:
+    """Return the ids of sections that FORMATS.md names for a page."""
+    (row,) = re.findall(rf"^\| {re.escape(page)} \| (.*) \|$", pages.section("The pages"), re.M)
+    return set(re.findall(r"`([^`]+)`", row))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_section_that_the_code_makes_is_named(page):
+    at = ROOT.joinpath("postproc", "report", *PAGES[page])
+    sources = [at] if at.is_file() else sorted(at.rglob("*.py"))
+    made = {name for source in sources for name in re.findall(r'\bSection\(\s*"([\w-]+)"', source.read_text("utf-8"))}
+    assert ids(page) == made
+
+
+def test_every_section_of_a_page_is_named(readme, results):
+    folder, own = readme[0], results["plan.json"][1].parent
+    written = {
+        "part.report.html": [*(folder / "out").glob("*.report.html"), own / "pocket.predict.report.html"],
+        "part.compare.report.html": own.glob("*.compare.report.html"),
+        "report.html of a model folder": [folder / "my_robot" / "report.html", own / "model" / "report.html"],
+        "plan.html": [folder / "plan.html", own / "plan.html"],
+    }
+    for page, paths in written.items():
+        sections = {
+            name for path in paths for name in re.findall(r'<section[^>]* id="([^"]+)"', path.read_text("utf-8"))
+        }
+        assert sections, page
+        assert sections <= ids(page)
 
 
 def leaves(data: object, way: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
