@@ -75,12 +75,13 @@ class ToolCompliance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How strict to be and how to write; mm."""
+    """How strict to be and how to write; mm. Programs of more lines than `lines_per_file` are divided; 0: never."""
 
     tolerance_mm: Positive = 0.01
     max_correction_mm: Positive = 8.0
     force_ramp_mm: Positive = 1.0
     controller: Literal["KRC4", "KRC2"] = "KRC4"
+    lines_per_file: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
 
 
 class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -4,7 +4,9 @@
 
 It is a comment of the program's dialect, here KRL. 1 is the number of this format. `text` is the SHA-256 of the program
 without this line: of its main file, and of the others behind it. The other sums are those of the files that it was made
-from; ``-`` where there was none.
+from; ``-`` where there was none. Of a program in several files, the others say of which they are a part:
+
+;POSTPROC 1 part=2 of=partMain
 """
 
 from __future__ import annotations
@@ -52,6 +54,7 @@ class Provenance:
     :param version: of postproc; likewise.
     :param line: 1-based line that says it; 0 if there is none.
     :param sums: `source`, `cell`, `model` and `forces` as in `Origin`, as far as they are said.
+    :param part_of: name of the program that calls this one, which is but a part of it; empty if it is a whole one.
     """
 
     state: State
@@ -59,6 +62,7 @@ class Provenance:
     version: str = ""
     line: int = 0
     sums: Mapping[str, str] = field(default_factory=dict, compare=False)
+    part_of: str = ""
 
 
 def digest(contents: Iterable[bytes]) -> str:
@@ -82,6 +86,8 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
     if content is None or len(found) > 1 or int(content[1]) != FORMAT:
         return Provenance("changed", line=line)
     said = dict(part.split("=", 1) for part in content[2].split())
+    if "of" in said:
+        return Provenance("none", line=line, part_of=said["of"])
     state: State = "intact" if said.get("text") == _text(documents, found[0]) else "changed"
     sums = {name: value for name, value in said.items() if name in ("source", "cell", "model", "forces")}
     return Provenance(state, said.get("mode", ""), said.get("version", ""), line, sums)

@@ -16,6 +16,12 @@ def of_origin(program: Program, mode: Mode) -> list[Issue]:
     """Return what there is to say about a program that postproc wrote: it is not corrected a second time."""
     writer = registry.by_name(program.dialect).writer
     origin = None if writer is None else writer.origin(program.documents)
+    if origin is not None and origin.part_of:
+        message = (
+            f"this file is a part of {origin.part_of}, which calls it: where the robot stands before it, with which "
+            f"frames and speed, is said there. Name {origin.part_of} instead."
+        )
+        return [Issue("error", "part-of-program", message, origin.line)]
     if origin is None or origin.state == "none":
         return []
     if mode != "predict" and origin.mode != "nominal":

@@ -84,7 +84,7 @@ class Dialect(Protocol):
         ...
 
     def companions(self, path: Path) -> list[Path]:
-        """Return the files beside a main file that are read with it."""
+        """Return the files beside a main file that are read with it, in the order in which they are read."""
         ...
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:

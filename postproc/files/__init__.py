@@ -1,7 +1,7 @@
 """Strict reading of TOML and CSV, and writing that leaves whole files or none."""
 
 from postproc.files.reading import convert, parse_csv, read_csv, read_text, read_toml
-from postproc.files.records import FileEntry, foreign, foreign_single, listed, refuse, sealed, with_record
+from postproc.files.records import FileEntry, foreign, foreign_single, listed, recorded, refuse, sealed, with_record
 from postproc.files.writing import remove_leftovers, toml, write_whole
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "read_csv",
     "read_text",
     "read_toml",
+    "recorded",
     "refuse",
     "remove_leftovers",
     "sealed",

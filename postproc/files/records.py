@@ -63,6 +63,11 @@ def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
     ]
 
 
+def recorded(record: Path) -> dict[str, str]:
+    """Return which files a record names, and the SHA-256 of each; none if it is not ours."""
+    return _read(record) or {}
+
+
 def sealed(text: bytes) -> bytes:
     """Return a text that begins with a line of comment, with the SHA-256 of all below at the end of this line."""
     head, _, body = text.partition(b"\n")

@@ -34,7 +34,9 @@ _STAGE, _LOCK = (".postproc-", ".tmp"), "lock"
 """Prefix and suffix of the folder that files are written in at first; the file in it that its writer keeps open."""
 
 
-def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> list[Path]:
+def write_whole(
+    folder: Path, contents: Mapping[str, bytes | Iterable[bytes]], obsolete: Sequence[str] = ()
+) -> list[Path]:
     """Write files so that all are replaced, or none.
 
     All are written in a folder of their own inside `folder` (made if needed) and synced; only then those that they
@@ -44,6 +46,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
 
     :param folder: where to write.
     :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written, in this order.
+    :param obsolete: names of files that are removed with those that are replaced, if they are there.
     :returns: the paths written.
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
@@ -61,7 +64,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
                         at = folder / name
                         _write(stage / "new" / name, content)
                 at = folder
-                _replace(stage, folder, list(contents))
+                _replace(stage, folder, list(contents), obsolete)
         except OSError as cause:
             name = Path(cause.filename or "").name
             raise InputError(
@@ -106,12 +109,12 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
         os.fsync(file.fileno())
 
 
-def _replace(stage: Path, folder: Path, names: Sequence[str]) -> None:
+def _replace(stage: Path, folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
     """Put new files in the place of old ones; a single one in one step."""
     aside: list[str] = []
     placed: list[str] = []
     try:
-        for name in names if len(names) > 1 else ():
+        for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():
                 (folder / name).rename(stage / "old" / name)
                 aside.append(name)

@@ -128,11 +128,13 @@ def _made_from(
     if said.state != "changed" or said.version != VERSION or not all(agrees.values()):
         return MadeFrom(said, agrees, () if said.state == "intact" else None)
     try:
-        again = _written_again(request, cell, robot, said.mode)
+        again = _written_again(request, cell, robot, said.mode, corrected.name)
     except PostprocError:
         return MadeFrom(said, agrees)
     edited: list[tuple[str, int]] = []
     missing = 0
+    if len(again) != len(corrected.documents):
+        return MadeFrom(said, agrees)
     for old, new in zip(again, corrected.documents, strict=True):
         lines, fewer = _edited(old.text, new.text)
         edited += [(new.name, line) for line in lines]
@@ -143,10 +145,11 @@ def _made_from(
     return MadeFrom(said, agrees, tuple(edited), missing)
 
 
-def _written_again(request: CompareRequest, cell: Cell, robot: RobotModel, mode: str) -> tuple[Document, ...]:
-    """Return the files that `convert` writes from the same inputs."""
+def _written_again(
+    request: CompareRequest, cell: Cell, robot: RobotModel, mode: str, name: str
+) -> tuple[Document, ...]:
+    """Return the files that `convert` writes from the same inputs, as a program of that name."""
     wanted: Mode = "nominal" if mode == "nominal" else "convert"
-    name = request.corrected.stem
     read_as, to = (registry.of_file(path).name for path in (request.nominal, request.corrected))
     job = Job(request.nominal, read_as, request.corrected.parent, request.forces, name, to)
     source = None if request.forces is None else forces.read(request.forces)

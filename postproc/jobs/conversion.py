@@ -40,6 +40,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
             result, stock = _result(job, settings, cell, robot, program)
             if not result.failed:
                 content, contents = _contents(job, settings, cell, result, stock)
+                old = outputs.obsolete(job, [*contents], settings.mode, overwrite=settings.overwrite)
     except Exception as cause:
         if isinstance(cause, SubprogramError) and not job.named:
             return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
@@ -48,7 +49,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
     if result.failed:
         return Outcome(file, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
     try:
-        written = files.write_whole(job.output, contents)
+        written = files.write_whole(job.output, contents, old)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.left([job], settings.mode))
     exceeded = settings.mode != "predict" and content["tolerance_held"] is False

@@ -37,6 +37,7 @@ def find_jobs(
         the name cannot be given.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
+    programs = _without_parts(programs, {Path(name).resolve() for name in inputs}, dialect)
     csv = _forces_for(programs, forces)
     if name is not None and len(programs) > 1:
         raise InputError(f"one name for {len(programs)} programs", advice="Give --name with one program.")
@@ -49,16 +50,19 @@ def find_jobs(
         written_as, writer = registry.written_in(read_as, to)
         made = writer.valid(path.stem) if name is None and written_as != read_as else name
         jobs.append(Job(path, read_as, folder, csv[path], made, to, named=str(path) in inputs))
-    return jobs
+    stems: dict[Path, list[str]] = {}
+    for job in jobs:
+        stems.setdefault(job.output.resolve(), []).append(job.stem.lower())
+    return [replace(job, others=frozenset(stems[job.output.resolve()]) - {job.stem.lower()}) for job in jobs]
 
 
 def read_documents(path: Path, dialect: str) -> list[Document]:
-    """Read the files of a program: the main file, and the one beside it that goes with it, as the `.dat` of KRL.
+    """Read the files of a program: the main file, and those beside it that go with it, as the `.dat` of KRL.
 
     :param dialect: name of its format.
     :raises ProgramError: a file cannot be read, is empty or binary.
     """
-    paths = [path, *registry.by_name(dialect).companions(path)[:1]]
+    paths = [path, *registry.by_name(dialect).companions(path)]
     return [replace(decode(one.name, _bytes(one)), folder=str(one.parent)) for one in paths]
 
 
@@ -87,6 +91,16 @@ def _expand(name: str, dialect: str | None) -> Iterator[Path]:
         yield from sorted(found)
     else:
         yield path
+
+
+def _without_parts(programs: list[Path], named: set[Path], dialect: str | None) -> list[Path]:
+    """Return programs without the files that others of them call as parts, unless these are named one by one."""
+    parts = set()
+    for path in programs if len(programs) > 1 else ():
+        name = dialect or (registry.of_file(path).name if path.suffix else None)
+        if name is not None:
+            parts |= {other.resolve() for other in registry.by_name(name).companions(path)}
+    return [path for path in programs if path.resolve() in named or path.resolve() not in parts]
 
 
 def _unique(paths: Iterable[Path]) -> list[Path]:

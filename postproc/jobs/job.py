@@ -23,6 +23,7 @@ class Job:
     :param name: of the written program, and of the files beside it; None = that of the file.
     :param to: name of the format to write it in; None = its own if that is written, else KRL.
     :param named: whether the user named the file, and not only its folder or a pattern.
+    :param others: what the programs are called that are written into the same folder in the same run, lower case.
     """
 
     program: Path
@@ -32,6 +33,7 @@ class Job:
     name: str | None = None
     to: str | None = None
     named: bool = True
+    others: frozenset[str] = frozenset()
 
     @property
     def keeps_text(self) -> bool:
@@ -68,8 +70,10 @@ class Job:
         if self.forces is not None:
             reports.insert(1, f"{report}forces.csv")
         if self.keeps_text:
-            files = [self.program, *registry.by_name(self.dialect).companions(self.program)[:1]]
-            return [*(path.name if self.name is None else f"{self.name}{path.suffix}" for path in files), *reports]
+            files = [self.program, *registry.by_name(self.dialect).companions(self.program)]
+            if self.name is not None:
+                files = [path.with_stem(self.name) for path in files if path.stem.lower() == self.program.stem.lower()]
+            return [*(path.name for path in files), *reports]
         return [f"{self.stem}{self.writer.extension}", *reports]
 
     @property

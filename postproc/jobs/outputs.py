@@ -8,7 +8,7 @@ from pathlib import Path
 from postproc.correction import Mode
 from postproc.dialects import registry
 from postproc.errors import InputError, ProgramError
-from postproc.files import foreign, foreign_single, listed, refuse
+from postproc.files import foreign, foreign_single, listed, recorded, refuse
 from postproc.jobs import overview
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
@@ -47,9 +47,39 @@ def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> No
 def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -> None:
     """Look again when the names of the files to be written are known; see `check`."""
     protect(job.reads(), job.output, names)
+    foreseen = job.writes(mode)
+    more = [name for name in names if name not in foreseen]
+    for name in more:
+        other = next((other for other in job.others if _of_one_family(name, other)), None)
+        if other is not None:
+            raise InputError(
+                f"{job.program} is divided into files, and {name} may be of {other} too, which is written in this run",
+                advice="Rename one, or convert them one by one with different -o folders.",
+            )
     if not overwrite:
-        foreseen = job.writes(mode)
-        refuse(_foreign(job, [name for name in names if name not in foreseen], mode))
+        refuse(_foreign(job, more, mode))
+
+
+def obsolete(job: Job, names: Iterable[str], mode: Mode, *, overwrite: bool) -> list[str]:
+    """Return the files of the program of an earlier run that this one does not write: it had more parts, or none.
+
+    :param names: of the files to be written.
+    :raises InputError: one of them was changed since, and must not be removed.
+    """
+    if mode == "predict":
+        return []
+    kept = {name.lower() for name in names}
+    inputs = {_key(path) for path in job.reads()}
+    endings = (job.writer.extension, *(path.suffix.lower() for path in job.reads()))
+    known = recorded(job.output / job.report(mode))
+    left = [
+        name
+        for name in _there(job, known)
+        if name.lower() not in kept and name.lower().endswith(endings) and _key(job.output / name) not in inputs
+    ]
+    if not overwrite:
+        refuse(foreign(job.output, left, job.report(mode)))
+    return left
 
 
 def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
@@ -72,7 +102,7 @@ def set_aside(job: Job, mode: Mode) -> str:
 
     :returns: a sentence for the user; empty if there was nothing.
     """
-    there = _there(job, job.writes(mode))
+    there = _there(job, _of_run(job, mode))
     inputs = {_key(path) for path in job.reads()}
     if not there or _foreign(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
         return left([job], mode)
@@ -87,12 +117,30 @@ def set_aside(job: Job, mode: Mode) -> str:
 
 def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs that stand in the output folders and are not of this run; empty if none do."""
-    there = [job.output / name for job in jobs for name in _there(job, job.writes(mode)[:1])]
+    there = [job.output / name for job in jobs for name in _there(job, _programs(job, mode))]
     return f"There before, not of this run: {listed(there)}." if there else ""
+
+
+def _of_one_family(name: str, other: str) -> bool:
+    """Return whether a file may be one of those of a divided program."""
+    stem = Path(name).stem.lower()
+    return stem.startswith(other) and (stem[len(other) :] in ("", "main") or stem[len(other) :].isdecimal())
 
 
 def _there(job: Job, names: Iterable[str]) -> list[str]:
     return [name for name in names if (job.output / name).exists()]
+
+
+def _of_run(job: Job, mode: Mode) -> list[str]:
+    """Return the names of the files that a run may write, and those that an earlier one has written."""
+    foreseen = job.writes(mode)
+    return list(dict.fromkeys([*_programs(job, mode), *foreseen, *recorded(job.output / job.report(mode))]))
+
+
+def _programs(job: Job, mode: Mode) -> list[str]:
+    """Return the names that the main file may have, the likelier first."""
+    first = Path(job.writes(mode)[0])
+    return [first.name, *([f"{first.stem}Main{first.suffix}"] if mode != "predict" else [])]
 
 
 def _foreign(job: Job, names: Iterable[str], mode: Mode) -> list[Path]:
@@ -103,8 +151,8 @@ def _foreign(job: Job, names: Iterable[str], mode: Mode) -> list[Path]:
 
 def _marked(job: Job, mode: Mode) -> list[str]:
     """Return the files of a program that says itself that it is as it was written, though its report is gone."""
-    program = job.output / job.writes(mode)[0]
-    if mode == "predict" or not program.is_file():
+    program = next((job.output / name for name in _there(job, _programs(job, mode))), None)
+    if mode == "predict" or program is None or not program.is_file():
         return []
     try:
         documents = read_documents(program, registry.written_in(job.dialect, job.to)[0])

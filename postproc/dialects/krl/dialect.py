@@ -5,19 +5,33 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path, PurePath
 
 from postproc import provenance
 from postproc.cell import Cell
 from postproc.dialects.krl import write
 from postproc.dialects.krl.language.names import fault_of, valid
+from postproc.dialects.krl.language.parts import MAIN, called, joined
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
+from postproc.dialects.text import decode
+from postproc.errors import ProgramError
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
 _COMMENT = ";"
 _DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
+
+
+def _parts(path: Path) -> list[str]:
+    """Return the names of the files that a program in several files calls."""
+    if not path.stem.lower().endswith(MAIN.lower()):
+        return []
+    try:
+        return [name for name, _ in called(decode(path.name, path.read_bytes()))]
+    except (OSError, ProgramError):
+        return []
 
 
 class _Writer:
@@ -38,11 +52,13 @@ class _Writer:
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
-        """Return a program as text, see `write.rewrite` and `write.emit`."""
+        """Return a program as text, see `write.rewrite`, `write.emit` and `write.in_files`."""
         del joints  # S and T of the targets say which branch is meant
         if isinstance(program.layout, Layout):
-            return write.rewrite(program, targets, comments)
-        return write.emit(program, targets, cell, comments)
+            files, written = program.documents, write.rewrite(program, targets, comments)
+        else:
+            files, written = (), write.emit(program, targets, cell, comments)
+        return write.in_files(program.name, files, written, cell.output.lines_per_file)
 
     def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name."""
@@ -66,18 +82,34 @@ class Krl:
     writer = _Writer()
 
     def companions(self, path: Path) -> list[Path]:
-        """Return the `.dat` files beside a program, letters of any case; the one that belongs to it first."""
+        """Return the `.dat` beside a program, and the files that it calls if it is in several; letters of any case."""
         try:
             names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
         except OSError:
             return []
-        wanted = f"{path.stem}.dat".lower()
-        found = [path.with_name(name) for name in names if name.lower() == wanted]
-        return sorted(found, key=lambda other: (other.stem != path.stem, other.name))
+        stems = [path.stem, *_parts(path)]
+        wanted = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
+        found: dict[str, Path] = {}
+        for name in sorted(names):
+            key = name.lower()
+            if key in wanted and (key not in found or PurePath(name).stem in stems):
+                found[key] = path.with_name(name)
+        return [found[key] for key in wanted if key in found]
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
-        """Return a program, see `read.reader`."""
-        return read_program(documents, cell, forward, name)
+        """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
+        whole = joined(documents)
+        if whole is None:
+            return read_program(documents, cell, forward, name)
+        try:
+            program = read_program(whole.documents, cell, forward, name)
+        except ProgramError as cause:
+            raise whole.located(cause) from None
+        layout = program.layout
+        if isinstance(layout, Layout):
+            layout = replace(layout, documents=whole.documents)
+        name = PurePath(documents[0].name).stem[: -len(MAIN)]
+        return replace(program, name=name, documents=tuple(documents), layout=layout)
 
 
 KRL = Krl()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.frames import Array
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Document, Ints
 
 Offsets = NDArray[np.int32]
 
@@ -38,6 +38,7 @@ class Layout:
     :param public: variables declared GLOBAL.
     :param understood: offsets in the `.src` of names whose use the reader followed.
     :param triggers: TRIGGER statements, in order.
+    :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
     """
 
     numbers: Array
@@ -55,3 +56,4 @@ class Layout:
     public: frozenset[str]
     understood: frozenset[int]
     triggers: tuple[Trigger, ...]
+    documents: tuple[Document, ...] = ()

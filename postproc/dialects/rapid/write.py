@@ -101,6 +101,10 @@ class _Writer:
         head = self._head(zones, speeds)
         printed = {kind: self._print(kind) for kind in (LIN, CIRC, PTP)}
         text, output_line = new.joined(head, printed, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
+        limit = self.cell.output.lines_per_file
+        if limit and text.count("\n") > limit:
+            message = f"The module has more than {limit} lines: lines_per_file divides KRL, a module stays one file."
+            new.issues.append(Issue("warning", "long-file", message))
         document = Document(f"{program.name}.mod", text, "ascii")
         return Written((document,), output_line, "rapid", group_issues(new.issues))
 

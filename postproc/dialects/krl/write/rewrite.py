@@ -65,7 +65,8 @@ class _Rewriter:
 
     def __init__(self, program: Program, layout: Layout, targets: Targets, carried: TargetForces | None) -> None:
         self.program, self.layout, self.targets, self.carried = program, layout, targets, carried
-        self.sources = [Source.of(document, index) for index, document in enumerate(program.documents)]
+        self.documents = layout.documents or program.documents
+        self.sources = [Source.of(document, index) for index, document in enumerate(self.documents)]
         self.source, self.text = self.sources[0], self.sources[0].text
         self.noted = {note.line for note in program.notes}
         self.replacements = [Replacements() for _ in self.sources]
@@ -77,7 +78,7 @@ class _Rewriter:
         """Make all edits and return the documents."""
         last, keep = self.last, self.targets.keep
         if (last & keep).all():
-            return Written(self.program.documents, self.program.motions.line[self.row], "krl")
+            return Written(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
         self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
@@ -96,7 +97,7 @@ class _Rewriter:
         self._check_orientation()
         documents = tuple(
             replace(document, text=changes.applied(document.text)) if changes else document
-            for document, changes in zip(self.program.documents, self.replacements, strict=True)
+            for document, changes in zip(self.documents, self.replacements, strict=True)
         )
         return Written(documents, output_line, "krl", group_issues(self.issues))
 

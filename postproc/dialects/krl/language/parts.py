@@ -1,0 +1,190 @@
+"""One program in several files: `part1.src`, `part2.src` … called one after the other by `partMain.src`.
+
+Such files are read, corrected and written as one text. The lines that only divide it (headers, DEF, END, calls) are
+comments there, with a mark before them, so that every line keeps its place, counted on from file to file, and the text
+can be taken apart again to the byte.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+
+from postproc.dialects.krl.language.data_files import data_lines
+from postproc.dialects.krl.language.source import Source
+from postproc.errors import ProgramError
+from postproc.program import FORCE_COMMENT, Document
+
+MAIN = "Main"
+"""What the name of the program that calls the others ends with."""
+_DIVIDES, _BEGINS, _UNENDED = ";\x01", ";\x02", ";\x03"
+"""Before lines that only divide; before the first line of each file but the main one; before a last one without end."""
+_END = "END\r\n"
+"""Behind the one text, which has no END of its own."""
+_UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
+_DEF = re.compile(r"(?:GLOBAL[ \t]+)?DEF(FCT)?[ \t]+([\w$]+)[ \t]*\([ \t]*\)", re.IGNORECASE | re.ASCII)
+_BEGIN = re.compile(r"(?:GLOBAL[ \t]+)?DEF(?:FCT)?\b", re.IGNORECASE)
+_CALL = re.compile(r"([A-Za-z_$][\w$]*)[ \t]*\([ \t]*\)", re.ASCII)
+_FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joined:
+    """A program in several files as one.
+
+    :param documents: its `.src` as one text, and one `.dat` if any of the files has one.
+    :param files: name of each `.src` and the number that its first line has in the one text.
+    """
+
+    documents: tuple[Document, ...]
+    files: tuple[tuple[str, int], ...]
+
+    def located(self, error: ProgramError) -> ProgramError:
+        """Return an error with the file and the line of it that it is about."""
+        file, line = error.file, error.line
+        if line is not None and file == self.documents[0].name:
+            file, first = [each for each in self.files if each[1] <= line][-1]
+            line += 1 - first
+        text = None if error.text is None else error.text.lstrip("".join((_DIVIDES, _BEGINS, _UNENDED)))
+        others = [self.located(other) for other in error.others if isinstance(other, ProgramError)]
+        return ProgramError(error.problem, file=file, line=line, text=text, advice=error.advice, others=others)
+
+
+def called(main: Document) -> list[tuple[str, int]]:
+    """Return the programs that a main program calls one after the other at its end, and the line of each call.
+
+    :returns: names as they are spelled there; empty if it is no main program of several files.
+    """
+    stem = PurePath(main.name).stem
+    if not stem.lower().endswith(MAIN.lower()) or len(stem) == len(MAIN):
+        return []
+    source = Source.of(main, 0)
+    found: list[tuple[str, int]] = []
+    ended = False
+    for line in range(len(source.starts), 0, -1):
+        code = source.text[slice(*source.code_span(line))]
+        call = _CALL.fullmatch(code)
+        if ended and call and call[1].lower().rstrip("0123456789") == stem[: -len(MAIN)].lower().rstrip("0123456789"):
+            found.append((call[1], line))
+        elif not ended and code.upper() == "END":
+            ended = True
+        elif code:
+            break
+    found.reverse()
+    wanted = [f"{stem[: -len(MAIN)]}{number}".lower() for number in range(1, len(found) + 1)]
+    return found if [name.lower() for name, _ in found] == wanted else []
+
+
+def joined(documents: Sequence[Document]) -> Joined | None:
+    """Return the files of a program as one; None if it is a program of one file.
+
+    :param documents: the main program first, the others in any order.
+    :raises ProgramError: a file is missing, or cannot be one of several.
+    """
+    main, *others = documents
+    calls = called(main)
+    known = {document.name.lower(): document for document in others}
+    if not calls or not any(f"{name}.src".lower() in known for name, _ in calls):
+        return None
+    missing = [(name, line) for name, line in calls if f"{name}.src".lower() not in known]
+    if missing:
+        advice = "All files of the program must stand beside it."
+        raise Source.of(main, 0).line_error(f"{missing[0][0]}.src is not there", missing[0][1], advice)
+    parts = [known[f"{name}.src".lower()] for name, _ in calls]
+    texts = [_main_text(main, [line for _, line in calls]), *map(_part_text, parts)]
+    first = 1
+    files = []
+    for document in (main, *parts):
+        files.append((document.name, first))
+        first += len(Source.of(document, 0).starts)
+    stems = [PurePath(document.name).stem.lower() for document in (main, *parts)]
+    data = [known[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in known]
+    whole = replace(main, text="".join([*texts, _END]))
+    return Joined((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
+
+
+def taken_apart(text: str) -> list[str]:
+    """Return the texts of the files that one text was joined from, the main one first."""
+    pieces = text.removesuffix(_END).split(_BEGINS)
+    return [_UNENDED_LINE.sub(r"\1", piece).replace(_DIVIDES, "") for piece in pieces]
+
+
+def _main_text(main: Document, calls: Sequence[int]) -> str:
+    """Return the main program with its calls and its END as comments."""
+    source = Source.of(main, 0)
+    _only_def(source)
+    for line in range(calls[0], len(source.starts) + 1):
+        if _FORCE.match(source.text[source.starts[line - 1] : source.stops[line - 1]].strip()):
+            advice = "Write it into the program that is called."
+            raise source.line_error("a force comment between the calls of the parts", line, advice)
+    end = max(line for line in range(calls[-1], len(source.starts) + 1) if _is_end(source, line))
+    return _with_marks(source, [*calls, end])
+
+
+def _part_text(part: Document) -> str:
+    """Return a part with its header, DEF and END as comments."""
+    source = Source.of(part, 0)
+    begin = _only_def(source)
+    text = source.text
+    header = [line for line in range(1, begin) if text[source.starts[line - 1]] == "&"]
+    ends = [line for line in range(begin, len(source.starts) + 1) if _is_end(source, line)]
+    if not ends:
+        raise source.line_error("DEF has no END", begin, "Check that the file was transferred completely.")
+    return _BEGINS + _with_marks(source, [*header, begin, ends[-1]])
+
+
+def _only_def(source: Source) -> int:
+    """Return the line of the DEF of a file."""
+    found = []
+    for match in re.finditer(r"DEF", source.text, re.IGNORECASE):
+        line = source.line_at(match.start())
+        start, stop = source.code_span(line)
+        if _BEGIN.match(source.text, start, stop):
+            found.append(line)
+    if len(found) != 1 or not _DEF.match(source.text, *source.code_span(found[0])):
+        problem = f"a program in several files has one DEF without parameters in each, and here are {len(found)}"
+        raise source.line_error(problem, found[-1] if found else 1, "Join the files by hand.")
+    return found[0]
+
+
+def _is_end(source: Source, line: int) -> bool:
+    return source.text[slice(*source.code_span(line))].upper() == "END"
+
+
+def _with_marks(source: Source, lines: Sequence[int]) -> str:
+    """Return the text of a file with some of its lines (ascending) as comments, and with an end of its last line."""
+    if any(mark in source.text for mark in (_DIVIDES, _BEGINS, _UNENDED)):
+        raise ProgramError("control characters in the program", file=source.document.name)
+    pieces, done = [], 0
+    for line in lines:
+        start = int(source.starts[line - 1])
+        pieces += [source.text[done:start], _DIVIDES]
+        done = start
+    pieces.append(source.text[done:])
+    text = "".join(pieces)
+    if source.stops[-1] == len(source.text):
+        start = text.rfind("\n") + 1 if "\n" in text else text.rfind("\r") + 1
+        text = f"{text[:start]}{_UNENDED}{text[start:]}\n"
+    return text
+
+
+def _joined_data(main: Document, data: Sequence[Document]) -> Document:
+    """Return the data of all files as one, each declaration once.
+
+    :raises ProgramError: one name stands for different values.
+    """
+    lines: dict[str, str] = {}
+    names: dict[str, str] = {}
+    for document in data:
+        for line in data_lines(Source.of(document, 1)):
+            for name in line.names:
+                if names.setdefault(name, line.text.strip()) != line.text.strip():
+                    problem = f"{name} has another value than in the file before"
+                    advice = "Give it another name: the parts are corrected as one program."
+                    raise ProgramError(problem, file=document.name, line=line.line, text=line.text, advice=advice)
+            lines.setdefault(line.text.strip() if line.names else f"{document.name}:{line.line}", line.text)
+    end = "\r\n"
+    text = "".join([f"DEFDAT {PurePath(main.name).stem}{end}", *lines.values(), f"ENDDAT{end}"])
+    return replace(data[0], name=f"{PurePath(main.name).stem}.dat", text=text)

@@ -1,0 +1,174 @@
+"""Programs that are written in several files: what stands in the folder, and what every command makes of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+
+CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
+HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\nG1 Z-1 F600\n"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cell(20)
+    program(60)
+
+
+def cell(limit: int) -> None:
+    Path("cell.toml").write_text(CELL.read_text().replace("[output]", f"[output]\nlines_per_file = {limit}"))
+
+
+def program(count: int, name: str = "part.nc", forces: bool = True) -> None:
+    force = "(FORCE FX=100 FY=-150 FZ=80)\n" if forces else ""
+    lines = "".join(f"G1 X{0.1 * n:.1f} Y{n % 7 * 0.1:.1f}\n" for n in range(count))
+    Path(name).write_text(HEAD + force + lines + "G0 Z10\nM2\n")
+
+
+def run(*arguments: str, code: int = 0):
+    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
+    assert done.exit_code == code, done.output
+    return done
+
+
+def sources(where: str = "out") -> set[str]:
+    return {path.name for path in Path(where).iterdir() if path.suffix == ".src"}
+
+
+def test_divided_it_is_what_it_is_in_one_file():
+    run("convert", "part.nc", "-o", "out")
+    cell(0)
+    run("convert", "part.nc", "-o", "whole")
+    whole = Path("whole/part.src").read_text().splitlines()
+    moves = [line for line in whole if line.startswith(("LIN", "PTP", "$VEL"))]
+    files = [Path("out/partMain.src"), *sorted(Path("out").glob("part[0-9]*.src"), key=lambda p: int(p.stem[4:]))]
+    lines = [line for path in files for line in path.read_text().splitlines()]
+    assert [line for line in lines if line.startswith(("LIN", "PTP", "$VEL"))] == moves
+    assert all(len(path.read_text().splitlines()) <= 20 for path in files[1:])
+    assert [line for line in files[0].read_text().splitlines() if line.endswith("( )")][-1] == f"{files[-1].stem}( )"
+    rows = Path("out/part.targets.csv").read_text().splitlines()[1:]
+    for row in rows:  # lines count on from file to file
+        number = int(row.split(",")[0])
+        assert lines[number - 1].startswith(("LIN", "PTP"))
+
+
+def test_all_commands_take_the_main_program():
+    run("convert", "part.nc", "-o", "out")
+    one = run("predict", "out/partMain.src", "-o", "told", "--json")
+    assert json.loads(one.stdout)["programs"][0]["provenance"]["state"] == "intact"
+    assert "corrected" in run("convert", "out", "-o", "again", code=1).stderr
+    told = json.loads(run("compare", "part.nc", "out/partMain.src", "-o", "told", "--json").stdout)
+    assert told["verdict"]["state"] != "failed"
+    assert told["only_nominal"] == told["only_corrected"] == 0
+    assert told["provenance"]["state"] == "intact"
+
+
+def test_a_changed_part_is_told():
+    run("convert", "part.nc", "-o", "out")
+    part = Path("out/part2.src")
+    part.write_bytes(part.read_bytes().replace(b"C_DIS", b"C_DIS ", 1))
+    told = json.loads(run("compare", "part.nc", "out/partMain.src", "-o", "told", "--json", code=3).stdout)
+    assert told["provenance"]["state"] == "changed"
+
+
+@pytest.mark.parametrize("command", ["convert", "predict"])
+def test_a_part_alone_is_refused(command):
+    run("convert", "part.nc", "-o", "out")
+    assert "part of partMain" in run(command, "out/part2.src", "-o", "again", code=1).stderr
+
+
+def test_a_nominal_program_in_files_is_corrected_in_its_files():
+    run("convert", "part.nc", "--nominal", "-o", "out")
+    run("convert", "out/partMain.src", "-o", "again")
+    assert sources("again") == sources("out")
+    run("convert", "out", "-o", "folder")
+    assert sources("folder") == sources("out")
+
+
+def test_without_forces_the_files_come_back_byte_for_byte():
+    program(60, forces=False)
+    run("convert", "part.nc", "--nominal", "-o", "out")
+    run("convert", "out/partMain.src", "-o", "again")
+    for name in sources():
+        assert Path("again", name).read_bytes() == Path("out", name).read_bytes()
+
+
+def test_parts_of_an_earlier_run_go():
+    run("convert", "part.nc", "-o", "out")
+    before = sources()
+    program(20)
+    run("convert", "part.nc", "-o", "out")
+    assert {"partMain.src", "part1.src"} <= sources() < before
+    cell(0)
+    run("convert", "part.nc", "-o", "out")
+    assert sources() == {"part.src"}
+    cell(20)
+    run("convert", "part.nc", "-o", "out")
+    assert "part.src" not in sources()
+
+
+def test_a_part_that_was_changed_is_not_removed():
+    run("convert", "part.nc", "-o", "out")
+    last = max(Path("out").glob("part[0-9].src"))
+    last.write_text("mine")
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    program(5)
+    assert last.name in run("convert", "part.nc", "-o", "out", code=1).stderr
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+    run("convert", "part.nc", "-o", "out", "--overwrite")
+    assert not last.exists()
+
+
+def test_a_file_of_somebody_else_in_the_way_is_kept():
+    Path("out").mkdir()
+    Path("out/part2.src").write_text("mine")
+    assert "part2.src" in run("convert", "part.nc", "-o", "out", code=1).stderr
+    assert sources() == {"part2.src"}
+
+
+def test_what_an_earlier_run_wrote_is_set_aside_whole():
+    run("convert", "part.nc", "-o", "out")
+    Path("part.nc").write_text(HEAD + "G1 X1e9\n")
+    run("convert", "part.nc", "-o", "out", code=1)
+    assert not sources()
+    assert Path("out/partMain.src.old").exists()
+
+
+def test_another_program_of_the_run_is_not_replaced():
+    cell(45)
+    program(5, "part2.nc")
+    done = run("convert", "part.nc", "part2.nc", "-o", "out", code=1)
+    assert "part2" in done.stderr
+    assert "divided" in done.stderr
+    text = Path("out/part2.src").read_text()
+    assert "part=2" not in text
+    program(5)
+    run("convert", "part.nc", "part2.nc", "-o", "short")
+    assert sources("short") == {"part.src", "part2.src"}
+
+
+def test_a_renamed_program():
+    run("convert", "part.nc", "-o", "out", "--name", "job")
+    assert {"jobMain.src", "job1.src", "job2.src"} <= sources()
+    Path("long.src").write_bytes(
+        b"DEF long( )\r\n$VEL.CP=0.05\r\n"
+        + b"".join(b"LIN {X %d,Y 0,Z 0,A 0,B 0,C 180}\r\n" % n for n in range(40))
+        + b"END\r\n"
+    )
+    run("convert", "long.src", "-o", "out", "--name", "other")
+    assert {"otherMain.src", "other1.src"} <= sources()
+    assert "long" not in Path("out/otherMain.src").read_text()
+
+
+def test_rapid_is_not_divided():
+    abb = CELL.with_name("cell_irb6700.toml").read_text()
+    Path("cell.toml").write_text(abb.replace("[output]", "[output]\nlines_per_file = 20"))
+    done = run("convert", "part.nc", "-o", "out", "--to", "rapid")
+    assert "lines_per_file divides KRL" in done.output
+    assert {path.suffix for path in Path("out").iterdir()} == {".mod", ".csv", ".html", ".json"}
