@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from functools import lru_cache
 from pathlib import Path
 
@@ -199,7 +198,3 @@ def read_plan(text: str):
     rows = [line.split(",") for line in text.splitlines()[1:]]
     values = np.array(rows, dtype=float)
     return np.radians(values[:, 1:7]), values[:, 7:]
-
-
-def as_toml(path: Path):
-    return tomllib.loads(path.read_text(encoding="utf-8"))
