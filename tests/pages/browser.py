@@ -50,14 +50,14 @@ def opened(browser, path: Path, *, width: int = 1440, height: int = 1000, dark: 
     page.on("request", lambda request: said.append(request.url[:100]) if _elsewhere(request.url) else None)
     page.goto(path.resolve().as_uri())
     if ready:
+        page.wait_for_function("typeof stage !== 'undefined' && stage.empty")
         page.wait_for_function("document.querySelector('#view3d-view .gl-container canvas, .plot .main-svg') !== null")
-        page.wait_for_function("typeof selection !== 'undefined'")
         page.wait_for_timeout(300)
     yield page
     said.extend(f"loaded {url}" for url in page.evaluate("performance.getEntriesByType('resource').map((e) => e.name)")
                 if _elsewhere(url))  # fmt: skip
     context.close()
-    assert said == []
+    assert said == [], said
 
 
 def _elsewhere(url: str) -> bool:

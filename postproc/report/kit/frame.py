@@ -15,7 +15,7 @@ from postproc.report.kit.html import Html, element
 from postproc.report.kit.parts import Note, Part, Section, View
 from postproc.report.kit.plots import Plot, encoded
 
-_ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "plots")
+_ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "stage", "plots")
 _POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
 """A page loads nothing."""
 

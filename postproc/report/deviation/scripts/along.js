@@ -4,7 +4,7 @@
   const view = document.getElementById("along-view");
   if (!view) return;
   const { at, count, values } = places;
-  const COLUMNS = 900;
+  const COLUMNS = 500;
   const three = (prefix, names) => names.map((name, k) => ({ column: prefix + name, name, colour: ["before", "after", "force"][k] }));
   const one = (column, colour) => [{ column, name: "", colour }];
   const strips = {
@@ -61,9 +61,10 @@
   }
 
   const on = () => Object.values(strips).filter((strip) => strip.on);
+  const tall = () => 120 * on().length + 60;
   function figure() {
     const shownStrips = on();
-    const height = 120 * shownStrips.length + 60;
+    const height = tall();
     const layout = theme.layout({ height, hovermode: "x", hoverdistance: -1, dragmode: "zoom", annotations: [], shapes: cursor(),
       margin: { l: 60, r: 12, t: 6, b: 40 } });
     const gap = 26 / height;
@@ -71,7 +72,7 @@
     shownStrips.forEach((strip, k) => {
       const suffix = k ? String(k + 1) : "";
       const top = 1 - (k * (1 + gap)) / shownStrips.length;
-      layout[`yaxis${suffix}`] = theme.axis({ domain: [Math.max(top - 1 / shownStrips.length + gap, 0), top - gap], fixedrange: true,
+      layout[`yaxis${suffix}`] = theme.axis({ domain: [Math.max(top - 1 / shownStrips.length + gap, 0), top - gap], fixedrange: true, automargin: false,
         rangemode: strip.zero ? "tozero" : "normal", nticks: 4 });
       const named = strip.series.filter(({ name }) => name)
         .map(({ name, colour }) => `<span style="color:${theme.colour(colour)}">${name}</span>`).join(" · ");
@@ -81,7 +82,7 @@
         yaxis: `y${suffix}`, name: name || strip.title, hoverinfo: "none",
         line: { color: theme.colour(colour), width: 1.3, dash: ["solid", "dash", "dot"][s] } }));
     });
-    layout.xaxis = theme.axis({ title: { text: over === "length" ? "length of the path, mm" : "time, s" }, range: range ?? undefined,
+    layout.xaxis = theme.axis({ title: { text: over === "length" ? "length of the path, mm" : "time, s" }, range: range ?? undefined, automargin: false,
       anchor: shownStrips.length > 1 ? `y${shownStrips.length}` : "y" });
     return [data, layout];
   }
@@ -90,7 +91,10 @@
     const x = at[over][selection.place];
     return [{ type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, line: { color: theme.colour("chosen"), width: 1.5 } }];
   }
-  const draw = () => Plotly.react(view, ...figure(), theme.config);
+  const draw = () => {
+    view.style.minHeight = `${tall()}px`;
+    return Plotly.react(view, ...figure(), theme.config);
+  };
 
   const controls = document.getElementById("along-controls");
   controls.innerHTML = `<label>Over <select id="along-over"><option value="length">length</option><option value="time">time</option></select></label>
@@ -110,7 +114,10 @@
     event.preventDefault();
     selection.choose(places.step(selection.chosen, by * (event.shiftKey ? 10 : 1)));
   });
-  draw().then(() => {
+  let drawn = false;
+  view.style.minHeight = `${tall()}px`; // what is not drawn yet has its room
+  stage.add(view, () => draw().then(() => {
+    drawn = true;
     view.on("plotly_hover", ({ points: [point] }) => selection.point(point.customdata));
     view.on("plotly_unhover", () => selection.point(null));
     view.on("plotly_click", ({ points: [point] }) => selection.choose(point.customdata));
@@ -120,12 +127,12 @@
       else return;
       draw();
     });
-  });
-  theme.onChange(draw);
+    theme.onChange(draw);
+  }));
 
   let asked = false;
   selection.subscribe(() => {
-    if (asked) return;
+    if (asked || !drawn) return;
     asked = true;
     requestAnimationFrame(() => { asked = false; Plotly.relayout(view, { shapes: cursor() }); });
   });

@@ -40,8 +40,10 @@
     }
     return best;
   }
-  draw().then(() => view.on("plotly_click", ({ points: [point] }) =>
-    selection.choose(worst(measures[point.curveNumber], ...point.customdata))));
-  theme.onChange(draw);
-  selection.subscribe(() => requestAnimationFrame(draw));
+  view.style.minHeight = "300px";
+  stage.add(view, () => draw().then(() => {
+    view.on("plotly_click", ({ points: [point] }) => selection.choose(worst(measures[point.curveNumber], ...point.customdata)));
+    theme.onChange(draw);
+    selection.subscribe(() => requestAnimationFrame(draw));
+  }));
 })();

@@ -40,7 +40,8 @@
   });
   // Corners stand three by three: a facet is known by any of its corners.
   let under = null;
-  setTimeout(() => draw().then(() => {
+  view.style.minHeight = "520px";
+  stage.add(view, () => draw().then(() => {
     view.on("plotly_hover", ({ points: [{ curveNumber, pointNumber }] }) => {
       if (curveNumber !== 0) return;
       under = facets.place[Math.floor(pointNumber / 3)];
@@ -52,5 +53,5 @@
     });
     view.addEventListener("click", () => { if (under !== null) selection.choose(under); }, true);
     theme.onChange(draw);
-  }), 100);
+  }));
 })();

@@ -6,7 +6,8 @@
   const { at, values, number } = places;
   const drawn = columns.drawn;
   const points = drawn.x.length;
-  const MOST = 15000;
+  const MOST = 12000;
+  const dense = points > MOST; // overlays would hide the path
   const paths = {
     b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before", dash: "solid" },
     ...(places.compared && { a: { title: "tool with the program as written", colour: "after", dash: "solid" } }),
@@ -23,13 +24,13 @@
   };
   const largest = Math.max(at.before[facts.worst.before], 1e-9);
   const shown = { colour: "before", enlarged: Math.min(Math.max(round((0.06 * extent) / largest), 1), 10000),
-    paths: { b: true, a: false, c: places.compared }, robot: false };
+    paths: { b: !dense, a: false, c: places.compared && !dense }, robot: false };
 
-  // The points that are drawn: all of a few thousands; of more, from each bit of the path its first and its worst, and
-  // its last, so that no peak of the value shown is lost.
+  // The points that are drawn: all of a few thousands; of more, from each bit of the path its first and its last, the
+  // worst, so that no peak of the value shown is lost, and the one farthest from the line between them, where it turns.
   function kept() {
-    const size = Math.ceil((3 * points) / MOST);
-    if (size <= 3) return Array.from({ length: points }, (_, k) => k);
+    if (!dense) return Array.from({ length: points }, (_, k) => k);
+    const size = Math.ceil((4 * points) / MOST);
     const column = at[shown.colour];
     const worse = values[shown.colour].low ? (a, b) => a < b : (a, b) => a > b;
     const out = [];
@@ -38,10 +39,25 @@
       let [worst, end] = [begin, begin];
       for (; end < points && end - begin < size && at.rapid[drawn.place[end]] === rapid; end++)
         if (worse(column[drawn.place[end]], column[drawn.place[worst]])) worst = end;
-      out.push(...new Set([begin, worst, end - 1]));
+      out.push(...[...new Set([begin, worst, farthest(begin, end - 1), end - 1])].sort((a, b) => a - b));
       begin = end;
     }
     return out;
+  }
+
+  function farthest(first, last) {
+    const at = (k) => [drawn.x[k], drawn.y[k], drawn.z[k]];
+    const [begin, end] = [at(first), at(last)];
+    const along = end.map((value, r) => value - begin[r]);
+    const whole = along.reduce((sum, value) => sum + value * value, 0) || 1;
+    let [best, most] = [first, 0];
+    for (let k = first + 1; k < last; k++) {
+      const way = at(k).map((value, r) => value - begin[r]);
+      const share = Math.min(Math.max(way.reduce((sum, value, r) => sum + value * along[r], 0) / whole, 0), 1);
+      const off = way.reduce((sum, value, r) => sum + (value - share * along[r]) ** 2, 0);
+      if (off > most) [best, most] = [k, off];
+    }
+    return best;
   }
 
   // Pieces that cut and rapid ones, each a line with gaps, and the place that each of its points leads to.
@@ -127,7 +143,7 @@
     ];
     for (const [prefix, path] of Object.entries(paths))
       out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
-        visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
+        hoverinfo: "none", visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
     const worst = Object.entries(facts.worst).filter(([, place]) => place !== null);
     const where = worst.map(([, place]) => places.position(place));
     out.push({ type: "scatter3d", mode: "markers", hoverinfo: "text", x: where.map((p) => p[0]), y: where.map((p) => p[1]),
@@ -170,7 +186,7 @@
   // A picture stands in for the canvas on paper: browsers do not print what the graphics card drew.
   function photograph() {
     clearTimeout(wanted);
-    wanted = setTimeout(expose, 300);
+    wanted = setTimeout(() => stage.later(expose), 1500);
   }
   function expose() {
     const canvas = view.querySelector(".gl-container canvas");
@@ -245,11 +261,11 @@
     button.addEventListener("click", () => look({ to: sides[button.textContent] }));
 
   view.style.height = "min(70vh, 640px)";
-  // What is quick is drawn and answers first.
-  setTimeout(() => draw().then(() => {
+  stage.add(view, () => draw().then(() => {
       view.on("plotly_hover", ({ points: [{ curveNumber, pointNumber }] }) => {
-        if (curveNumber !== 0) return;
-        under = runs.cut.place[pointNumber];
+        const overlay = curveNumber >= 2 && curveNumber < CHOSEN - 1;
+        if (curveNumber !== 0 && !overlay) return;
+        under = overlay ? drawn.place[keep[pointNumber]] : runs.cut.place[pointNumber];
         selection.point(under);
       });
       view.on("plotly_unhover", () => {
@@ -261,7 +277,7 @@
       ready = true;
     }).catch(({ message }) => {
       view.textContent = `This browser cannot draw in three dimensions (${message}). The plots below show the same numbers.`;
-    }), 50);
+    }));
 
   // A click is a press that did not turn the path. (The library tells of one only if it lasts until it has drawn again.)
   let under = null;

@@ -93,7 +93,9 @@ const plots = (() => {
   for (const element of document.querySelectorAll(".plot")) {
     const plot = JSON.parse(element.nextElementSibling.textContent);
     const draw = () => Plotly.react(element, ...figure(plot), theme.config);
-    draw();
-    theme.onChange(draw);
+    stage.add(element, () => {
+      draw();
+      theme.onChange(draw);
+    });
   }
 })();
