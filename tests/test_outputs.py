@@ -195,7 +195,8 @@ def test_of_many_programs_the_table_says_how_they_are_called():
     assert lines[2].endswith("written as P1001.src, 1 warning")
     assert lines[1].endswith("written, 1 warning")
     assert lines[3].startswith("all 2, at most")
-    assert lines[4] == f"overview: {Path('out', 'index.html')}"
+    assert lines[4].startswith("  - part.nc and 1 more: ")
+    assert lines[5] == f"overview: {Path('out', 'index.html')}"
 
 
 def test_a_name_may_be_given_for_one_program():

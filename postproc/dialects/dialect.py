@@ -21,6 +21,11 @@ class Writer(Protocol):
         ...
 
     @property
+    def approximation(self) -> str:
+        """What users of the controller call its approximate positioning."""
+        ...
+
+    @property
     def least_arc(self) -> tuple[float, float]:
         """Of an arc that the controller takes: how far its other points are from its start [m], and the angle [rad]
         between them as seen from there. What is less is written as a line.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import NotRequired, TypedDict
 
 import numpy as np
@@ -54,8 +55,12 @@ class Ratios(TypedDict):
 
 
 class Blending(TypedDict):
-    """How far approximate positioning passes the corners of cutting moves: as written, and as KRL input itself does."""
+    """How far approximate positioning passes the corners of cutting moves: as written, and as KRL input itself does.
 
+    `by` is what the controller calls it.
+    """
+
+    by: str
     max_mm: float
     programmed_max_mm: float
     source_line: int | None
@@ -177,9 +182,13 @@ def _held(result: Result, after: Statistics, tolerance: float | None) -> bool | 
 def _blending(result: Result) -> Blending:
     cuts = np.flatnonzero(_cuts(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
+    written = result.documents[0].name if result.documents else None
+    dialect = result.program.dialect if written is None else registry.of_file(Path(written)).name
+    by = registry.written_in(dialect, None)[1].approximation
     if worst is None or not result.rounding[worst] > 0.0:
-        return {"max_mm": 0.0, "programmed_max_mm": 0.0, "source_line": None}
+        return {"by": by, "max_mm": 0.0, "programmed_max_mm": 0.0, "source_line": None}
     return {
+        "by": by,
         "max_mm": float(result.rounding[worst]) * MM_PER_M,
         "programmed_max_mm": float(result.programmed[cuts].max()) * MM_PER_M,
         "source_line": int(result.source_line[worst]),

@@ -75,7 +75,7 @@ def _facts(content: Summary) -> list[str]:
     if blending["source_line"] is not None:
         own = blending["programmed_max_mm"]
         told = f"line {blending['source_line']}" + (f"; the program itself by {number(own, 3)} mm" if own else "")
-        facts.append(f"approximation (C_DIS) rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
+        facts.append(f"{blending['by']} rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
     origin = content["provenance"]
     if origin["state"] == "intact":
         corrected = ": what is predicted here is what its targets make up for" if origin["mode"] == "corrected" else ""
@@ -96,22 +96,22 @@ def issue_line(issue: IssueEntry, program: str) -> str:
 
 
 def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
-    """Return a table of many programs.
+    """Return a table of many programs, and below it the first reason of each verdict that is not good.
 
     :param rows: name, summary (None where it failed) and one word on what came of it.
     :param display: how it looks.
     """
     lengths_mm = ("max before", "max after", "rms before", "rms after")
-    head = ("program", "targets", *(f"{title} [mm]" for title in lengths_mm), "compensated", "result")
+    head = ("program", "targets", *(f"{title} [mm]" for title in lengths_mm), "compensated", "verdict", "result")
     cells: list[tuple[str, ...]] = []
     for name, content, word in rows:
         if content is None:
-            cells.append((name, *("-",) * 6, word))
+            cells.append((name, *("-",) * 7, word))
             continue
         before, after = content["before"], content["after"]
         lengths = (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
         numbers = (str(content["targets"]), *map(millimetres, lengths), percent(content["compensated_percent"]))
-        cells.append((name, *numbers, word))
+        cells.append((name, *numbers, _verdict_word(content), word))
     written = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and written:
         worst = (max(content[key]["max_mm"] for content in written) for key in ("before", "after"))
@@ -121,8 +121,28 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
             told.insert(0, f"{len(rows) - len(written)} not written")
         targets_in_all = str(sum(content["targets"] for content in written))
         total = f"all {len(rows)}, at most"
-        cells.append((total, targets_in_all, *map(millimetres, worst), "", "", "", ", ".join(told)))
-    return display.table(head, cells, right=range(1, 7))
+        cells.append((total, targets_in_all, *map(millimetres, worst), "", "", "", "", ", ".join(told)))
+    return "\n".join([display.table(head, cells, right=range(1, 7)), *_why(rows)])
+
+
+def _verdict_word(content: Summary) -> str:
+    state = content["verdict"]["state"]
+    return "no forces" if state == "warning" and content["max_force_N"] == 0.0 else _TOLD[state]
+
+
+def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
+    """Return the first reason of each verdict that is not good, and the programs that have it."""
+    programs: dict[str, list[str]] = {}
+    for name, content, _ in rows:
+        if content is not None and content["verdict"]["state"] != "ok":
+            programs.setdefault(content["verdict"]["reasons"][0], []).append(name)
+    lines = []
+    for reason, names in [*programs.items()][:_REASONS]:
+        told = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        lines.append(f"  - {told}: {reason}")
+    if len(programs) > _REASONS:
+        lines.append(f"  - {len(programs) - _REASONS} more reasons: see the overview")
+    return lines
 
 
 def number(value: float | None, places: int) -> str:

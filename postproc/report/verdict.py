@@ -87,7 +87,7 @@ def _tolerance(content: Summary) -> tuple[list[str], list[str], list[str]]:
     holds = [f"the predicted path stays within {tolerance:g} mm of the nominal one, between targets too"]
     if content["tolerance_held"] is None:
         blending = content["blending"]
-        told = f"approximation (C_DIS) rounds corners by up to {blending['max_mm']:.3f} mm, more than {tolerance:g} mm"
+        told = f"{blending['by']} rounds corners by up to {blending['max_mm']:.3f} mm, more than {tolerance:g} mm"
         return [], [_told(told, blending["source_line"])], holds
     return [], [], holds
 

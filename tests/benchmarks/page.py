@@ -2,9 +2,9 @@
 
 Run: python -m tests.benchmarks.page [--targets N] [--repeats N]
 
-A finishing pass is converted and its report opened from disk, 1440 × 1000 pixels, drawn by the processor. Printed are, of
-the quickest of some openings, wall-clock seconds since navigation, and the processor time of all processes of the browser
-up to there, which other work on the machine changes less:
+A finishing pass is converted and its report opened from disk, 1440 × 1000 pixels, drawn by the processor. Printed are,
+of the quickest of some openings, seconds since navigation by the clock, and the processor time of all processes of the
+browser up to there, which other work on the machine changes less:
 
 - text: the verdict can be read;
 - rows: a click on a row of the worst shows its place;
@@ -91,7 +91,9 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
         page.evaluate("window.before = selection.place")
         for step in range(100):
             across = 0.3 + 0.4 * (step * 0.618 % 1.0)
-            page.mouse.move(box["x"] + across * box["width"], box["y"] + (0.4 + 0.4 * (step * 0.414 % 1.0)) * box["height"])
+            page.mouse.move(
+                box["x"] + across * box["width"], box["y"] + (0.4 + 0.4 * (step * 0.414 % 1.0)) * box["height"]
+            )
             page.evaluate("new Promise((next) => requestAnimationFrame(() => requestAnimationFrame(next)))")
             if page.evaluate(_PATH):
                 page.mouse.down()

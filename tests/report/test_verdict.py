@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from postproc.errors import Issue
-from postproc.report import summary
+from postproc.program import Document
+from postproc.report import of_one, page, summary
 from postproc.robot import Covariance, JointCompliance
 from tests import fabricated
+from tests.html_page import read_page
 
 _QUIET = {"issues": (), "bound": np.full(100, 5e-6)}
 
@@ -62,3 +64,13 @@ def test_the_bound_is_over_cutting_targets():
     assert content["u95"]["max_mm"] == pytest.approx(0.1)
     assert content["u95"]["rms_mm"] == pytest.approx(1e3 * np.sqrt(np.mean(bound[~base.rapid] ** 2)))
     assert summary(base)["u95"] is None
+
+
+@pytest.mark.parametrize(("written", "word"), [("part.src", "(C_DIS)"), ("part.mod", "(zones)")])
+def test_rounding_of_corners_is_told_in_the_word_of_the_controller(written, word):
+    changes = {"rounding": np.full(100, 5e-5), "documents": (Document(written, ""),)}
+    result = fabricated.with_changes(fabricated.result(), **changes)
+    content = summary(result, 1e-5)
+    limits = read_page(b"".join(page(result, 1e-5))).text("limits")
+    for text, times in ((content["verdict"]["reasons"][0], 1), (of_one(content), 2), (limits, 1)):
+        assert text.count("rounds corners") == text.count(f"pproximation {word} rounds corners") == times

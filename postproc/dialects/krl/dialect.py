@@ -38,6 +38,7 @@ class _Writer:
     """Writes KRL: a program read from KRL in its own text, any other as a new one."""
 
     extension = ".src"
+    approximation = "approximation (C_DIS)"
     least_arc = (2e-5, 0.3 * RAD_PER_DEG)
     """Assumed: no limit is published; where all three points nearly coincide their digits decide on the circle."""
 

@@ -25,6 +25,7 @@ class _Writer:
     """Writes RAPID: new programs only."""
 
     extension = ".mod"
+    approximation = "approximation (zones)"
     least_arc = (1.01e-4, 1.01 * RAD_PER_DEG)
     """Limits of MoveC, 0.1 mm and 1 deg (Technical reference manual, RAPID Instructions), and 1 % for rounding."""
 

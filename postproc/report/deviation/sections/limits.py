@@ -22,7 +22,7 @@ def section(told: Deviation) -> Section | None:
     blending = content["blending"]
     if blending["source_line"] is not None:
         told_at = f"{number(blending['max_mm'], 3)} mm, line {blending['source_line']}"
-        rows.append(("Approximation (C_DIS) rounds corners by up to", told_at))
+        rows.append((f"{blending['by'][:1].upper()}{blending['by'][1:]} rounds corners by up to", told_at))
     if content["mode"] == "convert":
         rows.append(("Largest correction", f"{number(content['max_correction_mm'], 3)} mm"))
     if content["tool_deflection"] is not None:
