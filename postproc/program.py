@@ -435,6 +435,16 @@ class Written:
 Record = TypeVar("Record")
 
 
+def distinct(values: Ints) -> Ints:
+    """Return the different ones of whole numbers, ascending: `np.unique`, without the masked arrays that it imports.
+
+    >>> distinct(np.array([7, 3, 7])).tolist()
+    [3, 7]
+    """
+    ordered = np.sort(values, axis=None)
+    return np.asarray(ordered[np.diff(ordered, prepend=ordered[:1] - 1) != 0])
+
+
 def read_only(record: Record) -> Record:
     """Return a record with all its arrays, and those of the records in it, made read-only: it is handed on.
 

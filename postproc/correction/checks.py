@@ -10,7 +10,7 @@ from postproc import elastostatics, kinematics
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector
 from postproc.kinematics import JointPath
-from postproc.program import PTP, Bools, Ints, Program
+from postproc.program import PTP, Bools, Ints, Program, distinct
 from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 
@@ -41,7 +41,7 @@ def _first(
     rows = np.flatnonzero(bad)
     if len(rows):
         line = program.motions.line[motion[rows]]
-        count, lines = len(np.unique(motion[rows])), tuple(np.unique(line).tolist())
+        count, lines = len(distinct(motion[rows])), tuple(distinct(line).tolist())
         yield Issue(level, kind, message, source_line=int(line[0]), count=count, lines=lines)
 
 
@@ -172,7 +172,7 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
             "controller's."
         )
         line = program.motions.line[sample.motion[ends[changes]]]
-        lines = tuple(np.unique(line).tolist())
+        lines = tuple(distinct(line).tolist())
         yield Issue("info", "posture", message, source_line=int(line[0]), count=len(changes), lines=lines)
 
 

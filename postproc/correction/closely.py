@@ -16,7 +16,7 @@ from postproc import kinematics, toolpath
 from postproc.correction import checks
 from postproc.errors import Issue
 from postproc.frames import RAD_PER_DEG, Array, largest
-from postproc.program import CIRC, LIN, Bools, Ints
+from postproc.program import CIRC, LIN, Bools, Ints, distinct
 from postproc.under_load import PathUnderLoad, unreachable
 
 _SPACING = 5.0 * RAD_PER_DEG
@@ -67,7 +67,7 @@ def needed(path: PathUnderLoad, q: Array, speed: Array) -> Ints:
     close |= (largest(turned) > _TURNED) | (speed > _SHARE_OF_SPEED * robot.speed).any(axis=1)
     close |= (np.abs(here[:, 4]) < np.maximum(near[:, 4], _NEAR_WRIST)) | (np.abs(elbow) < _NEAR_ELBOW)
     close |= np.abs(reach) < near[:, 6] + checks.SHOULDER
-    return np.unique(sample.motion[rows[close]])
+    return distinct(sample.motion[rows[close]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

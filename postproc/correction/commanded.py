@@ -11,7 +11,7 @@ from postproc.chunks import in_chunks
 from postproc.compensation import Compensation
 from postproc.errors import Issue, NotConvergedError
 from postproc.frames import Array
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, distinct
 from postproc.under_load import ImpossiblePathError, PathUnderLoad
 
 _NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
@@ -91,8 +91,8 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
 def _no_balance(path: PathUnderLoad, cause: NotConvergedError) -> ImpossiblePathError:
     """Return an error that names the first of the motions concerned and counts them."""
     motion = path.sample.motion[list(cause.rows)]
-    line = path.program.motions.line[np.unique(motion)]
-    lines = tuple(np.unique(line).tolist())
+    line = path.program.motions.line[distinct(motion)]
+    lines = tuple(distinct(line).tolist())
     return ImpossiblePathError(
         Issue("error", "not-converged", _NO_BALANCE, source_line=int(line[0]), count=len(line), lines=lines)
     )

@@ -19,7 +19,7 @@ from postproc.correction.targets import Chosen
 from postproc.errors import Issue, Level, NotConvergedError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import CIRC, PTP, Bools, Ints
+from postproc.program import CIRC, PTP, Bools, Ints, distinct
 from postproc.under_load import PathUnderLoad
 
 _HELD = 1e-6
@@ -251,12 +251,12 @@ def _not_held(path: PathUnderLoad, chosen: Chosen, probes: _Probes, distance: Ar
                 f"(allowed {limit * MM_PER_M:g} mm)"
             )
             line = path.program.motions.line[motion[bad]]
-            lines = tuple(np.unique(line).tolist())
+            lines = tuple(distinct(line).tolist())
             yield Issue("error", "tolerance", message, source_line=int(line[0]), count=int(bad.sum()), lines=lines)
 
 
 def _at_first(path: PathUnderLoad, level: Level, kind: str, message: str, motion: Ints) -> Issue:
     """Return an issue that names the first of motions (n,) and counts them."""
     line = path.program.motions.line[motion]
-    count, lines = len(np.unique(motion)), tuple(np.unique(line).tolist())
+    count, lines = len(distinct(motion)), tuple(distinct(line).tolist())
     return Issue(level, kind, message, source_line=int(line[0]), count=count, lines=lines)

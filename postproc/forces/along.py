@@ -12,7 +12,7 @@ from postproc.forces.comments import of_comments
 from postproc.forces.feed import last_travel
 from postproc.forces.knots import BASE, FEED, ForceSource, Knots
 from postproc.frames import Array
-from postproc.program import Bools, Ints, Program
+from postproc.program import Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, Toolpath
 
 BEHIND_STEP = 1e-5
@@ -117,7 +117,7 @@ def _told(program: Program, motion: Ints, kind: str, message: str) -> list[Issue
     if len(motion) == 0:
         return []
     line = program.motions.line[motion]
-    count, lines = len(np.unique(motion)), tuple(np.unique(line).tolist())
+    count, lines = len(distinct(motion)), tuple(distinct(line).tolist())
     return [Issue("warning", kind, message, source_line=int(line[0]), count=count, lines=lines)]
 
 
@@ -171,7 +171,7 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
             "give its force in BASE or TOOL axes."
         )
         name, problem = program.documents[0].name, "a FEED force on a move along the spindle"
-        lines = np.unique(m.line[unknown])[: MOST + 1].tolist()
+        lines = distinct(m.line[unknown])[: MOST + 1].tolist()
         raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     issues = []
     if needs.any():
@@ -180,7 +180,7 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
             "last move that had one, before any such move that of the first"
         )
         line = m.line[needs]
-        lines = tuple(np.unique(line).tolist())
+        lines = tuple(distinct(line).tolist())
         issues.append(
             Issue("info", "feed-direction", message, source_line=int(line[0]), count=int(needs.sum()), lines=lines)
         )

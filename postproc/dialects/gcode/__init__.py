@@ -45,7 +45,7 @@ from postproc.dialects.gcode.path import Path, Speeds, read_path
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse
-from postproc.program import Document, Event, ForceNote, Program, parse_force_note
+from postproc.program import Document, Event, ForceNote, Program, distinct, parse_force_note
 
 __all__ = ["decode", "read"]
 
@@ -126,7 +126,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         notes=notes,
         events=events,
         swivel=path.swivel,
-        still=np.unique(run.main[path.still]),
+        still=distinct(run.main[path.still]),
         issues=tuple(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
     )
 
@@ -223,7 +223,7 @@ def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
         message = "Rapid moves before X, Y and Z are all known are held back until the position is complete."
         lines = tuple((path.held_back + 1).tolist())
         yield Issue("info", "start-position", message, lines[0], count=len(lines), lines=lines)
-    nowhere = np.setdiff1d(path.still, path.held_back)
+    nowhere = np.setdiff1d(path.still, path.held_back, assume_unique=True)
     if len(nowhere):
         message = "A move that goes nowhere is left out."
         lines = tuple((nowhere + 1).tolist())

@@ -17,7 +17,7 @@ from postproc.dialects.gcode.blocks import BlockError, Fault
 from postproc.dialects.gcode.expressions import Reader, Value, whole
 from postproc.dialects.gcode.parameters import ARGUMENTS, Key, Parameters, key_of
 from postproc.dialects.gcode.words import MARK, Source
-from postproc.program import Document, Ints
+from postproc.program import Document, Ints, distinct
 
 _CONTROLLING = re.compile(rb"[#\[]|M0*9[89](?![\d.])|\n[\x01/]*(?:N\d+)?[\x01/]*O(?!\d+\x01*\n)")
 _NOTABLE = re.compile(rb"[#\[O%]|M0*(?:2|30|98|99)(?![\d.])")
@@ -112,7 +112,7 @@ class Unit:
         """Look through a file."""
         unit = cls(document, source)
         at = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
-        notable = np.unique(np.searchsorted(source.ends, at) - 1)
+        notable = distinct(np.searchsorted(source.ends, at) - 1)
         rows = np.append(notable, len(source))
         unit.following = rows[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
         unit._connect(notable)

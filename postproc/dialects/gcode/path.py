@@ -20,7 +20,7 @@ from postproc.dialects.gcode.moves import Moves, Setting, moves_of
 from postproc.dialects.gcode.rotary import check_turning, swivel_of
 from postproc.dialects.gcode.rows import Rows, in_force, rows_of
 from postproc.frames import M_PER_MM, Array, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel, distinct
 
 _S_PER_MIN = 60.0
 
@@ -96,8 +96,8 @@ def read_path(
     motions = _motions(rows, moves, (circular, arcs), kept, free, swivel, modes, setting, speeds)
     done = [(int(np.searchsorted(kept, at)), row, what) for at, row, what in moves.done]
     away = moves.row[held_back]
-    still = np.unique(np.concatenate([away, moves.row[stays]]))
-    return Path(motions, swivel, moves.row[kept], still, np.unique(away), done, moves.told)
+    still = distinct(np.concatenate([away, moves.row[stays]]))
+    return Path(motions, swivel, moves.row[kept], still, distinct(away), done, moves.told)
 
 
 def _arcs(rows: Rows, moves: Moves, circular: Ints) -> Arcs:

@@ -10,7 +10,7 @@ from postproc import kinematics
 from postproc.correction import Result
 from postproc.forces.feed import across
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
-from postproc.program import CIRC, PTP, WRENCH, Bools, Ints
+from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
 from postproc.report.deviation.drawn import drawn_path
 from postproc.report.kit import Columns
 from postproc.robot import JOINTS
@@ -60,7 +60,7 @@ def kept(result: Result) -> Ints:
     if result.bound is not None:
         measures.append(result.bound)
     runs = MOST // (len(measures) + 1)
-    begin = np.unique(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
+    begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
     run = np.repeat(np.arange(len(begin)), np.diff(begin, append=count))
     rows = [begin, np.array([count - 1])]
     for measure in measures:
@@ -68,7 +68,7 @@ def kept(result: Result) -> Ints:
         largest = np.maximum.reduceat(value, begin)
         at = np.flatnonzero(value == largest[run])
         rows.append(at[np.concatenate([[True], np.diff(run[at]) != 0])])
-    return np.unique(np.concatenate(rows))
+    return distinct(np.concatenate(rows))
 
 
 def places(result: Result) -> Places:
@@ -162,7 +162,7 @@ def _feed_axes(result: Result, row: Ints) -> Array:
 
 def _singular_values(result: Result, row: Ints) -> Array:
     """Return the smallest singular value (P,) of the tool's Jacobian, metres and radians per radian."""
-    some = np.unique(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
+    some = distinct(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
     tool = result.program.tools[result.program.motions.tool[result.motion[row[some]]]]
     values = kinematics.singular_values(result.robot, result.q[row[some]], tool)
     return np.interp(np.arange(len(row)), some, values)

@@ -21,7 +21,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
-from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts
+from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
 _BY_SPEED = re.compile(r"\bC_(?:VEL|ORI)\b", re.IGNORECASE)
 _SAME_EXTERNAL = 1e-4
@@ -263,7 +263,7 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
         return []
     place = np.array([match.start() for match in _BY_SPEED.finditer(source.text)], dtype=np.int64)
     row = np.searchsorted(rows.tail[:, 0], place, side="right") - 1
-    found = np.unique(row[(row >= 0) & (place < rows.tail[row, 1])])
+    found = distinct(row[(row >= 0) & (place < rows.tail[row, 1])])
     found = found[(rows.kind[found] != PTP) & ~rows.approximated[found]]
     if not len(found):
         return []
@@ -272,7 +272,7 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
         "what is said of the tolerance."
     )
     line = rows.line[found]
-    lines = tuple(np.unique(line).tolist())
+    lines = tuple(distinct(line).tolist())
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(found), lines=lines)]
 
 
@@ -288,6 +288,6 @@ def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int,
     ):
         found = np.flatnonzero(rows)
         if len(found):
-            lines = tuple(np.unique(line[found]).tolist())
+            lines = tuple(distinct(line[found]).tolist())
             issues.append(Issue("info", kind, message, int(line[found[0]]), count=len(found), lines=lines))
     return issues

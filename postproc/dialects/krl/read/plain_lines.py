@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import cache
 
 import numpy as np
 
@@ -25,30 +26,34 @@ _LINES = 8192
 """Lines read at once: what is made of more does not fit the cache."""
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
+_STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
 _NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 
 
-def _line_of(number: str) -> re.Pattern[str]:
-    """Return the expression for a plain line, with a given expression for its numbers."""
+_CIRCLE = re.compile(r"[ \t]*+[Ss]?+[Cc][Ii][Rr][Cc]")
+
+
+@cache
+def _line_of(number: str, *, circle: bool) -> re.Pattern[str]:
+    """Return the expression for a plain LIN or PTP, or a plain CIRC, with a given expression for its numbers."""
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
-    all_six = r"[ \t]*+,[ \t]*+".join(position) + _NEXT  # so common that trying it first is faster
-    some = "".join(f"(?:{component}{_NEXT})?+" for component in position)
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
     begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?+(?=[XYZABCxyzabc])"
+    given = 3 if circle else 0
+    point = begin + "".join(f"{component}{_NEXT}" for component in position[:given])
+    point += "".join(f"(?:{component}{_NEXT})?+" for component in position[given:])
     rest = "".join(f"(?:{component}{_NEXT})?+" for component in components) + r"\}"
-    point = "".join(f"{component}{_NEXT}" for component in position[:3])
-    point += "".join(f"(?:{component}{_NEXT})?+" for component in position[3:])
-    line = (
-        r"[ \t]*+[Ss]?+(?:"
-        rf"(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])[ \t]*+{begin}(?>{all_six}|{some}){rest}"
-        rf"|[Cc][Ii][Rr][Cc][ \t]*+{begin}{point}\}}[ \t]*+,[ \t]*+{begin}{point}{rest}"
-        r")(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
-    )
-    return re.compile(line)
+    before = rf"{_CIRCLE.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT}[ \t]*+"
+    behind = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
+    return re.compile(f"{before}{point}{rest}{behind}")
 
 
-_LINE, _LINE_STRICT = _line_of(_LOOSE), _line_of(_STRICT)
+def _is_plain(text: str, begin: int, number: str) -> bool:
+    """Return whether a plain line begins there, with a given expression for its numbers."""
+    circle = _CIRCLE.match(text, begin) is not None
+    return _line_of(number, circle=circle).match(text, begin) is not None
+
 
 _MARK = 1
 _NUMBER = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
@@ -80,7 +85,7 @@ def _plain(text: str, lines: int, characters: int) -> MotionColumns:
     alike = _alike(text, codes, starts)
     plain = _scan(codes, starts, alike)
     if plain is None:  # something that looks like a number is none, such as 1.2.3
-        strict = [index for index in alike.tolist() if _LINE_STRICT.match(text, int(starts[index]))]
+        strict = [index for index in alike.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
         plain = _scan(codes, starts, np.array(strict, dtype=np.int64)) or none()
     endless = np.flatnonzero(
         np.isinf(plain.numbers).any(axis=1) | np.isinf(plain.via).any(axis=1)
@@ -99,12 +104,12 @@ def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
     forms = marked[~number].tobytes().split(b"\n")  # each number is one mark
     begins = np.append(0, np.flatnonzero(marked == ord("\n")) + 1).tolist()
     example = dict(zip(reversed(forms), reversed(begins), strict=True))
-    decided = {form: _LINE.match(text, begin) is not None for form, begin in example.items()}
+    decided = {form: _is_plain(text, begin, _LOOSE) for form, begin in example.items()}
     plain = np.array([decided[form] for form in forms])
     own = {form for form, good in decided.items() if good and _OWN.search(form)}
     if own:
         for index in [index for index, form in enumerate(forms) if form in own]:
-            plain[index] = _LINE.match(text, begins[index]) is not None
+            plain[index] = _is_plain(text, begins[index], _LOOSE)
     return np.asarray(np.searchsorted(starts, np.array(begins)[plain]))
 
 

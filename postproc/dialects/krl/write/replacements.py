@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from postproc.decimals import Bytes, fixed
 from postproc.frames import Array
-from postproc.program import Ints
+from postproc.program import Ints, distinct
 
 _CHUNK = 1 << 21
 
@@ -38,7 +38,7 @@ class Replacements:
         :param values: (n,) numbers.
         :param decimals: (n,) decimals of each.
         """
-        for places in np.unique(decimals).tolist():
+        for places in distinct(decimals).tolist():
             rows = np.flatnonzero(decimals == places)
             digits = fixed(values[rows], places)
             used = digits != 0

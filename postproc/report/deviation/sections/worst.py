@@ -3,7 +3,7 @@
 import numpy as np
 
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import Ints
+from postproc.program import Ints, distinct
 from postproc.report.deviation.content import Deviation
 from postproc.report.deviation.places import correction
 from postproc.report.kit import Row, Section, Table
@@ -19,7 +19,7 @@ def section(told: Deviation) -> Section | None:
         return None
     measures = [result.before] + ([result.after] if told.compared else [])
     measures += [] if result.bound is None else [result.bound]
-    rows = np.unique(np.concatenate([_worst(measure, result.rapid, result.source_line) for measure in measures]))
+    rows = distinct(np.concatenate([_worst(measure, result.rapid, result.source_line) for measure in measures]))
     rows = rows[np.argsort(-result.before[rows], kind="stable")]
     force, moved = norm(result.wrench[rows, :3]), norm(correction(result)[rows]) * MM_PER_M
     head = ["Source line", "Output line", "On the move", "Before, mm" if told.compared else "Predicted, mm"]
