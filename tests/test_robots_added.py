@@ -92,7 +92,8 @@ def test_what_is_not_known_is_marked_as_assumed_and_told():
     shown = {entry.name: entry for entry in robot.load(added.folder).sources}
     assert all(shown[f"compliance A{axis}"].assumed for axis in range(1, 7))
     assert shown["link masses"].assumed
-    assert not shown["geometry, limits, speeds"].assumed
+    assert not shown["geometry, limits"].assumed
+    assert not shown["joint speeds"].assumed
 
 
 def test_compliances_grow_as_the_cube_of_the_size_falls():
@@ -195,3 +196,15 @@ def test_the_command_tells_what_is_assumed_and_what_to_write_into_the_cell():
     assert "compliances are ASSUMED" in done.stderr
     assert 'robot = "models/mine"' in done.stdout
     assert CliRunner().invoke(main, ["robots", "models/mine"]).stdout.startswith(TITLE)
+
+
+def test_speeds_have_a_source_of_their_own_where_they_are_not_the_robots():
+    def shown(name):
+        return {entry.name: entry for entry in robot.load(robot.find(name)).sources}
+
+    assert shown("kuka_kr60_3")["joint speeds"].value == "128, 102, 128, 260, 245, 322 °/s"
+    for name in ("kuka_kr270", "kuka_kr500_r2830"):
+        assert shown(name)["joint speeds"].assumed
+        assert not shown(name)["geometry, limits"].assumed
+    same = shown("kuka_kr300_r2700_2")
+    assert same["joint speeds"].source == same["geometry, limits"].source

@@ -77,6 +77,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         ),
         masses=prior.masses,
         geometry_nominal=prior.geometry_nominal,
+        speeds=prior.speeds,
     )
 
 

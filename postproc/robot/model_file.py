@@ -161,7 +161,11 @@ class MeasuredEntry(Sourced, frozen=True, kw_only=True):
 
 
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Content of `model.toml`; `language`: dialect that the robot's controller reads, empty where nobody says."""
+    """Content of `model.toml`; `language`: dialect that the robot's controller reads, empty where nobody says.
+
+    `masses`, `geometry_nominal` (and joint limits) and `speeds`, of the joints, say where those in robot.urdf come from;
+    speeds without an entry come from where the geometry does.
+    """
 
     name: str
     joints: dict[str, JointSpring]
@@ -174,6 +178,7 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     links: dict[str, LinkSprings] = {}
     masses: Sourced | None = None
     geometry_nominal: Sourced | None = None
+    speeds: Sourced | None = None
     covariance: CovarianceTable | None = None
     discrepancy: DiscrepancyEntry | None = None
     measured: MeasuredEntry | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from postproc.frames import DEG_PER_RAD
 from postproc.robot.chain import Chain
 from postproc.robot.model_file import JOINTS, ModelFile, Sourced
 from postproc.robot.spring_parameters import LinkSpring
@@ -58,9 +59,11 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         value = f"{covered.configurations} configurations, up to {torques} N·m on A1 … A6"
         yield SourcedValue("measured", value, covered.source, covered.assumed)
     masses = ", ".join(f"{mass:g}" for mass in nominal.mass)
+    speeds = ", ".join(f"{speed:.4g}" for speed in nominal.speed * DEG_PER_RAD)
     for label, value, entry_source in (
         ("link masses", f"{masses} kg", content.masses),
-        ("geometry, limits, speeds", "robot.urdf", content.geometry_nominal),
+        ("geometry, limits", "robot.urdf", content.geometry_nominal),
+        ("joint speeds", f"{speeds} °/s", content.speeds or content.geometry_nominal),
     ):
         source = entry_source or Sourced(source="not stated", assumed=True)
         yield SourcedValue(label, value, source.source, source.assumed)
