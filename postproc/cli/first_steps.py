@@ -11,6 +11,7 @@ import click
 from postproc.cli.completion import complete_robots
 
 if TYPE_CHECKING:
+    from postproc.hosts.robodk_station import Station
     from postproc.jobs.cell_file import Numbers
 
 _PATH = click.Path(path_type=Path)
@@ -61,25 +62,61 @@ def _parsed(kind: Any) -> Any:
     "--start", callback=_parsed(_numbers), metavar="A1,…,A6", help=f"Where programs start, in deg; default: {_START}."
 )
 @click.option("--config-dat", type=_PATH, help="$config.dat of the controller: --base and --tool may be numbers then.")
+@click.option(
+    "--robodk",
+    metavar="STATION.rdk",
+    help="Station of RoboDK, which must be on this machine: robot, base, tool and start; 'open': the one that is open.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
-def init(cell: Path, **given: Any) -> None:
+def init(cell: Path, robodk: str | None, **given: Any) -> None:
     """Write a cell file with comments, by options or by questions.
 
     CELL is the file to write, cell.toml by default. On a terminal it asks for what no option says. Lengths are mm,
-    angles degrees. With --config-dat, --base 3 takes BASE_DATA[3] and --tool 2 takes TOOL_DATA[2].
+    angles degrees. With --config-dat, --base 3 takes BASE_DATA[3] and --tool 2 takes TOOL_DATA[2]. With --robodk,
+    RoboDK is asked for its robot, the active frame and tool, and the joint angles; options win.
 
     \b
     Examples:
       postproc init
       postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350 --start 0,-70,110,0,50,0
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
+      postproc init --robodk milling.rdk
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.cell_file import CellRequest, write_cell
 
-    remarks = write_cell(CellRequest(output=cell, **_asked(given)))
+    station = None if robodk is None else _station(robodk, given)
+    asked = _asked(given)
+    remarks = write_cell(CellRequest(output=cell, **asked))
+    if station is not None:
+        remarks = (*remarks, *_of_station(station, asked["robot"]))
     click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {cell}")
     for remark in remarks:
         click.echo(f"warning: {remark}", err=True)
+
+
+def _station(robodk: str, given: dict[str, Any]) -> Station:
+    """Fill what no option says from a station of RoboDK; return the station."""
+    from postproc.hosts.robodk_station import read
+
+    station = read(robodk)
+    for name, value in (("base", station.base), ("tool", station.tool), ("start", station.start)):
+        if given[name] is None:
+            given[name] = value
+    if given["robot"] is None:
+        given["robot"] = station.shipped()
+    if given["robot"] is None:
+        click.echo(
+            f"The robot of the station is {station.robot}: no robot model that comes along is called so.", err=True
+        )
+    return station
+
+
+def _of_station(station: Station, robot: str) -> tuple[str, ...]:
+    """Return what the user should know of a cell from a station."""
+    from postproc.jobs import load_robot
+
+    off = station.beside(load_robot(robot))
+    return (*station.remarks, *(() if off is None else (off,)))
 
 
 def _asked(given: dict[str, Any]) -> dict[str, Any]:

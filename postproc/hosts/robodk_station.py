@@ -1,0 +1,125 @@
+"""What a station of RoboDK says about a cell, asked of RoboDK itself: its files are binary and nowhere described.
+
+Needs RoboDK on this machine and its package `robodk`. Frames are those that RoboDK's own posts write: the active
+reference frame in the base of the robot is `$BASE`, the active tool in the flange is `$TOOL`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from postproc import kinematics, robot
+from postproc.errors import InputError
+from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, xyzabc_from_pose
+from postproc.robot import JOINTS, RobotModel
+
+OPEN = "open"
+"""Instead of a file: the station that is open in RoboDK."""
+_SAME_MM = 1.0
+_INSTEAD = "Or give --base, --tool and --start."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Station:
+    """The robot of a station as it stands there.
+
+    :param robot: its name in RoboDK.
+    :param base: X…C of its active reference frame in its base [mm, deg].
+    :param tool: X…C of its active tool in the flange [mm, deg].
+    :param start: A1…A6 [deg].
+    :param flange: (3,) where the flange stands there, base of the robot [mm].
+    :param remarks: what is not taken over.
+    """
+
+    robot: str
+    base: tuple[float, ...]
+    tool: tuple[float, ...]
+    start: tuple[float, ...]
+    flange: Array
+    remarks: tuple[str, ...]
+
+    def shipped(self) -> str | None:
+        """Return the shipped robot model of that name, or None."""
+        wanted = _letters(self.robot)
+        known = {_letters(robot.load(folder).title): name for name, folder in robot.shipped().items()}
+        return known.get(wanted, known.get(f"kuka{wanted}"))
+
+    def beside(self, model: RobotModel) -> str | None:
+        """Return a warning where the flange of a robot model does not stand where it does in RoboDK."""
+        q = np.array([self.start]) * RAD_PER_DEG
+        stands = kinematics.tcp(model.nominal, q, np.eye(4))[0][0, :3, 3] * MM_PER_M
+        off = float(np.linalg.norm(stands - self.flange))
+        if off <= _SAME_MM:
+            return None
+        return (
+            f"with these joint angles the flange of {model.title} stands {off:.4g} mm from where {self.robot} has it "
+            "in RoboDK: is it the same arm, or one that RoboDK has calibrated?"
+        )
+
+
+def read(station: str) -> Station:
+    """Ask RoboDK for the robot of a station.
+
+    :param station: path of its file, which RoboDK opens; or `OPEN`.
+    :raises InputError: RoboDK cannot be asked, or the station has not just one robot with six joints.
+    """
+    try:
+        from robodk import robolink
+    except ImportError:
+        raise InputError(
+            "a station is read by RoboDK, and its Python package is missing",
+            file=station,
+            advice=f"pip install robodk, with RoboDK on this machine. {_INSTEAD}",
+        ) from None
+    if station != OPEN and not Path(station).is_file():
+        raise InputError("no such file", file=station)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # robolink prints what it is doing
+            return _asked(robolink, station)
+    except InputError:
+        raise
+    except Exception as cause:  # robolink raises plain exceptions
+        raise InputError(
+            f"RoboDK does not answer ({cause})", file=station, advice=f"Start RoboDK, and try again. {_INSTEAD}"
+        ) from cause
+
+
+def _asked(robolink: Any, station: str) -> Station:
+    rdk = robolink.Robolink()
+    if station != OPEN:
+        rdk.AddFile(str(Path(station).resolve()))
+    arms = rdk.ItemList(robolink.ITEM_TYPE_ROBOT)
+    arms = [arm for arm in arms if len(arm.Joints().list()) >= len(JOINTS)]
+    if len(arms) != 1:
+        names = ", ".join(arm.Name() for arm in arms)
+        raise InputError(
+            f"{len(arms)} robots with six joints in the station{f': {names}' if names else ''}",
+            file=station,
+            advice=f"Open one with a single robot. {_INSTEAD}",
+        )
+    (arm,) = arms
+    joints = arm.Joints().list()
+    start = tuple(float(value) for value in np.round(joints[: len(JOINTS)], 6) + 0.0)
+    remarks: tuple[str, ...] = ()
+    if len(joints) > len(JOINTS):
+        remarks = (f"{len(joints) - len(JOINTS)} external axes of the station are not taken over",)
+    flange = np.array(arm.SolveFK(list(joints)).Rows())[:3, 3]
+    return Station(arm.Name(), _frame(arm.PoseFrame()), _frame(arm.PoseTool()), start, flange, remarks)
+
+
+def _frame(pose: Any) -> tuple[float, ...]:
+    """Return X…C [mm, deg] of a pose of RoboDK [mm]."""
+    matrix = np.array(pose.Rows(), dtype=float)
+    matrix[:3, 3] *= M_PER_MM
+    return tuple(float(value) for value in np.round(xyzabc_from_pose(matrix[None])[0], 6) + 0.0)
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"\(.*|[^a-z0-9]", "", name.lower())
