@@ -163,8 +163,8 @@ class MeasuredEntry(Sourced, frozen=True, kw_only=True):
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of `model.toml`; `language`: dialect that the robot's controller reads, empty where nobody says.
 
-    `masses`, `geometry_nominal` (and joint limits) and `speeds`, of the joints, say where those in robot.urdf come from;
-    speeds without an entry come from where the geometry does.
+    `masses`, `geometry_nominal` (and joint limits) and `speeds`, of the joints, say where those in robot.urdf come
+    from; speeds without an entry come from where the geometry does.
     """
 
     name: str
