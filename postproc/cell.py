@@ -156,6 +156,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     base_data: dict[str, Frame] = {}
     tool_data: dict[str, Tool] = {}
     config_dat: str | None = None
+    part: Frame | None = None
 
 
 class Cell(CellFile, frozen=True):
@@ -172,6 +173,10 @@ class Cell(CellFile, frozen=True):
     def tolerance(self) -> float:
         """What the predicted path may leave the nominal one by [m]."""
         return self.output.tolerance_mm * M_PER_MM
+
+    def part_in_root(self) -> Array | None:
+        """Return the frame (4, 4) of the part's mesh in the robot root [m]; None: the mesh is in `$BASE`."""
+        return None if self.part is None else self.part.pose()
 
     def tool_pose_in_program(self) -> Array:
         """Return the (3, 3) orientation of the tool frame in the program frame of 3-axis G-code.

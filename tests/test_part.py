@@ -81,6 +81,46 @@ def test_gouges_of_a_program_as_it_stands_are_listed_with_their_lines():
     assert min(lines) >= 5
 
 
+def test_a_program_with_two_bases_needs_the_frame_of_the_mesh():
+    krl = """DEF two( )
+$TOOL = {X 0,Y 0,Z 350,A 0,B 0,C 0}
+$BASE = {X 1500,Y -200,Z 700,A 0,B 0,C 0}
+$VEL.CP = 0.02
+PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
+LIN {X 0,Y 10,Z 5,A 180,B 0,C 180}
+;FORCE FZ=150
+LIN {X 0,Y 10,Z 0,A 180,B 0,C 180}
+LIN {X 60,Y 10,Z 0,A 180,B 0,C 180}
+$BASE = {X 1500,Y -180,Z 700,A 0,B 0,C 0}
+LIN {X 60,Y 10,Z 0,A 180,B 0,C 180}
+LIN {X 0,Y 10,Z 0,A 180,B 0,C 180}
+END
+"""
+    Path("two.src").write_text(krl)
+    assert "State the frame of the mesh" in _run("convert", "two.src", "--part", "part.stl", code=1).output
+    cell = Path(CELL).read_text() + "\n[part]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
+    Path("cell.toml").write_text(cell)
+    done = CliRunner().invoke(main, ["convert", "two.src", "--part", "part.stl", "--cell", "cell.toml", "-o", "out"])
+    assert done.exit_code == 0, done.output
+    corners, facets = (read_page(Path("out/two.report.html").read_bytes()).columns(n) for n in ("corners", "facets"))
+    y = corners["y"].reshape(-1, 3).mean(axis=1)
+    assert facets["place"][np.argmin(np.abs(y - 10.0))] >= 0
+    assert facets["place"][np.argmin(np.abs(y - 30.0))] >= 0
+
+
+def test_the_surface_of_an_earlier_run_does_not_stay():
+    _run("convert", "part.nc", "--part", "part.stl")
+    _run("predict", "part.nc", "--part", "part.stl")
+    assert {"part.surface.ply", "part.surface.glb", "part.predict.surface.glb"} <= {
+        p.name for p in Path("out").iterdir()
+    }
+    _run("convert", "part.nc")
+    assert not Path("out/part.surface.ply").exists()
+    assert Path("out/part.predict.surface.ply").exists()
+    _run("predict", "part.nc")
+    assert not list(Path("out").glob("*surface*"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [

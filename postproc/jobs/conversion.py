@@ -134,10 +134,11 @@ def _contents(
     surface = None
     if settings.part is not None and len(result):
         from postproc.jobs.part_file import surface_of  # meshes and trees of points are imported with it
-        from postproc.report.surface import ply
+        from postproc.report.surface import glb, ply
 
-        surface = surface_of(result, settings.part, job.process)
-        contents[f"{stem}surface.ply"] = ply(surface, cell.output.tolerance_mm * M_PER_MM)
+        surface = surface_of(result, settings.part, job.process, cell.part_in_root())
+        for ending, made in (("ply", ply), ("glb", glb)):
+            contents[f"{stem}surface.{ending}"] = made(surface, cell.tolerance)
     contents[f"{stem}report.html"] = report.page(result, tolerance, surface)
     if stock is not None:
         contents[f"{stem}stock.glb"] = stock

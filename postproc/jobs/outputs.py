@@ -13,6 +13,9 @@ from postproc.jobs import overview
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
 
+_BESIDE = (".surface.ply", ".surface.glb", ".stock.glb", ".forces.csv")
+"""Files that only some runs write."""
+
 
 def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> None:
     """Look at all output folders before anything is written.
@@ -61,16 +64,16 @@ def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -
 
 
 def obsolete(job: Job, names: Iterable[str], mode: Mode, *, overwrite: bool) -> list[str]:
-    """Return the files of the program of an earlier run that this one does not write: it had more parts, or none.
+    """Return the files of an earlier run that this one does not write: its program had more parts or none, or it was
+    made with a mesh of the part, a process or a file of forces.
 
     :param names: of the files to be written.
     :raises InputError: one of them was changed since, and must not be removed.
     """
-    if mode == "predict":
-        return []
     kept = {name.lower() for name in names}
     inputs = {_key(path) for path in job.reads()}
-    endings = (job.writer.extension, *(path.suffix.lower() for path in job.reads()))
+    programs = () if mode == "predict" else (job.writer.extension, *(path.suffix.lower() for path in job.reads()))
+    endings = (*programs, *_BESIDE)
     known = recorded(job.output / job.report(mode))
     left = [
         name

@@ -19,19 +19,20 @@ _ALONG = 60.0
 """Facets are divided until the longest is this share of the part, or there are too many."""
 
 
-def surface_of(result: Result, part: Path, process: Path | None) -> Surface:
+def surface_of(result: Result, part: Path, process: Path | None, placed: Array | None = None) -> Surface:
     """Return what will become of the surface of a part.
 
-    :param part: mesh in mm, `$BASE` (STL, PLY, OBJ …).
+    :param part: mesh in mm (STL, PLY, OBJ …).
     :param process: process.toml whose [tools] say the shapes; None: the nearest place of the path counts.
-    :raises InputError: the mesh or the process is unusable, or the program has several `$BASE`.
+    :param placed: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program.
+    :raises InputError: the mesh or the process is unusable, or its frame is not stated and there are several `$BASE`.
     """
     corners = read_facets(part)
-    if len(result.program.bases) > 1:
+    if placed is None and len(result.program.bases) > 1:
         raise InputError(
             "the program has several $BASE: to which the part belongs is not known",
             file=str(part),
-            advice="Leave out --part, or divide the program.",
+            advice="State the frame of the mesh in the robot root in the cell: [part] with X, Y, Z, A, B, C.",
         )
     cutters: dict[int, Cutter] | None = None
     if process is not None:
@@ -40,7 +41,7 @@ def surface_of(result: Result, part: Path, process: Path | None) -> Surface:
             radius = 0.5 * tool.diameter_mm * M_PER_MM
             corner = radius if tool.shape == "ball" else tool.corner_radius_mm * M_PER_MM
             cutters[0 if name == "default" else int(name)] = Cutter(radius, corner, tool.flutes)
-    return surface(result, corners, cutters)
+    return surface(result, corners, cutters, placed)
 
 
 def read_facets(path: Path) -> Array:

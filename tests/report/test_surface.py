@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from postproc.frames import pose_from_xyzabc
 from postproc.machining.tool import Cutter
 from postproc.program import LIN
-from postproc.report.surface import Surface, ply, surface
+from postproc.report.surface import Surface, glb, ply, surface
 from tests import fabricated
 
 MICRON = 1e-6
@@ -110,6 +111,35 @@ def test_a_step_has_floor_and_wall_each_along_its_normal_and_what_is_out_of_reac
     assert found.row[3:].tolist() == [-1, -1]
 
 
+def test_a_part_whose_program_has_two_bases_lies_in_its_own_frame():
+    """Half of the path in a $BASE that is moved and turned: the surface is that of the same path in one."""
+    size = 0.05
+    points = _zigzag(np.linspace(-0.01, size + 0.01, 15), np.arange(0, size + 0.003, 0.003), lambda x, y: 0 * x)
+    off = np.column_stack([2e-4 + 0 * points[:, 0], -1e-4 + 0 * points[:, 0], -1e-4 + 0.004 * points[:, 0]])
+    one = _result(points, off)
+    part = np.array(pose_from_xyzabc([1500.0, -200.0, 700.0, 20.0, 5.0, -3.0]))
+    other = part @ pose_from_xyzabc([60.0, 10.0, -30.0, -40.0, 80.0, 15.0])
+    base = (np.arange(len(points)) >= len(points) // 2).astype(np.int64)
+    back = np.linalg.inv(np.stack([part, other])) @ part  # from the frame of the part into each $BASE
+    pose = back[base] @ one.nominal
+    motions = replace(one.program.motions, target=pose, base=base)
+    turned = np.einsum("kij,kj->ki", back[base][:, :3, :3], off)
+    two = fabricated.with_changes(
+        one,
+        program=replace(one.program, motions=motions, bases=np.stack([part, other])),
+        nominal=pose,
+        deviation_before=turned,
+        deviation_after=0.01 * turned,
+    )
+    corners = _plane(size, 17)
+    found = surface(two, corners, FLAT, part)
+    exact = -1e-4 + 0.004 * corners.mean(axis=1)[:, 0]
+    assert (found.row >= 0).all()
+    assert np.abs(found.before - exact).max() < MICRON
+    moved = surface(one, corners @ part[:3, :3].T + part[:3, 3], FLAT, np.linalg.inv(part))
+    np.testing.assert_allclose(moved.before, surface(one, corners, FLAT).before, atol=1e-9)
+
+
 def test_rapid_moves_touch_nothing():
     points = _zigzag(np.linspace(0, 0.05, 11), np.arange(0, 0.05, 0.004), lambda x, y: 0 * x)
     found = surface(_result(points, [0, 0, 1e-4], np.ones(len(points), dtype=bool)), _plane(0.05, 5), FLAT)
@@ -130,6 +160,10 @@ def test_colours_and_numbers_of_the_file_are_those_of_the_facets():
     assert colour[0, 0].tolist() == colour[1, 0].tolist()  # both beyond the limit
     assert colour[0, 0, 0] > colour[0, 0, 2]  # gouged: towards orange
     assert colour[8, 0, 2] > colour[8, 0, 0]  # material left: towards blue
+    scene = trimesh.load(trimesh.util.wrap_as_stream(glb(made, 1e-5)), file_type="glb", process=False)
+    (shown,) = scene.geometry.values()
+    np.testing.assert_allclose(shown.vertices[shown.faces], mesh.vertices[mesh.faces], atol=1e-5)
+    assert (shown.visual.vertex_colors[shown.faces] == mesh.visual.vertex_colors[mesh.faces]).all()
     head, _, body = content.partition(b"end_header\n")
     assert b"property float before_mm" in head
     stored = np.frombuffer(body[: 27 * 27], dtype=[("x", "<f4", 3), ("c", "u1", 3), ("v", "<f4", 3)])

@@ -1,6 +1,6 @@
 """The surface of a part: what the tool will leave of it."""
 
 from postproc.report.surface.facets import Surface, surface
-from postproc.report.surface.files import ply
+from postproc.report.surface.files import glb, ply
 
-__all__ = ["Surface", "ply", "surface"]
+__all__ = ["Surface", "glb", "ply", "surface"]

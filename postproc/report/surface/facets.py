@@ -42,7 +42,7 @@ _AT_ONCE = 50_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """F facets of a part, `$BASE` [m]. NaN where no tool touches.
+    """F facets of a part, in the frame of its mesh [m]. NaN where no tool touches.
 
     :param corners: (F, 3, 3) of each facet.
     :param normal: (F, 3) outward.
@@ -62,8 +62,32 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Frames:
+    """How what is known in the frames of a program stands in that of the mesh.
+
+    :param drawn: (4, 4) of the frame that `drawn_path` is in [m].
+    :param rotation: (K, 3, 3) of the `$BASE` of each target.
+    """
+
+    drawn: Array
+    rotation: Array
+
+    @classmethod
+    def of(cls, result: Result, placed: Array | None) -> _Frames:
+        bases = result.program.bases
+        root = np.linalg.inv(bases[0] if placed is None else placed)
+        in_mesh = root @ bases
+        of_target = result.program.motions.base[result.motion]
+        return cls(in_mesh[0] if len(bases) == 1 else root, in_mesh[of_target, :3, :3])
+
+    def turned(self, vectors: Array) -> Array:
+        """Return vectors (K, 3) of `$BASE` in the axes of the mesh."""
+        return np.asarray(np.einsum("kij,kj->ki", self.rotation, vectors))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Path:
-    """Cutting pieces of the path, S samples close to each other, row i of all arrays."""
+    """Cutting pieces of the path, S samples close to each other, row i of all arrays, in the frame of the mesh."""
 
     point: Array
     step: Array
@@ -71,28 +95,33 @@ class _Path:
     share: Array
 
 
-def surface(result: Result, corners: Array, cutters: Mapping[int, Cutter] | None = None) -> Surface:
+def surface(
+    result: Result, corners: Array, cutters: Mapping[int, Cutter] | None = None, placed: Array | None = None
+) -> Surface:
     """Return what will become of the facets of a part.
 
-    :param result: of one program with one `$BASE`.
-    :param corners: (F, 3, 3) of each facet, counter-clockwise seen from outside, `$BASE` [m].
+    :param result: of one program.
+    :param corners: (F, 3, 3) of each facet, counter-clockwise seen from outside, in the frame of the mesh [m].
     :param cutters: shape of each tool by T number, 0 for those without an entry; None: unknown, the nearest place of
         the path counts.
+    :param placed: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program, its only
+        one.
     """
     centre = corners.mean(axis=1)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     row, share = np.full(len(corners), -1), np.zeros(len(corners))
     off = np.full(len(corners), np.inf)
-    tools = _tools(result)
+    tools, frames = _tools(result), _Frames.of(result, placed)
+    spindle = frames.turned(_spindle(result))
     for number in np.unique(tools[~result.rapid]).tolist():
         cutter = None if cutters is None else cutters.get(number, cutters.get(0))
-        path = _sampled(result, tools == number)
+        path = _sampled(result, frames, tools == number)
         if len(path.point) == 0 or (cutters is not None and cutter is None):
             continue
         for first in range(0, len(corners), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            found = _touching(result, path, centre[part], normal[part], cutter)
+            found = _touching(spindle, path, centre[part], normal[part], cutter)
             better = found[2] < off[part]
             for out, new in zip((row, share, off), found, strict=True):
                 out[part] = np.where(better, new, out[part])
@@ -109,8 +138,8 @@ def surface(result: Result, corners: Array, cutters: Mapping[int, Cutter] | None
     return Surface(
         corners=corners,
         normal=normal,
-        before=np.einsum("fi,fi->f", of(result.deviation_before), normal),
-        after=np.einsum("fi,fi->f", of(result.deviation_after), normal),
+        before=np.einsum("fi,fi->f", of(frames.turned(result.deviation_before)), normal),
+        after=np.einsum("fi,fi->f", of(frames.turned(result.deviation_after)), normal),
         bound=None if result.bound is None else of(result.bound),
         row=row,
     )
@@ -124,9 +153,10 @@ def _tools(result: Result) -> Ints:
     return out
 
 
-def _sampled(result: Result, chosen: np.ndarray) -> _Path:
+def _sampled(result: Result, frames: _Frames, chosen: np.ndarray) -> _Path:
     """Return the cutting pieces to chosen targets (K,)."""
     position, row = drawn_path(result)
+    position = position @ frames.drawn[:3, :3].T + frames.drawn[:3, 3]
     number = np.arange(len(row)) - np.searchsorted(row, row) + 1
     of_row = np.bincount(row, minlength=len(result))
     begin, step = position[:-1], np.diff(position, axis=0)
@@ -142,11 +172,10 @@ def _sampled(result: Result, chosen: np.ndarray) -> _Path:
 
 
 def _touching(
-    result: Result, path: _Path, centre: Array, normal: Array, cutter: Cutter | None
+    spindle: Array, path: _Path, centre: Array, normal: Array, cutter: Cutter | None
 ) -> tuple[Ints, Array, Array]:
     """Return row, share of its piece, and how far beside the exact place the path passes [m]; row −1 for none."""
     tree = cKDTree(path.point)
-    spindle = _spindle(result)
     _, nearest = tree.query(centre)
     a = spindle[path.row[nearest]]
     up = np.einsum("ni,ni->n", normal, a)

@@ -1,4 +1,4 @@
-"""A surface as PLY: facets with colours, and with the numbers that programs such as CloudCompare show."""
+"""A surface as a file: facets with colours; PLY has the numbers too, which programs such as CloudCompare show."""
 
 from __future__ import annotations
 
@@ -45,6 +45,18 @@ def ply(surface: Surface, limit: float) -> bytes:
     faces = np.empty(count, dtype=_FACE)
     faces["count"], faces["corners"] = 3, np.arange(3 * count).reshape(-1, 3)
     return _HEAD.format(vertices=3 * count, faces=count).encode() + vertices.tobytes() + faces.tobytes()
+
+
+def glb(surface: Surface, limit: float) -> bytes:
+    """Return the file, for viewers of glTF, in mm like the mesh of the part; see `ply`."""
+    import trimesh
+
+    count = len(surface.corners)
+    colours = np.full((3 * count, 4), 255, dtype=np.uint8)
+    colours[:, :3] = np.repeat(_colours(surface.before, limit), 3, axis=0)
+    faces = np.arange(3 * count).reshape(-1, 3)
+    points = surface.corners.reshape(-1, 3) * MM_PER_M
+    return bytes(trimesh.Trimesh(points, faces, vertex_colors=colours, process=False).export(file_type="glb"))
 
 
 def _colours(values: Array, limit: float) -> np.ndarray:

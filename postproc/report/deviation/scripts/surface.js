@@ -29,7 +29,7 @@
   function layout() {
     const axis = (title) => theme.axis({ title: { text: title }, backgroundcolor: "rgba(0,0,0,0)", showspikes: false, automargin: undefined });
     return theme.layout({ height: 520, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: 1,
-      scene: { aspectmode: "data", uirevision: 1, dragmode: "turntable", xaxis: axis("X $BASE, mm"), yaxis: axis("Y $BASE, mm"), zaxis: axis("Z $BASE, mm") } });
+      scene: { aspectmode: "data", uirevision: 1, dragmode: "turntable", xaxis: axis("X, mm"), yaxis: axis("Y, mm"), zaxis: axis("Z, mm") } });
   }
   const draw = () => Plotly.react(view, traces(), layout(), theme.config);
   document.getElementById("surface-controls").innerHTML = `<label>Colour <select id="surface-colour">${Object.entries(titles)
