@@ -283,7 +283,7 @@ EventKind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What a G-code program does besides moving, in order; it becomes lines of KRL.
+    """What a program does besides moving, in order; of G-code it becomes lines of KRL. Of KRL only comments are known.
 
     :param before: row of the motion before which it takes place (number of motions = after the last).
     :param kind: see `EventKind`; ``dwell`` is G4, ``stop`` M0/M1, ``m_code`` one of `[m_codes]`.
@@ -319,7 +319,7 @@ class Program:
     :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, row `motions.base[i]` for motion i [m].
     :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
     :param notes: force comments in order of their lines.
-    :param events: what a G-code program does besides moving, in order (KRL keeps its text instead).
+    :param events: what a program does besides moving, in order; of KRL comments alone (it keeps its text instead).
     :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
     :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.

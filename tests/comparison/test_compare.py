@@ -285,3 +285,21 @@ def test_page_and_terminal_say_what_the_json_says():
     assert f"{content['offset']['max_mm']:.4f}" in page.text("numbers")
     assert str(content["largest"][0]["corrected_line"]) in page.text("worst")
     assert "ROUGHING" in page.text("operations")
+
+
+def test_operations_of_krl_are_told_apart_by_its_folds_and_comments():
+    lines = OTHERS.splitlines(keepends=True)
+    first, second = (next(k for k, text in enumerate(lines) if part in text) for part in ("Z 5.000", "Y 30.000,Z -2"))
+    named = [*lines[:first], ";FOLD Roughing;%{PE}\n", ";ENDFOLD\n", *lines[first:second]]
+    named += [
+        "  ; ---- Finishing T2 ----\n",
+        ";FORCE FX=10 FY=0 FZ=5\n",
+        ";FOLD LIN P1 Vel=1 m/s;%{PE}\n",
+        *lines[second:],
+    ]
+    Path("named.src").write_text("".join(named).replace("OTHER", "NAMED"))
+    content = compare("named.src", "other.src", code=3)
+    assert [(each["name"], each["nominal_line"]) for each in content["operations"]] == [
+        ("Roughing", first + 3),
+        ("Finishing T2", second + 6),
+    ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from postproc.frames import MM_PER_M, Array
@@ -56,7 +58,8 @@ def glb(surface: Surface, limit: float) -> bytes:
     colours[:, :3] = np.repeat(_colours(surface.before, limit), 3, axis=0)
     faces = np.arange(3 * count).reshape(-1, 3)
     points = surface.corners.reshape(-1, 3) * MM_PER_M
-    return bytes(trimesh.Trimesh(points, faces, vertex_colors=colours, process=False).export(file_type="glb"))
+    mesh: Any = trimesh.Trimesh(points, faces, vertex_colors=colours, process=False)
+    return bytes(mesh.export(file_type="glb"))
 
 
 def _colours(values: Array, limit: float) -> np.ndarray:

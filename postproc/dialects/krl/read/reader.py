@@ -28,6 +28,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged, non
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions
 from postproc.dialects.krl.read.next_run import changed_data_issues
+from postproc.dialects.krl.read.remarks import remarks
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
@@ -102,6 +103,7 @@ def read_program(
         motions,
         np.stack(settings.frames.bases),
         np.stack(settings.frames.tools),
+        events=remarks(source, motions.line),
         notes=_notes(source, motions.line),
         still=np.array(main.still, dtype=np.int64),
         issues=tuple(issues),
