@@ -129,12 +129,16 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 @click.argument("model", type=_FILE, metavar="MODEL_DIR")
 @click.argument("measurements", type=_FILE)
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
-def validate(model: Path, measurements: Path, experiment: Path) -> None:
+@click.pass_context
+def validate(ctx: click.Context, model: Path, measurements: Path, experiment: Path) -> None:
     """Hold a model against readings it was not identified from: does its bound keep what it promises?
 
-    MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same robot, best in other configurations.
-    Prints, for each level of loads, the displacements measured, what the model leaves of them, the noise in that, its
-    95 % bound, the factor, and the share of displacements whose error is inside the bound.
+    MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same robot in other configurations or
+    under other loads; states that the model was identified from are left out. MODEL_DIR may be the name of a robot that
+    comes along. Prints, for each level of loads, the displacements measured, what the model leaves of them, the noise
+    in that, its 95 % bound, the factor (> where what is left can not be told from noise), and the share of
+    displacements whose error is inside the bound. Exit codes: 0 the model holds; 1 the readings can not be used; 3 the
+    model does not hold, or states no bound that could.
 
     \b
     Example:
@@ -144,18 +148,18 @@ def validate(model: Path, measurements: Path, experiment: Path) -> None:
 
     result, text = validate_model(model, measurements, experiment)
     click.echo(text)
-    for name in result.left_out:
-        click.echo(f"warning: outlier: {name}", err=True)
+    for warning in result.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    if not result.holds:
+        ctx.exit(3)
 
 
 def _show(done: IdentifiedFolder, output: Path, as_json: bool) -> None:
-    import json
-
     if as_json:
-        click.echo(json.dumps(done.data, indent=2, ensure_ascii=False))
+        click.echo(done.data.as_json().decode())
         return
     click.echo(done.text)
-    for warning in done.data["warnings"]:
+    for warning in done.data.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"written: {output}")
 

@@ -10,7 +10,6 @@ geometry of the weightless robot; whether that describes the readings better is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
+from postproc.identification import record
 from postproc.identification.fit import NORMAL_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
@@ -318,24 +318,12 @@ def _source(source: str, intervals: list[str] | None) -> str:
     return source if not intervals else f"{source} (95 %: {', '.join(intervals)})"
 
 
-def report_data(result: Geometry) -> dict[str, Any]:
-    """Return the geometry as plain data for `identification.json`."""
+def report_data(result: Geometry) -> record.Geometry:
+    """Return the geometry as `identification.json` tells it."""
     entries = {}
     for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
-        turn = parameter.axis.startswith("R")
-        factor = DEG_PER_RAD if turn else MM_PER_M
-        entries[parameter.name] = {
-            "value": float(value * factor),
-            "ci95": float(half * factor),
-            "unit": "deg" if turn else "mm",
-            "observable": parameter.name not in result.not_observable,
-        }
-    return {
-        "parameters": entries,
-        "sag": result.sag,
-        "chosen": result.chosen,
-        "variants": {
-            label: {"rms_mm": fit * MM_PER_M, "held_out_rms_mm": held * MM_PER_M}
-            for label, (fit, held) in result.rms.items()
-        },
-    }
+        unit, factor = ("deg", DEG_PER_RAD) if parameter.axis.startswith("R") else ("mm", MM_PER_M)
+        seen = parameter.name not in result.not_observable
+        entries[parameter.name] = record.Parameter(float(value * factor), float(half * factor), unit, observable=seen)
+    variants = {name: record.Variant(fit * MM_PER_M, held * MM_PER_M) for name, (fit, held) in result.rms.items()}
+    return record.Geometry(entries, result.sag, result.chosen, variants)

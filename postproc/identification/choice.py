@@ -4,8 +4,10 @@ Every structure is fitted with all compliances non-negative and a ridge on those
 predicts configurations it was not fitted to. What is taken is no single one but the mean of structures, weighted so
 that together they predict best what they have not seen (stacking: Breiman, Machine Learning 24, 1996): a bad fold does
 not decide between two that are alike, and as the model is linear in its parameters the mean is a model of the same
-kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), and what all of them
-share, the pull of the ridge and noise, as the posterior of each structure has it.
+kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), noise and scatter
+between configurations; and what all of them share, the pull of ridge and bounds. With rows D, ridge R and
+A = (DᵀD + R²)⁻¹ the posterior is A = A DᵀD A + A R² A. The first is the noise that the jackknife has seen; the second,
+the mean square of the pull where values spread as the ridge says, is added.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 
 from postproc.errors import PostprocError
 from postproc.frames import Array
+from postproc.identification import record
 from postproc.identification.candidates import candidates, everything, has_compensator
 from postproc.identification.displacements import measured_displacements, unwhiten, visible, whiten, whitening
 from postproc.identification.fit import Fit
@@ -59,6 +62,20 @@ class Candidate:
     weight: float
     chosen: bool = False
 
+    @property
+    def told(self) -> record.Tried:
+        """The structure as `identification.json` tells it."""
+        return record.Tried(
+            structure=self.name,
+            parameters=self.parameters,
+            active=self.active,
+            rms_sigma=self.rms_sigma,
+            held_out_sigma2=self.held_out,
+            standard_error=self.error,
+            weight=self.weight,
+            chosen=self.chosen,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Choice:
@@ -70,6 +87,7 @@ class Choice:
     :param held_out: (C,) mean square whitened residual of each configuration when it was left out.
     :param left_out: (L, P, 3) measured − predicted displacement of each when its configuration was left out [m].
     :param influence: (p, rows) by how much the parameters change with the whitened readings.
+    :param worth: how many numbers the readings had to tell: effective degrees of freedom of the mean.
     """
 
     fit: Fit
@@ -78,6 +96,7 @@ class Choice:
     held_out: Array
     left_out: Array
     influence: Array
+    worth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,19 +238,7 @@ def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
     for index in range(configs):
         rows = equations.config == index
         left[rows] = equations.left(without[index], rows)
-    apart = without - without.mean(axis=0)
-    covariance = (configs - 1) / configs * apart.T @ apart
-    influence = np.zeros((len(scaled), len(left)))
-    for weight, member in zip(mix.weights, mix.members, strict=True):
-        if weight > 0.0:
-            found = equations.solve(member.columns, member.ridge)
-            on = np.flatnonzero(found > 0.0)
-            # no spring is negative: what the readings leave open of one is no more than about its value
-            about = np.divide(1.0, found, out=np.zeros_like(found), where=found > 0.0)
-            inverse = np.linalg.inv(equations.normal(on, np.hypot(member.ridge, about)))
-            covariance[np.ix_(on, on)] += weight * inverse
-            rows = equations.design[:, on] / equations.scale[on] * equations.weight[:, None]
-            influence[on] += weight * inverse @ rows.T
+    covariance, influence = _uncertain(mix, without)
     keep = np.flatnonzero((scaled > 0.0) | (_regularised(mix.structure) == 0.0))
     onto = equations.projection(keep)
     scale = equations.scale[keep]
@@ -261,7 +268,35 @@ def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
         held_out,
         unwhiten(w, left.reshape(shape)),
         onto @ influence / scale[:, None],
+        sum(
+            weight * equations.worth(member.columns, member.ridge)
+            for weight, member in zip(mix.weights, mix.members, strict=True)
+            if weight > 0.0
+        ),
     )
+
+
+def _uncertain(mix: _Mix, without: Array) -> tuple[Array, Array]:
+    """Return covariance (p, p) of the scaled parameters of the mean, and their change (p, rows) with the readings.
+
+    :param without: (C, p) the mean when each configuration is left out.
+    """
+    equations, configs = mix.equations, len(without)
+    apart = without - without.mean(axis=0)
+    covariance = (configs - 1) / configs * apart.T @ apart
+    influence = np.zeros((without.shape[1], len(equations.target)))
+    for weight, member in zip(mix.weights, mix.members, strict=True):
+        if weight > 0.0:
+            found = equations.solve(member.columns, member.ridge)
+            on = np.flatnonzero(found > 0.0)
+            # no spring is negative: what the readings leave open of one is no more than about its value
+            about = np.divide(1.0, found, out=np.zeros_like(found), where=found > 0.0)
+            pull = np.hypot(member.ridge, about)
+            inverse = np.linalg.inv(equations.normal(on, pull))
+            covariance[np.ix_(on, on)] += weight * (inverse * pull[on] ** 2) @ inverse
+            rows = equations.design[:, on] / equations.scale[on] * equations.weight[:, None]
+            influence[on] += weight * inverse @ rows.T
+    return covariance, influence
 
 
 def _table(mix: _Mix) -> tuple[Candidate, ...]:
@@ -296,20 +331,3 @@ def _reason(mix: _Mix, table: Sequence[Candidate], held_out: float) -> str:
         f"chosen: {parts}: on configurations left out the mean square error is {held_out:.2f} σ² (joint springs alone: "
         f"{table[0].held_out:.2f} σ²)"
     )
-
-
-def summary(table: Sequence[Candidate]) -> list[dict[str, object]]:
-    """Return the candidates as plain data."""
-    return [
-        {
-            "structure": c.name,
-            "parameters": c.parameters,
-            "active": c.active,
-            "rms_sigma": c.rms_sigma,
-            "held_out_sigma2": c.held_out,
-            "standard_error": c.error,
-            "weight": c.weight,
-            "chosen": c.chosen,
-        }
-        for c in table
-    ]

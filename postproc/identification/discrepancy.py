@@ -2,7 +2,8 @@
 
 What a model does not know (backlash, friction, a knee where it has none) shows in configurations left out as an error
 beyond what noise and the uncertainty of the parameters make expect. It is a level with its own spread, and is added to
-the bound as such.
+the bound as such. What is looked at is the middle of the points: what the model is off by is common to them, noise is
+not.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _CERTAIN, _CERTAIN_IF_EXPLAINED = 0.5, 3.29
 
 Where joint springs explain the readings (χ²), noise would pass for one much larger than the model's.
 """
+_WRONG, _AT_MOST = 2.0, 1.0
+"""Standard errors beyond which, at any level, the model is clearly off; by so many more it may be at each, then."""
 LENGTH_95 = 1.6140
 """95 % quantile of the length of normal vectors in space over their RMS length."""
 _CLEAR_SCATTER = 30
@@ -35,7 +38,7 @@ class Discrepancy:
     """What a fit leaves on configurations left out, at m load levels.
 
     :param load: (m,) force [N] and moment [N·m] in one.
-    :param held_out: (m,) RMS distance as it is [m].
+    :param held_out: (m,) RMS distance of the middle of the points as it is [m].
     :param noise: (m,) RMS of the noise in it [m].
     :param own: (m,) RMS of what the uncertainty of the parameters makes expect [m].
     :param u95: (m,) what 95 % of the rest are below [m].
@@ -56,23 +59,29 @@ def discrepancy(data: Measurements, fit: Fit, left_out: Array, explained: bool) 
     """
     seen = visible(data)[..., 0]
     count = seen.sum(axis=1)
-    mean_of = np.maximum(count, 1.0)
-    error = np.sum(left_out**2, axis=(1, 2)) / mean_of
-    noise = np.sum(seen * noise_of(data), axis=1) / mean_of
-    own = np.sum(seen * _own(data, fit), axis=1) / mean_of
+    share = seen / np.maximum(count, 1.0)[:, None]
+    error = np.sum(np.einsum("lp,lpi->li", share, left_out) ** 2, axis=1)
+    noise = np.sum(share**2 * noise_of(data), axis=1)
+    own = _own(data, fit, share)
     level = levels(norm(data.wrench[data.loaded]))
-    certain = _CERTAIN_IF_EXPLAINED if explained else _CERTAIN
-    found = []
-    for index in range(int(level.max()) + 1):
-        rows = np.flatnonzero((level == index) & (count > 0))
-        if len(rows) == 0:
-            continue
-        excess = error[rows] - noise[rows] - own[rows]
-        doubt = excess.std(ddof=1) / np.sqrt(len(rows)) if len(rows) > 1 else 0.0
-        left = np.sqrt(max(0.0, float(excess.mean() - certain * doubt)))
-        load = float(np.median(norm(data.wrench[data.loaded[rows]])))
-        found.append((load, *np.sqrt([error[rows].mean(), noise[rows].mean(), own[rows].mean()]), LENGTH_95 * left))
-    return Discrepancy(*np.array(found).T)
+    at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
+    at_level = [rows for rows in at_level if len(rows) > 0]
+    load = np.array([np.median(norm(data.wrench[data.loaded[rows]])) for rows in at_level])
+    squares = np.array([[values[rows].mean() for rows in at_level] for values in (error, noise, own)])
+    excess = squares[0] - squares[1] - squares[2]
+    doubt = np.array([_standard_error(error[rows] - noise[rows] - own[rows]) for rows in at_level])
+    if explained:
+        left = excess - _CERTAIN_IF_EXPLAINED * doubt
+    elif (excess > _WRONG * doubt).any():
+        left = excess + _AT_MOST * doubt
+    else:
+        left = excess - _CERTAIN * doubt
+    held_out, of_noise, of_own = np.sqrt(squares)
+    return Discrepancy(load, held_out, of_noise, of_own, LENGTH_95 * np.sqrt(np.maximum(left, 0.0)))
+
+
+def _standard_error(values: Array) -> float:
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
 def levels(load: Array) -> Ints:
@@ -93,12 +102,12 @@ def noise_of(data: Measurements) -> Array:
     return np.asarray(3.0 * sigma2 * (1.0 / count[data.loaded] + 1.0 / count[rest]))
 
 
-def _own(data: Measurements, fit: Fit) -> Array:
-    """Return the mean square (L, P) that the covariance of the parameters makes expect [m²]."""
+def _own(data: Measurements, fit: Fit, share: Array) -> Array:
+    """Return the mean square (L,) that the covariance makes expect of the middle of the points, shares (L, P) [m²]."""
     shape = (len(data.loaded), len(data.points), 3, len(fit.values))
-    slopes = unwhiten(whitening(data), fit.design.reshape(shape))
+    slopes = np.einsum("lp,lpia->lia", share, unwhiten(whitening(data), fit.design.reshape(shape)))
     covariance = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
-    return np.asarray(np.einsum("lpia,ab,lpib->lp", slopes, covariance, slopes, optimize=True))
+    return np.asarray(np.einsum("lia,ab,lib->l", slopes, covariance, slopes, optimize=True))
 
 
 def left_out_of(fit: Fit, data: Measurements) -> Array:

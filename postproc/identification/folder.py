@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from postproc import robot as robots
 from postproc.compensator import Compensator
 from postproc.frames import MM_PER_M
-from postproc.identification import calibration, compensator_geometry, model_folder, outliers
+from postproc.identification import calibration, compensator_geometry, model_folder, outliers, record
 from postproc.identification.experiment import read_experiment
 from postproc.identification.placement import describe, describe_points
 from postproc.identification.plausibility import check_frames, check_points
@@ -46,7 +47,7 @@ class IdentifiedFolder:
     """
 
     result: Identification | None
-    data: dict[str, Any]
+    data: record.Identified
     text: str
 
 
@@ -70,7 +71,7 @@ def identify_folder(
     output: Path,
     choices: Choices = Choices(),
     progress: Callable[[str], None] = lambda _: None,
-    render: Callable[[dict[str, Any], str], bytes] | None = None,
+    render: Callable[[record.Identified, str], bytes] | None = None,
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
@@ -95,7 +96,7 @@ def identify_folder(
     if choices.geometry:
         progress("geometry")
         found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
-        content, data["geometry"] = found.content, calibration.report_data(found)
+        content, data = found.content, msgspec.structs.replace(data, geometry=calibration.report_data(found))
     model_folder.write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
 
@@ -105,7 +106,7 @@ def geometry_folder(
     experiment: Path,
     output: Path,
     model: Path | None = None,
-    render: Callable[[dict[str, Any], str], bytes] | None = None,
+    render: Callable[[record.Identified, str], bytes] | None = None,
 ) -> IdentifiedFolder:
     """Calibrate the geometry from readings without load and write the model folder.
 
@@ -123,50 +124,53 @@ def geometry_folder(
     check_frames(robot, data)
     data, left_out = outliers.model_free(data)
     found = calibration.identify_geometry(content, nominal, robot.name, data)
-    report = {
-        "method": "geometry",
-        "robot": robot.name,
-        "sigma_mm": setup.sigma_mm,
-        "geometry": calibration.report_data(found),
-        "base": describe(found.placement),
-        "points": describe_points(found.placement, data.points),
-        "unloaded_rms_mm": found.placement.rms * MM_PER_M,
-        "outliers": left_out,
-        "warnings": [f"outlier: {name}" for name in left_out],
-    }
+    report = record.Identified(
+        method="geometry",
+        robot=robot.name,
+        geometry=calibration.report_data(found),
+        sigma_mm=setup.sigma_mm,
+        base=describe(found.placement),
+        points=describe_points(found.placement, data.points),
+        unloaded_rms_mm=found.placement.rms * MM_PER_M,
+        not_observable=[],
+        outliers=left_out,
+        warnings=[f"outlier: {name}" for name in left_out],
+    )
     model_folder.write(output, found.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))
 
 
-def summary(data: dict[str, Any]) -> str:
+def summary(data: record.Identified) -> str:
     """Return the identified values as a table for a terminal."""
-    lines = [data["verdict"]["line"]] if "verdict" in data else []
-    for name, entry in data.get("parameters", {}).items():
-        half = "" if entry["ci95"] is None else f" ± {entry['ci95']:.3g}"
-        mark = "" if entry["observable"] else "   (prior: not observable)"
-        mark = mark if entry.get("determined", True) else "   (not determined: the interval is larger than the value)"
-        lines.append(f"{name:>12} = {entry['value']:.5g}{half} {entry['unit']}{mark}")
-    if "parameters" in data:
+    lines = [] if data.verdict is None else [data.verdict.line]
+    for name, entry in (data.parameters or {}).items():
+        half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
+        mark = "" if entry.observable else "   (prior: not observable)"
+        if entry.determined is False:
+            mark = "   (not determined: the interval is larger than the value)"
+        lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
+    if data.parameters:
         lines.append("k1 … k6 contain the spring of the link about the same axis: the intervals are of that sum")
-    for level in data.get("discrepancy", ()):
+    if data.structure is not None:
+        lines.append(data.structure.reason)
+    lines += [
+        f"on configurations left out, {level.load_N:.0f} N: {level.held_out_mm:.3f} mm RMS, of which "
+        f"{level.noise_mm:.3f} noise; 95 % of what the model does not explain below {level.u95_mm:.3f} mm"
+        for level in data.discrepancy or ()
+    ]
+    if data.residual is not None:
+        residual = data.residual
         lines.append(
-            f"on configurations left out, {level['load_N']:.0f} N: {level['held_out_mm']:.3f} mm RMS, of which "
-            f"{level['noise_mm']:.3f} noise; 95 % of what the model does not explain below {level['u95_mm']:.3f} mm"
+            f"residual {residual.rms_mm:.3f} mm RMS, {residual.max_mm:.3f} mm max; "
+            f"displacements {residual.before_rms_mm:.3f} mm RMS"
         )
-    if "residual" in data:
-        residual = data["residual"]
-        lines.append(
-            f"residual {residual['rms_mm']:.3f} mm RMS, {residual['max_mm']:.3f} mm max; "
-            f"displacements {residual['before_rms_mm']:.3f} mm RMS"
-        )
-    if "geometry" in data:
-        geometry = data["geometry"]
-        for name, entry in geometry["parameters"].items():
-            mark = "" if entry["observable"] else "   (not narrowed by the readings)"
-            lines.append(f"{name:>12} = {entry['value']:8.4f} ± {entry['ci95']:.3g} {entry['unit']}{mark}")
-        for label, rms in geometry["variants"].items():
-            mark = "  <- chosen" if label == geometry["chosen"] else ""
+    if data.geometry is not None:
+        for name, entry in data.geometry.parameters.items():
+            mark = "" if entry.observable else "   (not narrowed by the readings)"
+            lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")
+        for label, rms in data.geometry.variants.items():
+            mark = "  <- chosen" if label == data.geometry.chosen else ""
             lines.append(
-                f"{label}: {rms['rms_mm']:.3f} mm RMS, {rms['held_out_rms_mm']:.3f} mm on configurations left out{mark}"
+                f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{mark}"
             )
     return "\n".join(lines)

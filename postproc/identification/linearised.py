@@ -88,6 +88,11 @@ class Linearised:
         values[columns] = found
         return values
 
+    def worth(self, columns: Ints, ridge: Array) -> float:
+        """Return the effective degrees of freedom of a fit: tr (DᵀD + R²)⁻¹DᵀD of the parameters that are not zero."""
+        on = np.flatnonzero(self.solve(columns, ridge) > 0.0)
+        return float(np.trace(np.linalg.solve(self.normal(on, ridge), self._whole[0][np.ix_(on, on)])))
+
     def projection(self, columns: Ints) -> Array:
         """Return (kept, p) what scaled parameters do, told by some of them alone: the others by what imitates them."""
         square = self._whole[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from postproc import files
 from postproc.errors import InputError, ModelError
 from postproc.frames import MM_PER_M
+from postproc.identification import record
 from postproc.identification.experiment import Payload
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.observability import joint_torques
@@ -31,7 +31,6 @@ from postproc.robot.model_file import (
 )
 
 _COMMENT = "Written by `postproc identify`. Units stand in the names; every entry names its source."
-_RECORD = "identification.json"
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
@@ -106,9 +105,9 @@ def _compensator(
 def write(
     folder: Path,
     content: ModelFile,
-    data: dict[str, Any],
+    data: record.Identified,
     prior_folder: Path,
-    render: Callable[[dict[str, Any], str], bytes] | None = None,
+    render: Callable[[record.Identified, str], bytes] | None = None,
 ) -> list[Path]:
     """Write the model folder, whole or not at all.
 
@@ -128,10 +127,9 @@ def write(
         contents["report.html"] = render(data, folder.resolve().name)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
-        data["files"] = entries
-        return json.dumps(data, indent=2, ensure_ascii=False).encode()
+        return msgspec.structs.replace(data, files=entries).as_json()
 
-    return files.write_whole(folder, files.with_record(contents, _RECORD, rendered))
+    return files.write_whole(folder, files.with_record(contents, record.NAME, rendered))
 
 
 def protect(folder: Path) -> None:
@@ -139,7 +137,7 @@ def protect(folder: Path) -> None:
 
     :raises InputError: it does.
     """
-    files.refuse(files.foreign(folder, ("model.toml", "robot.urdf", "report.html", _RECORD), _RECORD))
+    files.refuse(files.foreign(folder, ("model.toml", "robot.urdf", "report.html", record.NAME), record.NAME))
 
 
 def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:

@@ -28,7 +28,7 @@ from postproc.identification.plausibility import check_frames, check_loads, chec
 from postproc.identification.serial import fit_serial
 from postproc.identification.stated_errors import with_stated_errors
 from postproc.identification.trust import judge
-from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness, RobotModel
+from postproc.robot import JOINT_COMPLIANCES, RobotModel
 
 Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
@@ -125,7 +125,6 @@ def identify(
             fit, left_out = choice.fit, left_out + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
-            warnings.append(note + "; " + choice.reason)
             missing = _still_missing(fit, missing)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
     seen_not = left_out_of(fit, data) if choice is None else choice.left_out
@@ -151,17 +150,18 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
 
 
 def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
-    """Return what a fit with more springs leaves open: K_c unless it holds it, joints whose compliance is zero."""
-    known, spring = {entry.parameter: entry for entry in missing}, CompensatorStiffness()
-    found = [known[spring]] if spring in known and spring not in fit.given else []
+    """Return what a fit with more springs leaves open: joints that no load reaches, or whose compliance is zero.
+
+    What the fit of joint springs alone said of other parameters, it said of a model that was given up.
+    """
+    known, found = {entry.parameter: entry for entry in missing}, []
     for joint in JOINT_COMPLIANCES:
         whole, _ = joint.in_file(fit.given | {joint: fit.given.get(joint, 0.0)})
         if joint not in fit.given and joint in known:
             found.append(known[joint])
         elif whole <= 0.0:
             found.append(
-                known.get(joint)
-                or NotObservable(
+                NotObservable(
                     joint,
                     "beside the springs of the links the fit leaves it no compliance",
                     f"Measure configurations that put more torque on {joint.joint} alone.",
@@ -235,7 +235,10 @@ def _cleaned(
 ) -> tuple[Measurements, Fit, list[str]]:
     """Leave out gross errors against the joint model, one at a time, as long as that is what is wrong."""
     names: list[str] = []
-    for _ in range(max(1, int(_MOST_OUTLIERS * len(data.state)))):
+    most = max(1, int(_MOST_OUTLIERS * len(data.state)))
+    if not _explained_without(fit, most * (len(data.loaded) // len(data.q))):
+        return data, fit, names
+    for _ in range(most):
         cleaned, found = outliers.against_model(data, placement, fit)
         if not found:
             break
@@ -244,6 +247,23 @@ def _cleaned(
         if not _unexplained(fit):
             break
     return data, fit, names
+
+
+def _explained_without(fit: Fit, most: int) -> bool:
+    """Return whether the rest is noise when the largest residuals, of that many points, are left out.
+
+    By the derivatives at the fit: a robot that is more than its joint springs needs no fits to find out.
+    """
+    rows, left = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
+    for count in range(1, most + 1):
+        residual = (left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]).reshape(-1, 3)
+        worst = int(np.argmax(np.sum(residual**2, axis=1)))
+        gone = slice(3 * worst, 3 * worst + 3)
+        rows[gone], left[gone] = 0.0, 0.0
+        residual = left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]
+        if not _unexplained(replace(fit, chi2=float(residual @ residual), dof=fit.dof - 3 * count)):
+            return True
+    return False
 
 
 def before_and_after(result: Identification) -> tuple[Array, Array]:

@@ -15,8 +15,12 @@ from postproc.robot import Backlash
 
 _MOST_HELD_OUT = 4.0
 """Mean square on configurations left out, in σ², beyond which something is missing in the model."""
-_FEWEST, _FEWEST_RICH = 5, 12
-"""Configurations that joint springs need, and springs of links and gears."""
+_FEWEST = 5
+"""Configurations without which nothing is known of how they differ."""
+_NUMBERS = {1: 3, 2: 5}
+"""Numbers that the displacement of so many points under one load tells; three and more tell the six of a rigid body."""
+_SPARE = 2.0
+"""Numbers measured for each that is looked for, below which a model describes the readings and not the robot."""
 _LEAST_FACTOR = 5.0
 """Displacement over bound below which a correction is not worth its risk."""
 _PLAY = 1e-5
@@ -43,10 +47,15 @@ def _distrust(data: Measurements, placement: Placement, fit: Fit, off: Discrepan
             f"{where} the model is off by {held_out:.1f} σ² (noise alone: 1): the robot does something that it does "
             "not know, or the set-up is wrong"
         )
-    fewest = _FEWEST if choice is None else _FEWEST_RICH
+    worth = len(fit.values) if choice is None else choice.worth
+    told = _told_by_configuration(data)
+    fewest = max(_FEWEST, int(np.ceil(_SPARE * worth / told)))
     if len(data.q) < fewest:
-        kind = "joint springs need" if choice is None else "springs of links and gears need"
-        return f"{len(data.q)} configurations were measured, and {kind} {fewest} at least (30 are usual)"
+        kind = "joint springs" if choice is None else "springs of links and gears"
+        return (
+            f"{len(data.q)} configurations were measured, which tell some {told:.0f} numbers each; the {kind} found "
+            f"are worth {worth:.0f} and need {fewest} configurations at least (30 are usual)"
+        )
     lowest = levels(norm(data.wrench[data.loaded])) == 0
     seen = np.count_nonzero(visible(data)[lowest])
     moved = np.sqrt(np.sum(measured_displacements(data, placement)[lowest] ** 2) / max(seen, 1))
@@ -57,6 +66,16 @@ def _distrust(data: Measurements, placement: Placement, fit: Fit, off: Discrepan
             f"{bound * MM_PER_M:.3f} mm: that supports no correction"
         )
     return ""
+
+
+def _told_by_configuration(data: Measurements) -> float:
+    """Return how many numbers a configuration tells of linear springs: by points and by directions of its loads."""
+    wrench, config = data.wrench[data.loaded], data.state_config[data.loaded]
+    directions = [
+        np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1)
+        for index in range(len(data.q))
+    ]
+    return _NUMBERS.get(len(data.points), 6) * float(np.mean(directions))
 
 
 def _told(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from postproc import elastostatics
 from postproc import robot as robots
+from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.identification import outliers
+from postproc.identification import outliers, record
 from postproc.identification.discrepancy import LENGTH_95, levels, noise_of
 from postproc.identification.displacements import measured_displacements, visible
 from postproc.identification.experiment import read_experiment
@@ -18,10 +19,16 @@ from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.readings import read
+from postproc.program import Bools
 from postproc.robot import RobotModel
 
 _HELD = 0.9
 """Share of readings inside the bound from which on it counts as held: 0.95 is promised, of errors that are alike."""
+_SEEN = 2.0
+"""Standard errors by which what is left must exceed the noise for a factor to be told; else its least value is."""
+_SAME_ANGLE = 1e-4
+_SAME_LOAD = 0.01
+"""Largest differences [rad, share] between states that are one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +39,7 @@ class ValidatedLevel:
     :param measured: RMS of the displacements measured [m].
     :param left: RMS of what the model leaves of them [m].
     :param noise: RMS of the noise in that [m].
+    :param doubt: standard error of the mean square of what is left, by configurations [m²].
     :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
     :param bound: RMS of the bound [m].
     """
@@ -40,14 +48,22 @@ class ValidatedLevel:
     measured: float
     left: float
     noise: float
+    doubt: float
     inside: float
     bound: float
 
     @property
+    def told_from_noise(self) -> bool:
+        """Whether what the model leaves can be told from noise: a factor is known, and not only its least value."""
+        return self.left**2 - self.noise**2 > _SEEN * self.doubt
+
+    @property
     def factor(self) -> float:
-        """Displacement over what the model leaves beyond noise; what is below a tenth of the noise counts as that."""
-        rest = np.sqrt(max(self.left**2 - self.noise**2, (0.1 * self.noise) ** 2))
-        return float(self.measured / rest) if rest > 0.0 else float("inf")
+        """Displacement over what the model leaves beyond noise; where that can not be told, the least it may be."""
+        rest = self.left**2 - self.noise**2
+        if not self.told_from_noise:
+            rest = max(rest, 0.0) + _SEEN * self.doubt
+        return float(self.measured / np.sqrt(rest)) if rest > 0.0 else float("inf")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +72,12 @@ class Validation:
 
     :param levels: by load, ascending.
     :param configurations: how many were compared.
-    :param left_out: gross errors of the readings.
+    :param warnings: gross errors of the readings, and what else was left out.
     """
 
     levels: tuple[ValidatedLevel, ...]
     configurations: int
-    left_out: tuple[str, ...]
+    warnings: tuple[str, ...]
 
     @property
     def holds(self) -> bool:
@@ -83,21 +99,43 @@ class Validation:
 
 
 def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
-    """Compare a model folder with readings of the same robot, best in configurations that it does not know.
+    """Compare a model folder with readings of the same robot that it was not identified from.
 
-    :raises MeasurementError: the files are unusable.
+    :param model: folder, or the name of a robot that comes along.
+    :raises MeasurementError: the files are unusable, or all the readings are the model's own.
     """
     setup = read_experiment(experiment)
-    robot = robots.load(model)
+    folder = robots.find(str(model))
+    robot = robots.load(folder)
     data = read(measurements, setup)
     check_points(data)
     data, left_out = outliers.model_free(data)
+    warnings = [f"outlier: {name}" for name in left_out]
     placement = check_frames(robot, data)
-    return Validation(tuple(_levels(robot, data, placement)), len(data.q), tuple(left_out))
+    fresh = ~_known(data, record.states(folder))
+    if not fresh.any():
+        raise MeasurementError(
+            f"the model was identified from these states ({len(fresh)} of configuration and load): that it agrees with "
+            "them says nothing",
+            file=str(measurements),
+            advice="Measure some configurations more, and validate with them.",
+        )
+    if not fresh.all():
+        warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
+    compared = len(np.unique(data.state_config[data.loaded[fresh]]))
+    return Validation(tuple(_levels(robot, data, placement, fresh)), compared, tuple(warnings))
 
 
-def _levels(robot: RobotModel, data: Measurements, placement: Placement) -> list[ValidatedLevel]:
-    seen = visible(data)[..., 0] > 0.0
+def _known(data: Measurements, states: Array) -> Bools:
+    """Return which loaded states (L,) of configuration and load are among others (m, 12)."""
+    q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
+    same = np.abs(q[:, None] - states[None, :, :6]).max(axis=2) < _SAME_ANGLE
+    apart = norm((wrench[:, None] - states[None, :, 6:]).reshape(-1, 6)).reshape(same.shape)
+    return np.asarray((same & (apart < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
+
+
+def _levels(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> list[ValidatedLevel]:
+    seen = (visible(data)[..., 0] > 0.0) & fresh[:, None]
     measured = measured_displacements(data, placement)
     predicted, bound = _predicted(robot, data, placement)
     moved, left = norm(measured), norm(measured - predicted)
@@ -109,12 +147,14 @@ def _levels(robot: RobotModel, data: Measurements, placement: Placement) -> list
     for index in range(int(level.max()) + 1):
         rows = (level == index)[:, None] & seen
         if rows.any():
+            squares = [np.mean(left[state, here] ** 2) for state, here in enumerate(rows) if here.any()]
             found.append(
                 ValidatedLevel(
-                    load=float(np.median(load[level == index])),
+                    load=float(np.median(load[rows.any(axis=1)])),
                     measured=_rms(moved[rows]),
                     left=_rms(left[rows]),
                     noise=_rms(np.sqrt(noise[rows])),
+                    doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
                     inside=float(np.mean(inside[rows])) if robot.covariance is not None else float("nan"),
                     bound=_rms(bound[rows]),
                 )
@@ -159,5 +199,6 @@ def table(result: Validation) -> str:
             for value, width in ((level.measured, 13), (level.left, 9), (level.noise, 10), (level.bound, 10))
         )
         inside = "–" if np.isnan(level.inside) else f"{level.inside:.0%}"
-        lines.append(f"{level.load:8.0f}{lengths}{level.factor:8.1f}{inside:>8}")
+        factor = f"{'' if level.told_from_noise else '> '}{level.factor:.3g}"
+        lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}")
     return "\n".join(lines)

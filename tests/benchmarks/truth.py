@@ -144,8 +144,8 @@ def tried(row: Row, seed: int) -> dict[str, Any]:
         "inside": float(np.mean(error <= bound)),
         "error": error,
         "bound": bound,
-        "refused": bool(done.data.get("verdict", {}).get("refused")),
-        "structure": (done.data.get("structure") or {}).get("reason", ""),
+        "refused": done.data.verdict.refused,
+        "structure": "" if done.data.structure is None else done.data.structure.reason,
         "seconds": used,
     }
 

@@ -65,7 +65,7 @@ def test_geometry_and_sag_are_calibrated_to_a_tenth_of_a_millimetre(tmp_path):
     done = identify_folder(
         tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "m", Choices(geometry=True)
     )
-    assert done.data["geometry"]["chosen"] == "calibrated geometry with sag"
+    assert done.data.geometry.chosen == "calibrated geometry with sag"
     before = error_elsewhere(true, harness.PRIOR, np.random.default_rng(9))
     after = error_elsewhere(true, robot.load(tmp_path / "m"), np.random.default_rng(9))
     assert before > 1.5e-3
@@ -97,7 +97,7 @@ def test_an_exact_robot_keeps_its_nominal_geometry(tmp_path):
     _, raw = simulator.measure(true, q, f, rng)
     simulator.write(tmp_path, q, f, raw)
     done = geometry_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "g")
-    assert done.data["geometry"]["chosen"] == "nominal geometry"
+    assert done.data.geometry.chosen == "nominal geometry"
     assert robot.load(tmp_path / "g").geometry_is_nominal
 
 

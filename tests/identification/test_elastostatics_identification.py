@@ -177,7 +177,7 @@ def test_model_folder_loads_and_bounds_its_prediction(tmp_path):
     bound = elastostatics.position_bound(model, q, harness.TOOL, wrench)
     assert np.mean(error <= bound) > 0.85
     assert bound.max() < 20e-6
-    assert done.data["parameters"]["k1"]["observable"]
+    assert done.data.parameters["k1"].observable
 
 
 def test_stiffening_gears_and_links_survive_the_model_folder(tmp_path):

@@ -53,5 +53,5 @@ def test_an_identified_model_can_be_the_prior_of_the_next_identification(tmp_pat
     path.write_text(text, encoding="utf-8")
     assert robot.load(path.parent).link_springs
     again = identify_folder(*measured(tmp_path / "again", robot_name=str(path.parent)))
-    for name, entry in first.data["parameters"].items():
-        assert again.data["parameters"][name]["value"] == pytest.approx(entry["value"], rel=1e-5)
+    for name, entry in first.data.parameters.items():
+        assert again.data.parameters[name].value == pytest.approx(entry.value, rel=1e-5)

@@ -20,14 +20,14 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model", render=page)
     read = read_page((tmp_path / "model" / "report.html").read_bytes())
     assert read.text().startswith("model: identification report ")
-    for row in done.data["residual"]["per_configuration"]:
-        assert f"{row['config']:g} {row['before_mm']:.3f} {row['after_mm']:.4f}" in read.text("configurations")
-    for name, entry in done.data["parameters"].items():
+    for row in done.data.residual.per_configuration:
+        assert f"{row.config:g} {row.before_mm:.3f} {row.after_mm:.4f}" in read.text("configurations")
+    for name, entry in done.data.parameters.items():
         parameter = parameters.named(name)
         assert (name if parameter is None else parameter.title) in read.text("parameters")
-        if entry["ci95"] is not None and entry["ci95"] > 0.5 * abs(entry["value"]):
-            assert f"± {entry['ci95']:.2g} {entry['unit']} not by itself: wide" in read.text("parameters")
-    for entry in done.data["not_observable"]:
-        assert f"{entry['name']} is not observable" in read.text("to-know")
+        if entry.ci95 is not None and entry.ci95 > 0.5 * abs(entry.value):
+            assert f"± {entry.ci95:.2g} {entry.unit} not by itself: wide" in read.text("parameters")
+    for entry in done.data.not_observable:
+        assert f"{entry.name} is not observable" in read.text("to-know")
     assert ("structures" in read.ids) == (kind == "hard")
     assert "correlations" in read.ids

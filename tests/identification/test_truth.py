@@ -9,10 +9,12 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
-from postproc.identification import identify_folder
+from postproc.identification import choice, identify_folder
 from postproc.identification.discrepancy import left_out_of, levels
+from postproc.identification.linearised import Linearised
 from postproc.identification.procedure import identify
-from postproc.identification.validation import validate
+from postproc.identification.structure import Structure
+from postproc.identification.validation import ValidatedLevel, Validation, table, validate
 from samples.paper_study import harness, simulator
 from tests.benchmarks import truth
 from tests.dialects.gcode_reading import read as gcode_read
@@ -50,7 +52,7 @@ def test_what_springs_alone_do_not_know_is_found_or_stands_in_the_bound(tmp_path
     assert factor >= least
     assert inside >= 0.9
     if name.startswith("backlash"):
-        assert any("backlash or friction in A" in warning for warning in done.data["warnings"])
+        assert any("backlash or friction in A" in warning for warning in done.data.warnings)
         assert any(isinstance(term, robot.Backlash) for term, _ in model.terms)
 
 
@@ -112,7 +114,7 @@ def test_discrepancy_does_not_shrink_below_the_measured_loads_and_is_nothing_wit
 def test_readings_of_another_robot_do_not_pass_for_this_ones(tmp_path):
     fits = row("the model fits: springs of links")
     true, done, _ = identified(tmp_path, fits.name)
-    assert not done.data["verdict"]["refused"]
+    assert not done.data.verdict.refused
     rng = np.random.default_rng(9)
     for folder, measured in (("same", true), ("other", simulator.hard(rng, **truth.KINDS[0]))):
         q, f = simulator.plan(rng, 8, tilt=50.0)
@@ -124,11 +126,80 @@ def test_readings_of_another_robot_do_not_pass_for_this_ones(tmp_path):
         assert result.holds == (folder == "same")
         if folder == "same":
             assert min(level.factor for level in result.levels) > 20.0
-        run = CliRunner().invoke(
-            main, ["identify", "validate", str(tmp_path / "model"), str(files[0]), "--experiment", str(files[1])]
-        )
-        assert run.exit_code == 0, run.output
+        run = validated(tmp_path / "model", *files)
+        assert run.exit_code == (0 if folder == "same" else 3), run.output
         assert ("DOES NOT HOLD" in run.output) == (folder == "other")
+
+
+def validated(model, *files):
+    """Run the command."""
+    return CliRunner().invoke(main, ["identify", "validate", str(model), str(files[0]), "--experiment", str(files[1])])
+
+
+def test_readings_that_a_model_was_identified_from_do_not_validate_it(tmp_path):
+    true, _, _ = identified(tmp_path, "the model fits: joint springs")
+    own = [tmp_path / name for name in ("measurements.csv", "experiment.toml")]
+    run = validated(tmp_path / "model", *own)
+    assert run.exit_code == 1
+    assert "the model was identified from these states (15 of configuration and load)" in run.output
+    # new configurations behind its own: only those count
+    rng = np.random.default_rng(3)
+    q, f = simulator.plan(rng, 6, tilt=50.0)
+    _, raw = simulator.measure(true, q, f, rng, truth.SIGMA)
+    simulator.write(tmp_path / "new", q, f, raw, truth.SIGMA)
+    alone = validated(tmp_path / "model", tmp_path / "new" / "measurements.csv", own[1])
+    assert alone.exit_code == 0, alone.output
+    assert "on 6 configurations" in alone.output
+    # a model that comes along is known by its name, and states no bound
+    named = validated("kuka_kr270", *own)
+    assert named.exit_code == 3
+    assert named.output.startswith("the model states no bound")
+
+
+def test_a_factor_is_no_division_by_noise():
+    level = ValidatedLevel(load=600.0, measured=1e-3, left=70e-6, noise=70e-6, doubt=1e-10, inside=1.0, bound=3e-5)
+    assert not level.told_from_noise
+    assert level.factor == pytest.approx(1e-3 / np.sqrt(2e-10))
+    clear = replace(level, left=np.hypot(70e-6, 50e-6))
+    assert clear.told_from_noise
+    assert clear.factor == pytest.approx(1e-3 / 50e-6)
+    assert "> 70.7" in table(Validation((level,), 10, ()))
+    assert "> " not in table(Validation((clear,), 10, ()))
+
+
+def test_noise_is_counted_once_in_the_covariance_of_a_mean_of_structures():
+    rng = np.random.default_rng(8)
+    configs, rows, size = 30, 6, 5
+    design, values = rng.normal(size=(configs * rows, size)), np.array([3.0, 1.0, 2.0, 0.5, 1.5])
+    config = np.repeat(np.arange(configs), rows)
+    columns, ridge = np.arange(size), np.full(size, 0.03)
+    found, told = [], []
+    for _ in range(60):
+        target = design @ values + rng.normal(size=len(design))
+        equations = Linearised(design, target, config, np.ones(len(design)))
+        members = tuple(choice._Member(name, columns, ridge, np.zeros(len(design))) for name in ("one", "other"))
+        mix = choice._Mix(Structure((), harness.PRIOR), equations, members, np.array([0.3, 0.7]))
+        without = np.array([mix.solve(np.array([index])) for index in range(configs)])
+        found.append(mix.solve())
+        told.append(np.diag(choice._uncertain(mix, without)[0]))
+    ratio = np.mean(told) / np.mean(np.var(found, axis=0))
+    assert 0.8 < ratio < 1.35, "of 300 squares in 60 draws: ± 16 % by chance, the jackknife is some per cent too wide"
+
+
+def test_a_compensator_that_readings_show_is_kept_though_its_value_is_uncertain(tmp_path):
+    truth.experiment(row("the model fits: joint springs"), 3, tmp_path)
+    result = identify(harness.PRIOR, harness.load(tmp_path))
+    assert result.choice is None, "with the prior's spring of the compensator joint springs would not suffice"
+    assert result.fit.given[robot.CompensatorStiffness()] > 10.0 * harness.PRIOR.compensator.stiffness
+    assert not result.missing
+
+
+def test_what_was_said_of_a_fit_that_was_given_up_is_not_repeated(tmp_path):
+    _, done, _ = identified(tmp_path, "hard")
+    told = done.text + "".join(done.data.warnings)
+    assert "K_c is not observable" not in told
+    assert "joint springs and compensator leave" not in told
+    assert "mean square error" in done.text
 
 
 def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says_so(tmp_path):

@@ -37,11 +37,7 @@ def test_sag_and_load_are_predicted_to_a_hundredth_of_a_millimetre(tmp_path):
     simulator.write(tmp_path, q, f, raw, robot=str(prior(tmp_path / "prior")))
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     names, found, half = zip(
-        *(
-            (n, e["value"], e["ci95"])
-            for n, e in done.data["parameters"].items()
-            if n in ("k1", "k2", "k3", "k4", "k5")
-        ),
+        *((n, e.value, e.ci95) for n, e in done.data.parameters.items() if n in ("k1", "k2", "k3", "k4", "k5")),
         strict=True,
     )
     expected = [1e6 / true.gear.k[int(name[1]) - 1] for name in names]

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
-import msgspec
-
+from postproc.identification.record import Identified
 from postproc.report.identification import sections
-from postproc.report.identification.content import Identified
 from postproc.report.kit import Note, Page, Section
 
 SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
@@ -26,13 +23,12 @@ SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
 """The sections of the page in order. One that has nothing to say returns None."""
 
 
-def page(data: Mapping[str, Any], name: str) -> bytes:
+def page(told: Identified, name: str) -> bytes:
     """Return the page as HTML in UTF-8: one file that loads nothing.
 
-    :param data: content of `identification.json`.
+    :param told: content of `identification.json`.
     :param name: of the model that was written.
     """
-    told = msgspec.convert(dict(data), Identified)
     count = "" if told.residual is None else f"{len(told.residual.per_configuration)} configurations · "
     found = tuple(section for make in SECTIONS if (section := make(told)) is not None)
     footer = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from postproc.report.identification.content import Identified, Parameter
+from postproc.identification.record import Identified, Parameter
 from postproc.report.kit import (
     Axis,
     Bars,
@@ -42,7 +42,7 @@ _JOINTS = "Displacement of each joint from its nominal place on the link before 
 def summary(told: Identified) -> Section | None:
     """Return what came of it in numbers."""
     residual = told.residual
-    if residual is None:
+    if residual is None or told.parameters is None:
         return None
     shares = [entry.share for entry in told.parameters.values()]
     good = sum(share is not None and share <= _GOOD for share in shares)
@@ -179,14 +179,13 @@ def levels(told: Identified) -> Section | None:
     at = [level.q2_deg for level in told.k2_levels]
     values = [level.value for level in told.k2_levels]
     half = [level.ci95 for level in told.k2_levels]
+    curve = told.k2_curve or []
     texts = [f"q2 = {q:.1f}°: {v:.4f} ± {h or 0:.4f}" for q, v, h in zip(at, values, half, strict=True)]
-    traces = [
-        Curve([q for q, _ in told.k2_curve], [v for _, v in told.k2_curve], "the model at small load", "correction")
-    ]
+    traces = [Curve([q for q, _ in curve], [v for _, v in curve], "the model at small load", "correction")]
     plot = Plot(
         label="Equivalent compliance of joint 2 at each level of q2, and of the model",
         traces=[
-            *(traces if told.k2_curve else []),
+            *(traces if curve else []),
             Points(at, values, "level by level", "after", half=half, texts=texts),
         ],
         x=Axis(title="q2, °"),

@@ -1,0 +1,199 @@
+"""The content of `identification.json`, typed. What is None is left out of the file, but for values and intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from postproc import files
+from postproc.errors import MeasurementError
+from postproc.files import FileEntry
+from postproc.frames import RAD_PER_DEG, Array
+
+NAME = "identification.json"
+
+
+class Verdict(Struct, frozen=True):
+    """Whether the model may be used, and in one line why not."""
+
+    refused: bool
+    line: str
+
+
+class Parameter(Struct, frozen=True, omit_defaults=True):
+    """A value with the half width of its 95 % interval; None where it is the prior one.
+
+    `determined`: the interval is not larger than the value; `source`: "prior" where that is kept.
+    """
+
+    value: float | None
+    ci95: float | None
+    unit: str
+    observable: bool
+    determined: bool | None = None
+    prior: float | None = None
+    source: str | None = None
+
+    @property
+    def share(self) -> float | None:
+        """Half width as a share of the value, or None."""
+        return None if self.ci95 is None or not self.value else abs(self.ci95 / self.value)
+
+
+class Level(Struct, frozen=True):
+    """Compliance of joint 2 at a level of q2."""
+
+    q2_deg: float
+    value: float
+    ci95: float | None
+
+
+class FromLevels(Struct, frozen=True):
+    """A value of the compensator's spring by Eq. (9), (10)."""
+
+    value: float
+    ci95: float
+
+
+class OfConfiguration(Struct, frozen=True):
+    """RMS over the points of a configuration."""
+
+    config: float
+    before_mm: float
+    after_mm: float
+
+
+class Residual(Struct, frozen=True):
+    """What the model leaves of the readings."""
+
+    rms_mm: float
+    max_mm: float
+    before_rms_mm: float
+    chi2: float
+    degrees_of_freedom: int
+    per_configuration: list[OfConfiguration]
+
+
+class Unexplained(Struct, frozen=True):
+    """What the model was off by on configurations left out, at a level of loads: RMS distances, and a 95 % bound."""
+
+    load_N: float
+    held_out_mm: float
+    noise_mm: float
+    own_mm: float
+    u95_mm: float
+
+
+class Missing(Struct, frozen=True):
+    """A parameter that the readings do not show."""
+
+    name: str
+    reason: str
+    advice: str
+
+
+class Tried(Struct, frozen=True):
+    """A structure that was tried."""
+
+    structure: str
+    parameters: int
+    active: int
+    rms_sigma: float
+    held_out_sigma2: float
+    standard_error: float
+    weight: float
+    chosen: bool
+
+
+class Structure(Struct, frozen=True):
+    """The structures tried and why one was taken."""
+
+    reason: str
+    tried: list[Tried]
+
+
+class Correlation(Struct, frozen=True):
+    """Correlations of the parameters found."""
+
+    names: list[str]
+    matrix: list[list[float]]
+
+
+class Variant(Struct, frozen=True):
+    """A variant of the geometry."""
+
+    rms_mm: float
+    held_out_rms_mm: float
+
+
+class Geometry(Struct, frozen=True):
+    """The calibrated geometry."""
+
+    parameters: dict[str, Parameter]
+    sag: bool
+    chosen: str
+    variants: dict[str, Variant]
+
+
+class State(Struct, frozen=True):
+    """A configuration and a load of it that the model was identified from: degrees; N and N·m at the load point."""
+
+    joints_deg: tuple[float, float, float, float, float, float]
+    load: tuple[float, float, float, float, float, float]
+
+
+class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
+    """Content of `identification.json`; without loads there is only geometry."""
+
+    verdict: Verdict | None = None
+    method: str
+    robot: str
+    parameters: dict[str, Parameter] | None = None
+    k2_levels: list[Level] | None = None
+    k2_curve: list[tuple[float, float]] | None = None
+    from_levels: dict[str, FromLevels] | None = None
+    residual: Residual | None = None
+    discrepancy: list[Unexplained] | None = None
+    structure: Structure | None = None
+    geometry: Geometry | None = None
+    sigma_mm: float
+    base: dict[str, float]
+    points: dict[str, dict[str, float]]
+    unloaded_rms_mm: float
+    not_observable: list[Missing]
+    outliers: list[str]
+    warnings: list[str]
+    correlation: Correlation | None = None
+    states: list[State] | None = None
+    files: list[FileEntry] | None = None
+
+    def as_json(self) -> bytes:
+        """Return the content of the file."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=2)
+
+
+class _Measured(Struct, frozen=True):
+    states: list[State] = []
+
+
+def states(folder: Path) -> Array:
+    """Return joint angles [rad] and loads [N, N·m] (m, 12) that the model of a folder was identified from.
+
+    A model without `identification.json` was identified from none.
+
+    :raises MeasurementError: the file is damaged.
+    """
+    path = folder / NAME
+    if not path.is_file():
+        return np.zeros((0, 12))
+    try:
+        told = msgspec.json.decode(files.read_text(path, MeasurementError).encode(), type=_Measured)
+    except msgspec.MsgspecError as error:
+        raise MeasurementError(
+            str(error), file=str(path), advice="Identify the model anew, or restore the file."
+        ) from None
+    rows = [(*np.multiply(state.joints_deg, RAD_PER_DEG), *state.load) for state in told.states]
+    return np.array(rows).reshape(-1, 12)
