@@ -46,6 +46,10 @@ UNITS = "G21"
 MACHINE_NAME = "KUKA robot"
 
 _WORDS = "XYZABCUVWIJKRQPLFSTHD"
+_names: list[str] = []
+"""Of the programs that were asked for without a file name. FreeCAD from 1.0 on loads the post anew for each run, and
+asks for the sections of a job that splits its output one by one.
+"""
 
 
 def export(objectslist: list[Any], filename: str, argstring: str) -> str:
@@ -68,7 +72,7 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
     options = _options(argstring)
     blocks = _blocks(objects)
     document = FreeCAD.ActiveDocument
-    folder, name = _where(options, filename, document)
+    folder, name = _where(options, filename, document, objects)
     cell, forces = (_file(path, document) for path in (options.cell, options.forces))
     flags = [("--cell", cell), *([("--forces", forces)] if forces else [])]
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
@@ -107,7 +111,7 @@ def _file(path: str, document: Any) -> str:
     return str((beside / path.strip("\"'")).resolve())
 
 
-def _where(options: argparse.Namespace, filename: str, document: Any) -> tuple[Path, str]:
+def _where(options: argparse.Namespace, filename: str, document: Any, objects: list[Any]) -> tuple[Path, str]:
     """Return the folder to write into and the name of the program."""
     chosen = None if filename in ("", "-") else Path(filename)
     if options.out_dir:
@@ -116,9 +120,25 @@ def _where(options: argparse.Namespace, filename: str, document: Any) -> tuple[P
         folder = chosen.resolve().parent
     else:
         folder = Path(_file("corrected", document))
+        chosen = _output_file(document, objects)
     name = options.name or (chosen.stem if chosen is not None else document.Label if document is not None else "part")
     name = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
-    return folder, name if re.match("[A-Za-z]", name) else f"P{name}"[:24]
+    name = name if re.match("[A-Za-z]", name) else f"P{name}"[:24]
+    if filename == "-":
+        _names.append(name)
+        count = _names.count(name)
+        name = name if count == 1 else f"{name[:21]}_{count}"
+    return folder, name
+
+
+def _output_file(document: Any, objects: list[Any]) -> Path | None:
+    """Return the output file of the job that is posted, which FreeCAD from 1.0 on writes itself; None: it has none."""
+    posted = {getattr(item, "Name", None) for item in objects}
+    for job in [] if document is None else document.Objects:
+        file = getattr(job, "PostProcessorOutputFile", "")
+        if file and "%" not in file and posted & {item.Name for item in job.Operations.Group}:
+            return Path(file)
+    return None
 
 
 def _blocks(objects: list[Any]) -> list[Block]:
