@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue
-from postproc.frames import Array, inverse
+from postproc.frames import Array, inverse, norm
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -102,6 +102,8 @@ class Swivel:
     :param frame: (M,) row of `frames` (nf, 3, 3): orientation of the program frame in `$BASE`.
     :param tool: (3, 3) orientation of the tool frame in the program frame at d = z.
     :param active: (M,) False for motions that do not start where these angles say.
+    :param rate: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: as fast as the controller
+        does it, and for all others.
     """
 
     begin: Array
@@ -111,11 +113,12 @@ class Swivel:
     frames: Array
     tool: Array
     active: Bools
+    rate: Array
 
     @property
     def travel(self) -> Array:
-        """(M,) by how much the axes turn together at most [rad]."""
-        return np.asarray(np.where(self.active, np.abs(self.end - self.begin).sum(axis=1), 0.0))
+        """(M,) by how much the tool turns at most [rad]: not at all where it stands along the axis that turns."""
+        return np.asarray(np.where(self.active, turning(self.axes, self.begin, self.end), 0.0))
 
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
@@ -128,11 +131,34 @@ class Swivel:
 
     def direction(self, angles: Array) -> Array:
         """Return d (n, 3), in the program frame, for angles (n, k) [rad]."""
-        out = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
-        for axis, angle in zip(self.axes[::-1], angles.T[::-1], strict=True):
-            cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-            out = out * cos + np.cross(axis, out) * sin + (out @ axis)[:, None] * axis * (1.0 - cos)
-        return out
+        return direction(self.axes, angles)
+
+
+def direction(axes: Array, angles: Array) -> Array:
+    """Return the direction R₁(a)·R₂(b)·z (n, 3) of a tool on rotary axes (k, 3), for angles (n, k) [rad]."""
+    out = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
+    for axis, angle in zip(axes[::-1], angles.T[::-1], strict=True):
+        cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        out = out * cos + np.cross(axis, out) * sin + (out @ axis)[:, None] * axis * (1.0 - cos)
+    return out
+
+
+def turning(axes: Array, begin: Array, end: Array) -> Array:
+    """Return by how much a tool turns at most (n,) [rad], as rotary axes turn evenly from `begin` to `end` (n, k).
+
+    An axis at the angle β to the tool moves its direction by sin β times its own turn; tilted by the shortest way
+    (`tilted`), the tool then turns by 1/cos(θ/2) times as much, where θ is how far it leans from z.
+    """
+    shares = np.linspace(0.0, 1.0, 5)
+    tool = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
+    moved = np.abs(end - begin)
+    widened = np.sqrt(2.0 / np.maximum(1.0 + tool[..., 2].min(axis=0), 1e-3))
+    across = norm(np.cross(tool, axes[0])).max(axis=0)
+    if len(axes) == 1:
+        return np.asarray(moved[:, 0] * across * widened)
+    across = np.minimum(across + moved[:, 1] / (2 * (len(shares) - 1)), 1.0)  # what it may be between these places
+    last = float(norm(np.cross(axes[-1], [0.0, 0.0, 1.0])))
+    return np.asarray((moved[:, 0] * across + moved[:, 1] * last) * widened)
 
 
 def tilted(direction: Array) -> Array:

@@ -12,11 +12,13 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.chunks import chunks
 from postproc.errors import Issue, ProgramError
-from postproc.frames import Array
+from postproc.frames import DEG_PER_RAD, Array
 from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets
 
 LINE_END = "\r\n"
 _DECIMALS = 6
+_FASTEST_TURN = 200.0
+"""Faster than this [deg/s] no program turns a tool: it turns as fast as the controller does it."""
 _CORRECTED = 1e-9
 """Commands whose matrices differ by less than this from the programmed ones are nominal."""
 _NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool": "no-tool-change-lines"}
@@ -165,6 +167,17 @@ class NewProgram:
                 problem, file=self.program.documents[0].name, line=at, advice="Give F above 0.06 mm/min."
             )
         return path, printed
+
+    def turning_speeds(self) -> Array:
+        """Return how fast each target turns the tool (K,) [deg/s], where the program says it, else NaN.
+
+        What is more than controllers do is left to them.
+        """
+        swivel = self.program.swivel
+        if swivel is None:
+            return np.full(len(self.row), np.nan)
+        rate = swivel.rate[self.row] * DEG_PER_RAD
+        return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-_DECIMALS), np.nan))
 
     def joined(self, head: Sequence[str], printed: dict[int, bytes], end: Sequence[str]) -> tuple[str, Ints]:
         """Return the text of the program, and the line of each target (K,).

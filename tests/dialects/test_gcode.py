@@ -719,3 +719,11 @@ def test_a_program_that_can_be_read_is_never_named_after_another_control() -> No
         len(read("(MSG BEGIN PGM TRANS CYCLE832 SUPA)\nG21 G0 X1 Y1 Z1 (CR=5)\nG1 X2 F10 ; GOTO/1,2,3\nM30\n").motions)
         == 2
     )
+
+
+@pytest.mark.parametrize("feed", ["F60", "F[60]"])
+def test_a_percent_sign_amid_the_blocks_is_an_error(feed: str) -> None:
+    with pytest.raises(ProgramError, match="the program ends here, but coordinates follow") as caught:
+        read(f"%\nG21 G90 G0 X1 Y2 Z3\n%\nO2\nG1 X9 {feed}\nM30\n%\n")
+    assert caught.value.line == 3
+    assert len(read(f"%\nG21 G90 G0 X1 Y2 Z3\nG1 X2 {feed}\n%\n(the end)\n").motions) == 2

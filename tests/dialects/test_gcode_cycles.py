@@ -185,6 +185,21 @@ def test_retracting_goes_to_the_clearance(block: str) -> None:
     assert program.motions.rapid[2:].all()
 
 
+def test_from_home_the_robot_goes_down_over_the_clearance() -> None:
+    text = HEAD + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X20 Y30\nG43 Z15 H1\nG1 Z-2\nM2"
+    program = read(text, BOTH)
+    m = program.motions
+    np.testing.assert_allclose(ends(program)[-3:], [[20, 30, 80], [20, 30, 15], [20, 30, -2]], atol=1e-9)
+    assert m.kind[-4:].tolist() == [PTP, PTP, LIN, LIN]
+    assert m.rapid[-4:].tolist() == [True, True, True, False]
+    assert m.line[-3:].tolist() == [5, 5, 6]
+    assert not [issue for issue in program.issues if issue.kind == "approach"]
+    direct = read(text, replace(BOTH, machine=replace(BOTH.machine, clearance_Z=None)))
+    np.testing.assert_allclose(ends(direct)[-2:], [[20, 30, 15], [20, 30, -2]], atol=1e-9)
+    (issue,) = [issue for issue in direct.issues if issue.kind == "approach"]
+    assert issue.level == "warning"
+
+
 def test_retracting_at_the_head_of_a_program_does_nothing() -> None:
     program = read("G21 G90\nG53 G0 Z0\nG0 X1 Y2\nZ3\nG1 Z0 F9\nM2", CLEAR)
     assert len(program.motions) == 2
@@ -197,6 +212,14 @@ def test_each_tool_has_its_own_frame_and_keeps_the_tip_where_it_was() -> None:
     np.testing.assert_allclose(program.tools[m.tool, 2, 3], [0.3, 0.3, 0.3, 0.4125, 0.4125, 0.4125])
     np.testing.assert_allclose(ends(program)[2:], [[0, 0, 20], [0, 0, 20], [5, 0, 20], [5, 0, 1]], atol=1e-9)
     assert [(e.kind, e.before) for e in program.events] == [("tool_change", 0), ("tool_change", 3)]
+
+
+def test_which_tool_M6_means_must_be_said() -> None:
+    with pytest.raises(ProgramError, match="M6 without a T"):
+        read(HEAD + "M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))
+    program = read(HEAD + "M6\nM2")
+    assert [issue.level for issue in program.issues if issue.kind == "tool-change"] == ["warning"]
+    assert not [issue for issue in read(HEAD + "T0 M6\nM2").issues if issue.kind == "tool-change"]
 
 
 def test_a_tool_that_the_cell_has_not_is_an_error() -> None:

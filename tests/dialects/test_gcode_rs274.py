@@ -261,7 +261,7 @@ def test_what_is_refused_on_purpose_is_accepted_by_rs274(text: str) -> None:
     assert accepts(text)
 
 
-@pytest.mark.parametrize("tail", ["M2\nG1 nonsense (", "%\nG0 X9\n%\nG1 (", "M30 (end)\nG0 X9\nM2"])
+@pytest.mark.parametrize("tail", ["M2\nG1 nonsense (", "%\n(notes)\n%\nG1 (", "M30 (end)\nG0 X9\nM2"])
 def test_rs274_too_reads_nothing_after_the_end(tail: str) -> None:
     text = "%\nG21 G90 G0 X1 Y2 Z3\n" + tail
     assert_same_moves(read(text), canonical(text), 1.0)

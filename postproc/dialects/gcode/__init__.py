@@ -19,9 +19,10 @@ one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mar
 more than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W)
 where it does nothing, M98 and CALL to files with other names than LinuxCNC's, and G15, G50.1, G69. Where it accepts
 less: a cutting or relative move or a change of the work offset before X, Y and Z have been programmed (rs274 begins at
-zero; a robot stands anywhere; only a G1 with all three may come first), parameters that nothing in the program has
-set, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that moves
-nothing, and every code that `codes` refuses. Each of these is a test.
+zero; a robot stands anywhere; only a G1 with all three may come first), parameters that nothing in the program has set,
+coordinates behind a closing ``%``, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and
+more, a program that moves nothing, and every code that `codes` refuses. Each of these is a test. In G18 and G19 rs274
+confuses the axes of G84.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from postproc.dialects.gcode.execution import executed
 from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import Setting
-from postproc.dialects.gcode.path import Path, Speeds, read_path
+from postproc.dialects.gcode.path import CHORD, Path, Speeds, read_path
+from postproc.dialects.gcode.rotary import axes_of
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse
@@ -92,12 +94,14 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         tools=numbers,
         home=None if cell.machine.home is None else inverse(base) @ forward(home) @ np.stack(tools),
         clearance=cell.machine.clearance_Z,
+        axes=axes_of(cell.rotary),
     )
     speeds = Speeds(
         rapid=cell.gcode.rapid_m_per_s,
         approximation=cell.gcode.approximation_mm * M_PER_MM,
         rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
         home=home,
+        chord=CHORD * cell.output.tolerance_mm,
     )
     path = read_path(columns, modes, setting, speeds, cell.rotary)
     comments, wrong = _comments(run, modes.rows)
@@ -217,8 +221,8 @@ def _speed(modes: Modes, row: int, kind: str) -> float:
 def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
     if not modes.changes["units"]:
         yield Issue("info", "units", "Neither G20 nor G21 is given: millimetres are assumed.")
-    for row, kind, message in path.told:
-        yield Issue("info", kind, message, row + 1)
+    for row, level, kind, message in path.told:
+        yield Issue(level, kind, message, row + 1)
     if len(path.held_back):
         message = "Rapid moves before X, Y and Z are all known are held back until the position is complete."
         lines = tuple((path.held_back + 1).tolist())

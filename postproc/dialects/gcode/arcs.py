@@ -100,6 +100,10 @@ class Arcs:
     sweep: Array
     faults: tuple[ArcFault, ...]
 
+    def of(self, which: Bools) -> Arcs:
+        """Return some of them."""
+        return Arcs(self.centre[which], self.normal[which], self.sweep[which], ())
+
 
 def read_arcs(words: ArcWords) -> Arcs:
     """Return the geometry of arcs, and what is wrong with them."""

@@ -141,12 +141,14 @@ class _Run:
         """Open the tape, or end it: the first % of a file opens it."""
         source = self.units[self.unit].source
         opens = not source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode())
-        if self.unit == 0 and not self.frames:
-            self._take(row, row + 1)
-        if not opens and not self.frames:
-            raise _EndError
-        if not opens:
+        if not opens and self.frames:
             self.row = len(source)
+        elif not opens and source.goes_on(row):
+            self._stop(row, *words.CUT_SHORT)
+        elif not self.frames:
+            self._take(row, row + 1)
+            if not opens:
+                raise _EndError
 
     def _execute(self, row: int, line: Block) -> None:
         text = line.text(self.known)

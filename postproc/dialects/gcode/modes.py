@@ -2,11 +2,6 @@
 
 Decisions, where controls differ:
 
-- **G43** makes a control take X Y Z as those of the tool tip, by a stored length. On the robot `$TOOL` holds the
-  length and X Y Z are those of the tip anyway: G43 is accepted and changes nothing (but in a program that never says
-  M6: there H is the tool). Nearly every CAM file has one. G43.1, G43.2 and G44 would shift the tip: they are refused.
-- **T M6**: the tool that `[tools]` has by this number; without `[tools]`, the cell's `[tool]` for all.
-- **G28, G30, G53** are what `[machine]` says. Words of G28 count only where they make an intermediate point.
 - **P** of a cycle is in seconds, as that of G4.
 - **/** (block delete): the block is read, as with the switch in its off position, the default of rs274; an issue says
   so.
@@ -15,9 +10,6 @@ Decisions, where controls differ:
   controller drives leaves the corner by half the distance, times the sine of half the turn).
 - **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first.
 - **G4 P** is in seconds, as in LinuxCNC. More than a minute gives a warning: some controls count milliseconds.
-- **M2, M30** end the program; spindle and coolant that still run are switched off there, as LinuxCNC does.
-- **M6** stops the spindle first, as LinuxCNC does.
-- A new S while the spindle runs is an event like M3 with that speed.
 - **F** belongs to the units of its own block, also when G20 or G21 stands in the same block.
 - **A0, U0** (and B, C, V, W) keep an axis that the robot has not at zero: they are read over, and an issue says so.
 - **%**: the first one opens the program (text after it is ignored), the next one ends it; a program that begins with
@@ -29,55 +21,22 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from postproc.cell import Cell
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.blocks import BlockError, Fault, words_of
-from postproc.dialects.gcode.words import COLUMNS, MARK, Source
+from postproc.dialects.gcode.places import Origin, Places, Return
+from postproc.dialects.gcode.switching import RowEvent, Switching
+from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, Source
 from postproc.errors import MOST, Issue, Level
 from postproc.frames import M_PER_MM, Array
-from postproc.program import EventKind, Ints
+from postproc.program import Ints
 
 _UNITS_AGAIN = {70.0: 20.0, 71.0: 21.0}
 MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
 _LONG_DWELL_S = 60.0
 _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
-_SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
-
-
-class Origin(NamedTuple):
-    """A change of the program frame: by G10, G52 or G92…; lengths in mm.
-
-    :ivar axes: axis 0…2 → its word.
-    :ivar system: of G10, 1 for G54 to 9 for G59.3, 0 for the one in force; `turn` its R [deg], None without.
-    :ivar here: True for G10 L20, which gives coordinates of where the tool is.
-    """
-
-    row: int
-    code: float
-    axes: Mapping[int, float]
-    system: int = 0
-    turn: float | None = None
-    here: bool = False
-
-
-class Return(NamedTuple):
-    """A line with G28, G30 or G53: the axes that it names, with their words [mm]."""
-
-    row: int
-    code: float
-    axes: Mapping[int, float]
-
-
-class RowEvent(NamedTuple):
-    """An event of a line: row of the line, whether it follows the motion of that line, kind and value of `Event`."""
-
-    row: int
-    after: bool
-    kind: EventKind
-    value: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +98,8 @@ def read_modes(
             faults.append(Fault(row, cause.args[0], cause.args[1], code))
         if reader.ended or len(faults) > MOST:
             rows = row + 1
+            if not known and source.goes_on(row):
+                faults.append(Fault(row, *CUT_SHORT))
             break
     faults = sorted([*faults, *(fault for fault in known if fault.row < rows)], key=lambda fault: fault.row)
     complete = reader.ended or tape < 0 or len(faults) > MOST or bool(known)
@@ -150,12 +111,12 @@ def read_modes(
         changes=reader.changes,
         blends=reader.blends,
         roundings=reader.roundings,
-        origins=reader.origins,
-        returns=reader.returns,
-        tools=reader.tools,
+        origins=reader.places.origins,
+        returns=reader.places.returns,
+        tools=reader.switching.tools,
         tip=reader.tip,
         dwells=reader.dwells,
-        row_events=reader.row_events,
+        row_events=reader.switching.events,
         issues=reader.issues,
         faults=faults,
         complete=complete,
@@ -171,29 +132,26 @@ class _Reader:
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
         self.roundings: list[tuple[int, float]] = []
-        self.origins: list[Origin] = []
-        self.returns: dict[int, Return] = {}
-        self.tools: list[tuple[int, float]] = []
         self.dwells: list[int] = []
-        self.row_events: list[RowEvent] = []
         self.issues: list[Issue] = []
-        self.offsets = {"G54", *cell.work_offsets}
-        rotary = cell.rotary
-        self.rotary = "" if rotary is None else "".join(rotary.axes)
-        self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.rotary]
+        self.places, self.switching = Places(cell), Switching(cell, self.issues, self._tip)
+        self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.places.rotary]
         self.tip: list[tuple[int, float]] = []
+        rotary = cell.rotary
         self.tip_on, self.tip_off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
         if rotary is not None and not rotary.tcp_on:
             self.tip_on, self.tip_off = ("G43.4", "M128"), ("M129",)
         self.mm_per_unit = 1.0
-        self.spindle: EventKind = "spindle_off"
-        self.coolant = self.ended = self.shifted = False
-        self.speed = self.tool = 0.0
-        self.mounted: set[float] = set()
+        self.taped = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether the program has ended."""
+        return self.taped or self.switching.ended
 
     def read(self, row: int, code: str) -> None:
         if code.lstrip(MARK).startswith("%"):
-            self.ended = row != self.tape
+            self.taped = row != self.tape
             return
         deleted = _DELETE.match(code)
         if deleted:
@@ -204,7 +162,7 @@ class _Reader:
         m = [value for letter, value in words if letter == "M"]
         values = {letter: value for letter, value in words if letter not in "GM"}
         refused: BlockError | None = None
-        for step in (self._modes, self._places, self._dwell, self._blending, self._machine, self._coordinates):
+        for step in (self._modes, self._places, self._dwell, self._blending, self._switching, self._coordinates):
             try:
                 step(row, g, m, values)
             except BlockError as cause:  # what is understood of the block is taken over: the next blocks build on it
@@ -213,13 +171,13 @@ class _Reader:
             raise refused
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        if codes.TOOL_LENGTH in g or (43.4 in g and self.rotary):
-            self._tool_length(row, values.pop("H", None))
+        if codes.TOOL_LENGTH in g or (43.4 in g and self.places.rotary):
+            self.switching.tool_length(row, values.pop("H", None))
             values.pop("D", None)  # the number of a radius, which only G41 and G42 use
         elif values.get("H") == 0.0:
             del values["H"]
         for letter in codes.OTHER_AXES:
-            if values.get(letter) == 0.0 and letter not in self.rotary:
+            if values.get(letter) == 0.0 and letter not in self.places.rotary:
                 del values[letter]
                 message = f"{letter}0 is read over: the robot has no axis {letter}."
                 self._tell("info", "other-axis", message, row, letter)
@@ -239,7 +197,7 @@ class _Reader:
         refused: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
-            if group == "offset" and f"G{code:g}" not in self.offsets:
+            if group == "offset" and f"G{code:g}" not in self.places.offsets:
                 advice = f"Give its place in $BASE in the cell: [work_offsets.G{code:g}]."
                 refused = refused or (f"work offset G{code:g} is not in the cell", advice)
             elif group is not None:
@@ -259,33 +217,10 @@ class _Reader:
             raise BlockError(*refused)
 
     def _places(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Take the axis words of the codes that shift the program frame, or go to a place of the machine."""
-        using = [code for code in g if code in codes.ORIGINS or code in codes.RETURNS]
-        if not using:
-            return
-        takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
-        turned = [letter for letter in self.rotary if letter in values]
-        if turned and (using[0] in codes.ORIGINS or self.cell.machine.home is None):
-            raise BlockError(f"{turned[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
-        for letter in turned:
-            values[letter] = 0.0  # where the axes of the machine are at home
-        axes = {"XYZ".index(letter): value * self.mm_per_unit for letter, value in takes.items()}
-        if len(using) > 1 or set(g) & {2.0, 3.0, *codes.CYCLES}:
-            raise BlockError("two codes that take the same words in one block", "Write one block for each.")
-        code = using[0]
-        if code in codes.RETURNS:
-            self._return(row, code, axes)
-        elif code == codes.STORE:
-            self._store(row, axes, values)
-        else:
-            if code in (codes.LOCAL, codes.SHIFT) and not axes:
-                raise BlockError(f"G{code:g} without X, Y or Z", None)
-            if code == codes.SHIFT_ON and not self.shifted:
-                raise BlockError(
-                    "G92.3 restores an offset that the program has not set", "Set it by G92, or remove it."
-                )
-            self.shifted |= code in (codes.LOCAL, codes.SHIFT)
-            self.origins.append(Origin(row, code, axes))
+        self.places.read(row, g, float(self.columns["G"][row]), values, self.mm_per_unit)
+
+    def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
+        self.switching.read(row, m, values)
 
     def _said_before(self, code: float) -> bool:
         """Return whether G70 or G71, which Vectric's posts write behind G20 or G21, say nothing else."""
@@ -299,48 +234,6 @@ class _Reader:
             return True
         return False
 
-    def _return(self, row: int, code: float, axes: Mapping[int, float]) -> None:
-        machine = self.cell.machine
-        name = f"G{code:g}"
-        if machine.home is None and machine.clearance_Z is None:
-            advice = (
-                "Say what it means here, in the cell: [machine] home = [A1 … A6] or clearance_Z; or remove the block."
-            )
-            raise BlockError(f"{name} is not supported without [machine] in the cell", advice)
-        if code == codes.MACHINE and self.columns["G"][row] in (1.0, 2.0, 3.0):
-            advice = "G53 goes to where [machine] says, with G0: write the move in coordinates of the part."
-            raise BlockError(f"{name} with G{self.columns['G'][row]:g}", advice)
-        if not axes and code == codes.MACHINE:
-            raise BlockError("G53 without X, Y or Z", None)
-        if machine.home is None and set(axes) != {2}:
-            advice = "[machine] clearance_Z says where Z goes only: give home, or let the CAM system retract in Z."
-            raise BlockError(f"{name} with axes other than Z", advice)
-        self.returns[row] = Return(row, code, axes)
-
-    def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
-        kind, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
-        if kind not in (2.0, 20.0) or (kind == 20.0 and turn is not None):
-            raise BlockError(f"G10 L{kind:g} is not supported", "Tools are in the cell: [tools.1] …")
-        if system not in range(10):
-            raise BlockError("G10 without a work offset", "P1 is G54, P9 is G59.3, P0 the one in force.")
-        number = int(system)
-        if number:
-            self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
-        self.origins.append(Origin(row, codes.STORE, axes, number, turn, kind == 20.0))
-
-    def _tool_length(self, row: int, length: float | None) -> None:
-        tools = self.cell.tools
-        if not tools:
-            message = "G43 has no effect: $TOOL holds the tool length, and X Y Z are those of the tool tip."
-            self._tell("info", "tool-length", message, row)
-        elif length and not self.mounted and f"{length:g}" in tools:
-            self.tools.append((row, length))
-            message = "There is no M6 before G43 H: the tool is taken from H."
-            self._tell("info", "tool-length", message, row)
-        elif length and length not in self.mounted and f"{length:g}" in tools:
-            message = f"G43 H{length:g} with another tool in the spindle: $TOOL stays that of tool {self.tool:g}."
-            self._tell("warning", "tool-length", message, row, f"{length:g}")
-
     def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.DWELL in g:
             if not values.get("P", -1.0) >= 0.0:
@@ -349,7 +242,7 @@ class _Reader:
                 raise BlockError("G4 in one block with an arc", "Write one block for each.")
             self.dwells.append(row)
             seconds = values.pop("P")
-            self.row_events.append(RowEvent(row, False, "dwell", seconds))
+            self.switching.dwell(row, seconds)
             if seconds > _LONG_DWELL_S:
                 message = f"Dwell of {seconds:g} s: P counts seconds here, on some controls milliseconds."
                 self._tell("warning", "dwell", message, row)
@@ -366,58 +259,3 @@ class _Reader:
             self.roundings.append((row, given))
         elif set(g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
-
-    def _machine(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
-        self.tool = values.pop("T", self.tool)
-        if codes.CHANGE in m:
-            if self.spindle != "spindle_off":
-                self.spindle = "spindle_off"
-                self._event(row, "spindle_off")
-            self._event(row, "tool_change", self.tool)
-            self.mounted.add(self.tool)
-            if self.cell.tools and self.tool:
-                if f"{self.tool:g}" not in self.cell.tools:
-                    advice = f"Give its $TOOL: [tools.{self.tool:g}]."
-                    raise BlockError(f"tool {self.tool:g} is not in the cell", advice)
-                self.tools.append((row, self.tool))
-            elif len(self.mounted) > 1:
-                message = "More than one tool is used: the cell's [tool] is taken for all of them, see [tools]."
-                self._tell("warning", "tool-change", message, row)
-        self._spindle(row, m, values.pop("S", None))
-        for code in m:
-            if code in codes.COOLANT:
-                self.coolant = code != codes.COOLANT[-1]
-                self._event(row, "coolant_on" if self.coolant else "coolant_off")
-            elif code in codes.STOP:
-                self.row_events.append(RowEvent(row, True, "stop"))
-            elif code in codes.END:
-                self.ended = True
-                if self.spindle != "spindle_off":
-                    self.row_events.append(RowEvent(row, True, "spindle_off"))
-                if self.coolant:
-                    self.row_events.append(RowEvent(row, True, "coolant_off"))
-        for code in m:
-            if self._tip(row, f"M{code:g}"):
-                continue
-            own = self.cell.m_codes.get(f"M{code:g}")
-            if own is None and code not in codes.ACCEPTED_M:
-                raise BlockError(*codes.refusal("M", code))
-            if own:
-                self.row_events.append(RowEvent(row, False, "m_code", code))
-
-    def _spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
-        if speed is not None:
-            if speed < 0.0:
-                raise BlockError("negative spindle speed", None)
-            self.speed = speed
-        switched = next((kind for code, kind in _SPINDLE.items() if code in m), None)
-        self.spindle = switched or self.spindle
-        if switched == "spindle_off":
-            self._event(row, "spindle_off")
-        elif switched or (speed is not None and self.spindle != "spindle_off"):
-            self._event(row, self.spindle, self.speed)
-            if self.speed == 0.0:
-                self._tell("warning", "spindle-speed", "The spindle is started without a speed (S).", row)
-
-    def _event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
-        self.row_events.append(RowEvent(row, False, kind, value))

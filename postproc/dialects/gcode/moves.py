@@ -8,7 +8,7 @@ G28 for the axes that it sends home.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,12 +17,16 @@ from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.blocks import BlockError
 from postproc.dialects.gcode.cycles import Cycle, CycleEvent
-from postproc.dialects.gcode.modes import Modes, Origin, Return
+from postproc.dialects.gcode.modes import Modes
+from postproc.dialects.gcode.places import Origin, Return
 from postproc.dialects.gcode.rows import Rows, held, in_force
-from postproc.frames import M_PER_MM, Array, inverse, pose_from_xyzabc
-from postproc.program import Bools, EventKind, Ints
+from postproc.errors import Level
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, pose_from_xyzabc
+from postproc.program import Bools, EventKind, Ints, direction
 
 _FEWEST = 1e-6
+LEVEL = 0.2
+"""A tool whose direction has less than this in Z of `$BASE` lies nearly level: along it no height is reached."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +39,7 @@ class Setting:
     :param tools: row of `$TOOL` by number of the tool.
     :param home: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None without.
     :param clearance: Z of `$BASE` to which G53 retracts [mm]; None without.
+    :param axes: (k, 3) what rotary axes turn about in the program frame, from the part outwards, sign included.
     """
 
     start: Array
@@ -43,6 +48,7 @@ class Setting:
     tools: Mapping[float, int]
     home: Array | None
     clearance: float | None
+    axes: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +67,7 @@ class Moves:
     :param unknown: first and last row of lines at which the tool is somewhere, in some axis.
     :param offset: (L,) which work offset is in force on each line.
     :param faults: row, problem, advice.
-    :param told: row, kind and message of what the user should know.
+    :param told: row, level, kind and message of what the user should know.
     """
 
     row: Ints
@@ -78,7 +84,15 @@ class Moves:
     unknown: Sequence[tuple[int, int]]
     offset: Array
     faults: Sequence[tuple[int, str, str | None]]
-    told: Sequence[tuple[int, str, str]]
+    told: Sequence[tuple[int, Level, str, str]]
+
+    def repeated(self, count: Ints) -> Moves:
+        """Return the moves, each as often as `count` (N,) says."""
+        which = np.repeat(np.arange(len(count)), count)
+        before = np.concatenate([[0], np.cumsum(count)]).tolist()
+        names = ("row", "code", "begin", "end", "frame", "tool", "turn", "bottom", "home")
+        done = [(before[at], row, what) for at, row, what in self.done]
+        return replace(self, **{name: getattr(self, name)[which] for name in names}, done=done)
 
 
 def moves_of(rows: Rows, modes: Modes, setting: Setting) -> Moves:
@@ -109,7 +123,7 @@ class _Walk:
         self.done: list[tuple[int, int, CycleEvent]] = []
         self.losses: list[tuple[int, Bools]] = [(0, np.ones(3, dtype=bool))]
         self.faults: list[tuple[int, str, str | None]] = []
-        self.told: list[tuple[int, str, str]] = []
+        self.told: list[tuple[int, Level, str, str]] = []
 
     def moves(self) -> Moves:
         """Go through the program."""
@@ -161,6 +175,11 @@ class _Walk:
         moving = np.flatnonzero(rows.moving[begin:end])
         self._add(begin + moving, rows.motion[begin + moving], before[moving], after[moving], turn[moving])
         self.position = after[-1]
+        swung = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
+        if len(swung) and not self.angles.any():  # the tip was swung to where the machine alone knows
+            row = begin + int(swung[-1]) + 1
+            self.losses.append((row, np.ones(3, dtype=bool)))
+            self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
 
     def _turned(self, begin: int, end: int) -> Array:
         """Return the angles (n, 2, k) before and behind some lines."""
@@ -177,8 +196,7 @@ class _Walk:
 
     def _drill(self, begin: int, end: int) -> None:
         rows = self.rows
-        if not np.isnan(rows.rotary[begin:end]).all():
-            self.faults.append((begin, "rotary axes in a cycle", "Turn them in a block before."))
+        self._check_drilling(begin, end)
         spindle = self._spindle(begin, end)
         places: list[tuple[float, float, float]] = []
         row_of: list[int] = []
@@ -215,6 +233,21 @@ class _Walk:
             after = np.array(places)
             self._add(np.array(row_of), np.array(codes_of), np.concatenate([start[None], after[:-1]]), after)
 
+    def _check_drilling(self, begin: int, end: int) -> None:
+        """See that no rotary axis turns in some lines with cycles, and that the tool points along the hole."""
+        turns = self._turned(begin, end)
+        row = begin + int(np.argmax((turns[:, 0] != turns[:, 1]).any(axis=1)))
+        if (turns[:, 0] != turns[:, 1]).any():
+            self.faults.append((row, "rotary axes turn in a cycle", "Turn them in a block before."))
+        across = abs(self._direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
+        if self.angles.any() and across < 1.0 - 1e-9:
+            advice = "It would drill across the tool: let the CAM system write such holes as G0 and G1."
+            self.faults.append((begin, "a cycle with a tilted tool", advice))
+
+    def _direction(self) -> Array:
+        """Return where the tool points, from the tip to the spindle, in the program frame (3,)."""
+        return np.asarray(direction(self.setting.axes, self.angles[None] * RAD_PER_DEG)[0])
+
     def _spindle(self, begin: int, end: int) -> list[EventKind]:
         """Return what the spindle does on some lines."""
         at = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
@@ -235,21 +268,35 @@ class _Walk:
                 self._go(row, via)
         upwards = not named[:2].any()
         if setting.clearance is not None and self.known.all():
-            frame = self.frames[-1]
-            base = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
-            if base[2] < setting.clearance - _FEWEST:
-                base[2] = setting.clearance
-                self._go(row, frame[:3, :3].T @ (base - frame[:3, 3] / M_PER_MM))
+            self._retract(row, setting.clearance)
         if setting.home is None or (to.code == codes.MACHINE and upwards and setting.clearance is not None):
             if not self.known.all():
                 message = "There is no retract before X, Y and Z are known: the robot stands at [start]."
-                self.told.append((row, "start-position", message))
+                self.told.append((row, "info", "start-position", message))
             return
+        if setting.clearance is None:
+            message = "From there the robot goes to the next place by one motion of its joints, not down to it at last."
+            self.told.append((row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
         self.homes.append(self.number)
         self.angles = np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0)
         self._go(row, self.position)
         self.known &= ~named
         self.losses.append((row + 1, named))
+
+    def _retract(self, row: int, clearance: float) -> None:
+        """Go up to a height of `$BASE` [mm]: with a tilted tool along the tool, which leaves as it came."""
+        frame, along = self.frames[-1], self._direction()
+        z = float(frame[2, :3] @ self.position + frame[2, 3] / M_PER_MM)
+        if z >= clearance - _FEWEST:
+            return
+        if (along[:2] == 0.0).all():
+            along = frame[2, :3]
+        rise = float(frame[2, :3] @ along)
+        if rise < LEVEL:
+            advice = "Retract along the tool by G0 before: straight up it would be dragged through the part."
+            self.faults.append((row, "retract with a tool that lies nearly level", advice))
+            return
+        self._go(row, self.position + along * ((clearance - z) / rise))
 
     def _mount(self, row: int, number: float) -> None:
         """Take another tool: its tip goes to where that of the last one was, so that what follows starts there."""

@@ -11,17 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.cell import Rotary
+from postproc.dialects.gcode.added import approached, chords
 from postproc.dialects.gcode.arcs import SAME_MM, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.mistakes import faults_of
 from postproc.dialects.gcode.modes import Modes
 from postproc.dialects.gcode.moves import Moves, Setting, moves_of
-from postproc.dialects.gcode.rotary import check_turning, swivel_of
+from postproc.dialects.gcode.rotary import check_turning, swivel_of, turned
 from postproc.dialects.gcode.rows import Rows, in_force, rows_of
+from postproc.errors import Level
 from postproc.frames import M_PER_MM, Array, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel, distinct
 
+CHORD = 0.1
+"""Share of the tolerance that chords may take."""
+_STILL = 1e-9
+"""A tool that turns by less than this [rad] does not turn."""
 _S_PER_MIN = 60.0
 
 
@@ -33,12 +39,14 @@ class Speeds:
     :param approximation: approximation distance [m].
     :param rounding: what approximation may round corners by [m], unless the program says it (G64 P).
     :param home: (6,) joint angles of [machine] home [rad], or NaN.
+    :param chord: what chords of an arc along which rotary axes turn may leave it by [mm].
     """
 
     rapid: float
     approximation: float
     rounding: float
     home: Array
+    chord: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +59,7 @@ class Path:
     :param still: (n,) rows of moves that are not in `motions`, ascending: they go nowhere, or are held back.
     :param held_back: (n,) those of them that are rapid moves before the position is known.
     :param done: what happens in cycles: the motion that it precedes, row, what.
-    :param told: row, kind and message of what the user should know.
+    :param told: row, level, kind and message of what the user should know.
     """
 
     motions: Motions
@@ -60,7 +68,7 @@ class Path:
     still: Ints
     held_back: Ints
     done: Sequence[tuple[int, int, CycleEvent]]
-    told: Sequence[tuple[int, str, str]]
+    told: Sequence[tuple[int, Level, str, str]]
 
 
 def read_path(
@@ -73,27 +81,27 @@ def read_path(
     :param setting: what the cell says about frames, `rotary` about axes that turn, `speeds` about the rest.
     """
     rows = rows_of(columns, modes, rotary)
-    moves = moves_of(rows, modes, setting)
+    moves, held_back, arriving = approached(moves_of(rows, modes, setting), setting)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
-        faults = check_turning(rows, moves, rotary)
+        faults = check_turning(rows, moves, held_back, setting.axes, " or ".join(rotary.tcp_on))
     if faults:
         return faults
-    held_back, arriving = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
-    for first, last in moves.unknown:
-        begin, end = np.searchsorted(moves.row, [first, last]).tolist()
-        held_back[begin:end] = ~moves.home[begin:end]
-        arriving[end : end + 1] = moves.code[end : end + 1] == 0.0
-    distance = norm(moves.end - moves.begin)
+    length = _lengths(moves, circular, arcs)
+    moves, count = chords(moves, circular, arcs, speeds.chord)
+    held_back, arriving, length = np.repeat(held_back, count), np.repeat(arriving, count), np.repeat(length, count)
+    whole = count[circular] == 1
+    circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    turns = (moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1)
-    stays = ~turns & (distance <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
+    turns = turned(moves, setting.axes) > _STILL
+    stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
     kept = np.flatnonzero(~stays & ~held_back)
     free = arriving[kept] | moves.home[kept]
-    swivel = None if rotary is None else swivel_of(moves, kept, free, rotary, setting)
-    motions = _motions(rows, moves, (circular, arcs), kept, free, swivel, modes, setting, speeds)
+    alone = turns[kept] & (length[kept] <= SAME_MM) & (moves.code[kept] == 1.0) & ~free
+    swivel = None if rotary is None else swivel_of(moves, rows, kept, free, alone, setting)
+    motions = _motions(rows, moves, (circular, arcs), kept, free, (swivel, alone, length[kept]), modes, setting, speeds)
     done = [(int(np.searchsorted(kept, at)), row, what) for at, row, what in moves.done]
     away = moves.row[held_back]
     still = distinct(np.concatenate([away, moves.row[stays]]))
@@ -124,7 +132,7 @@ def _motions(
     circles: tuple[Ints, Arcs],
     kept: Ints,
     free: Bools,
-    swivel: Swivel | None,
+    turning: tuple[Swivel | None, Bools, Array],
     modes: Modes,
     setting: Setting,
     speeds: Speeds,
@@ -132,7 +140,9 @@ def _motions(
     """Return the moves that are kept, in `$BASE`.
 
     :param free: (M,) True for moves by joint interpolation.
+    :param turning: how they turn the tool, which turn it alone (M,), and how long they are (M,) [mm].
     """
+    swivel, alone, length = turning
     row, code, home = moves.row[kept], moves.code[kept], moves.home[kept]
     rapid = code == 0.0
     kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
@@ -162,10 +172,8 @@ def _motions(
         target[home] = setting.home[moves.tool[kept[home]]]
     per_minute = rows.feed[row].copy()
     timed = rows.inverse_time[row] & ~rapid
-    per_minute[timed] *= _lengths(moves, kept, circles)[timed]
-    if swivel is not None:  # a move that turns alone has no length: the controller turns as fast as it does
-        turning = timed & (_lengths(moves, kept, circles) <= SAME_MM)
-        per_minute[turning] = speeds.rapid * _S_PER_MIN / M_PER_MM
+    per_minute[timed] *= length[timed]
+    per_minute[timed & alone] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the tip stays: how fast the tool turns counts
     feed = np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
     blend = in_force(modes.blends, speeds.approximation, modes.rows)[row]
@@ -194,14 +202,13 @@ def _motions(
     return motions
 
 
-def _lengths(moves: Moves, kept: Ints, circles: tuple[Ints, Arcs]) -> Array:
-    """Return how long moves are [mm]."""
+def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
+    """Return how long moves are (N,) [mm]."""
     out = norm(moves.end - moves.begin)
-    circular, arcs = circles
     if len(circular):
         along = np.einsum("ni,ni->n", moves.end[circular] - moves.begin[circular], arcs.normal)
         out[circular] = np.hypot(norm(moves.begin[circular] - arcs.centre) * arcs.sweep, along)
-    return np.asarray(out[kept])
+    return out
 
 
 def _placed(frames: Array, mm: Array) -> Array:

@@ -20,7 +20,7 @@ class Rows:
 
     :param turns: P; of cycles a dwell [s].
     :param named: where a motion is named, not carried on.
-    :param feed: mm/min; in G93 1/min.
+    :param feed: mm/min; in G93 1/min. `rate`: F as it stands: of rotary axes alone in deg/min.
     :param moving: lines with G0…G3 that move; `drilling`: with a cycle.
     :param rotary: (L, k) words of the rotary axes [deg].
     :param tip: whether X, Y, Z are those of the tip although rotary axes turn.
@@ -35,6 +35,7 @@ class Rows:
     motion: Array
     named: Bools
     feed: Array
+    rate: Array
     plane: Array
     units: Array
     incremental: Bools
@@ -89,6 +90,7 @@ def rows_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -
         motion=motion,
         named=named,
         feed=_feeds(mm["F"], columns["F"][:count], inverse_time),
+        rate=held(columns["F"][:count], 0.0),
         plane=state["plane"],
         units=state["units"],
         incremental=state["distance"] == 91.0,

@@ -32,7 +32,11 @@ MARK = "\x01"
 
 _COMMENT = re.compile(r"\(([^()\r\n]*)\)|;([^\r\n]*)")
 _PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
+_COORDINATE = re.compile(rb"[XYZ][-+.\d#\[]")
 _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
+
+CUT_SHORT = "the program ends here, but coordinates follow", "Remove this %, or what stands behind it."
+"""What is wrong with a % amid the blocks, and what to do."""
 
 _END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER = range(7)
 _CLASSES = {b"\n": _END, b"0123456789": _DIGIT, b".": _DOT, b"+-": _SIGN, _PLAIN.encode(): _LETTER, b"\x01": _MARK}
@@ -72,6 +76,11 @@ class Source:
     def line(self, row: int) -> str:
         """Return the packed code of line `row` + 1."""
         return self.code[self.ends[row] + 1 : self.ends[row + 1]].decode("ascii")
+
+    def goes_on(self, row: int) -> bool:
+        """Return whether coordinates stand behind a line that begins with %, which would end the program there."""
+        ends = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())[:1] == b"%"
+        return ends and _COORDINATE.search(self.code, self.ends[row + 1]) is not None
 
 
 def split(document: Document, line_starts: Ints) -> Source:

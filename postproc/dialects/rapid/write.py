@@ -53,7 +53,7 @@ def _to_joints(joints: Array) -> str:
 WORDS = Words("!", "WaitTime {};", "Stop;", _to_joints, encoding="ascii")
 _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
-_REORIENTATION = "500,5000,1000"
+_REORIENTATION, _EXTERNAL = 500.0, "5000,1000"
 """Of speeddata, as those that the controller has: turning [deg/s], external axes [mm/s, deg/s]."""
 _NO_LOAD = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
 """The load of tool0."""
@@ -121,13 +121,14 @@ class _Writer:
             self.new.before[k] = [f"    {line}" for line in own]
 
     def _speeds(self) -> Array:
-        """Return the speeds that the program needs (S,) [mm/s], that of MoveJ first, and note which each target has."""
+        """Return the speeds that the program needs (S, 2) [mm/s, deg/s], MoveJ's first, and note those of targets."""
         path, millionths = self.new.speeds()
-        steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3))
-        values, which = np.unique(steps, return_inverse=True)
+        steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3)) / 10.0**_SPEED_DECIMALS
+        turns = np.nan_to_num(self.new.turning_speeds()[path], nan=_REORIENTATION)
+        values, which = np.unique(np.stack([steps, turns], axis=1), axis=0, return_inverse=True)
         self.speed = np.zeros(len(self.targets), dtype=np.int64)
-        self.speed[path] = which + 1
-        return np.concatenate([[self.cell.gcode.rapid_m_per_s * MM_PER_M], values / 10.0**_SPEED_DECIMALS])
+        self.speed[path] = which.reshape(-1) + 1
+        return np.concatenate([[[self.cell.gcode.rapid_m_per_s * MM_PER_M, _REORIENTATION]], values])
 
     def _note_forces(self) -> None:
         """Put force comments before the targets that need one."""
@@ -157,8 +158,8 @@ class _Writer:
                 for row, pose in enumerate(program.bases)
             ),
             *(
-                f"  LOCAL CONST speeddata speed_{row}:=[{number(speed)},{_REORIENTATION}];"
-                for row, speed in enumerate(speeds.tolist())
+                f"  LOCAL CONST speeddata speed_{row}:=[{number(speed)},{number(turning)},{_EXTERNAL}];"
+                for row, (speed, turning) in enumerate(speeds.tolist())
             ),
             *(f"  LOCAL CONST zonedata zone_{row}:={_zone(zone)};" for row, zone in enumerate(zones.tolist()) if row),
             f"  PROC {program.name}()",

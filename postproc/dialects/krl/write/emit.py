@@ -82,6 +82,7 @@ class _Emitter:
         distances = new.distances()
         self._set_distances(distances)
         self._set_speeds()
+        self._set_turning()
         if self.carried is not None:
             self.noted = force_comments.needed(self.carried, self.targets.kind, np.full(count, -1), (), np.nan)
         printed = {kind: self._print(kind, distances > 0.0) for kind in (LIN, CIRC, PTP)}
@@ -132,6 +133,15 @@ class _Emitter:
         changed = np.flatnonzero(np.diff(speeds, prepend=0.0) != 0.0)
         for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
             self.new.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
+
+    def _set_turning(self) -> None:
+        """Set `$VEL.ORI1` and `$VEL.ORI2` where the program says how fast the tool turns, else as INITMOV does."""
+        path = np.flatnonzero(self.targets.kind != PTP)
+        speeds = np.nan_to_num(self.new.turning_speeds()[path])
+        changed = np.flatnonzero(np.diff(speeds, prepend=0.0) != 0.0)
+        for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
+            for name in ("ORI1", "ORI2"):
+                self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
 
     def _print(self, kind: int, approximated: Bools) -> bytes:
         """Return the lines of all targets of a kind."""
