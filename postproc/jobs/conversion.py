@@ -142,6 +142,8 @@ def _contents(
     contents[f"{stem}report.html"] = report.page(result, tolerance, surface)
     if stock is not None:
         contents[f"{stem}stock.glb"] = stock
+    read = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
+    outputs.protect(read, job.output, contents)  # files of subprograms too
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:

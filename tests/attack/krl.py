@@ -21,6 +21,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
+from postproc.dialects.krl.read import flow
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
@@ -30,6 +31,7 @@ from tests.attack.krl_interpreter import Controller, Invalid
 from tests.dialects.krl_programs import CELL, forward, targets
 from tests.oracle.arm import abc
 
+flow._MOST_TRACED = flow._MOST_STATEMENTS = 10_000
 KINDS = {"LIN": LIN, "PTP": PTP, "CIRC": CIRC}
 FRAMES = {1: (900, 50, 600, 0, 0, 10), 2: (1000, 0, 500, 5, 0, 0), 3: (1200, 100, 650, 30, 0, 0)}
 TOOLS = {1: (0, 0, 200, 0, 0, 0), 2: (20, 0, 280, 0, 90, 0)}
@@ -53,8 +55,8 @@ def cell(folder):
     )
 
 
-def executed(files, seed):
-    """The motions that the controller makes in the program itself; in other files they are not listed."""
+def executed(files, seed, program):
+    """The motions that the controller makes in the program and in what it calls, but for routines left as they are."""
     named = {Path(name).name: text for name, text in files.items()}
     data = {
         "BASE_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**FRAMES, 0: (0,) * 6}.items()},
@@ -65,7 +67,13 @@ def executed(files, seed):
         named, np.random.default_rng(seed), abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z), data
     )
     controller.numbers = None
-    return [motion for motion in controller.run("PART") if motion.file == "part.src"]
+    followed = [(r.source.document.name, r.first, r.last) for r in program.layout.course.inlined]
+    motions = controller.run("PART")
+    return [
+        motion
+        for motion in motions
+        if motion.file == "part.src" or any(f == motion.file and a < motion.line < b for f, a, b in followed)
+    ]
 
 
 def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
@@ -75,7 +83,9 @@ def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
     m = program.motions
     for row, motion in enumerate(motions):
         where = f"motion {row} in line {motion.line}"
-        if KINDS[motion.kind] != kinds[row] or (lines is not None and lines[row] != motion.line):
+        if KINDS[motion.kind] != kinds[row] or (
+            lines is not None and motion.file == "part.src" and lines[row] != motion.line
+        ):
             raise Wrong(f"{where}: another motion is read")
         if motion.joints is not None:
             if not np.allclose(np.degrees(joints[row]), motion.joints):
@@ -126,25 +136,41 @@ def attempt(seed, folder):
     """
     rng = np.random.default_rng(seed)
     files = Generator(rng).programs()
+    try:
+        program = read(files, folder)
+    except PostprocError:
+        return "refused"
+    return confirmed(program, files, folder, rng)
+
+
+def read(files, folder):
+    """The program of a folder with some files, as the package reads it."""
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(text.encode())
     documents = [replaced(decode(n, files[n].encode()), folder=str(folder)) for n in ("part.src", "part.dat")]
-    try:
-        program = krl.read_program(documents, cell(folder), forward, "part")
-    except PostprocError:
-        return "refused"
+    return krl.read_program(documents, cell(folder), forward, "part")
+
+
+def confirmed(program, files, folder, rng):
+    """``"accepted"`` if a program is what the controller does, before and after its targets were moved; ``"invalid"``.
+
+    :raises Wrong: it is not.
+    """
     m = program.motions
     runs = 0
     for chance in range(RUNS):
         try:
-            done = executed(files, chance)
+            done = executed(files, chance, program)
         except Invalid:
             continue
         runs += 1
         compare(program, done, program.numbers_as_written(), m.joints, m.kind, 1e-6, m.line)
     if not runs:
         return "invalid"
+    same = krl.rewrite(program, targets(program, keep=True))
+    if same.documents != program.documents:
+        raise Wrong("what needs no correction is changed")
     wanted = moved(program, rng)
     try:
         written = krl.rewrite(program, wanted)
@@ -152,12 +178,14 @@ def attempt(seed, folder):
         return "accepted"
     if any(issue.level == "error" for issue in written.issues):
         return "accepted"
-    new = files | {document.name: document.text for document in written.documents}
+    new = {Path(name).name: text for name, text in files.items()}
+    new |= {document.name: document.text for document in written.documents}
+    again = krl.read_program(written.documents, cell(folder), forward, "part")
     pose, joints, kinds = in_order(program, wanted)
     stopped = 0
     for chance in range(RUNS):
         try:
-            done = executed(new, chance)
+            done = executed(new, chance, again)
         except Invalid:
             stopped += 1
             continue

@@ -54,6 +54,7 @@ class Generator:
         self.routines = [self.routine(name) for name in names]
         self.here = None
         self.wild = rng.random()
+        self.moving = 0.6 if rng.random() < 0.5 else 0.0
 
     def routine(self, name):
         rng = self.rng
@@ -168,6 +169,9 @@ class Generator:
             return f"{call}>1" if call else "OK2==1".replace("OK2", self.one(*self.names("INT")))
         if choice == 2:
             return f"NOT {self.one('TRUE', 'FALSE')}"
+        if choice == 3 and self.maybe(0.4):
+            a, b = (f"{self.one(*self.names('INT'))}{self.one('==', '<>', '>=', '<')}{self.integer(2)}" for _ in "ab")
+            return self.one(f"({a}) AND ({b})", f"{a} OR {b}", f"NOT ({a})", f"({a}) EXOR (NOT ({b}))")
         return f"{self.one(*self.names('INT'))}{self.one('==', '>', '<')}{self.integer(2)}"
 
     # --- statements ----------------------------------------------------------------------------------------------
@@ -229,14 +233,21 @@ class Generator:
 
     def structure(self, depth):
         body = [line for _ in range(int(self.rng.integers(1, 3))) for line in self.statement(depth + 1)]
-        choice = int(self.rng.integers(5))
+        if self.maybe(self.moving):
+            body.insert(int(self.rng.integers(len(body) + 1)) if len(body) < 3 else 0, self.motion())
+        choice = int(self.rng.integers(8))
+        counter = self.one(*self.names("INT"))
         if choice == 0:
-            return [f"FOR {self.one(*self.names('INT'))}=1 TO 2", *body, "ENDFOR"]
+            return [f"FOR {counter}={self.one('1 TO 2', '1 TO 3', '3 TO 1 STEP -1', '1 TO 3 STEP 2')}", *body, "ENDFOR"]
         if choice == 1:
-            return ["REPEAT", *body, "UNTIL TRUE"]
+            return ["REPEAT", *body, f"UNTIL {self.one('TRUE', self.condition())}"]
         if choice == 2:
-            head = f"SWITCH {self.one(*self.names('INT'))}"
+            head = f"SWITCH {counter}"
             return [head, "CASE 1", *body, "DEFAULT", *self.statement(depth + 1), "ENDSWITCH"]
+        if choice == 3:
+            return [f"WHILE {counter}<3", *body, f"{counter}={counter}+1", "ENDWHILE"]
+        if choice == 4:
+            return ["LOOP", *body, f"IF {self.condition()} THEN", "EXIT", "ENDIF", f"{counter}={counter}+1", "ENDLOOP"]
         tail = ["ELSE", *self.statement(depth + 1)] if self.maybe(0.4) else []
         return [f"IF {self.condition()} THEN", *body, *tail, "ENDIF"]
 
@@ -268,7 +279,7 @@ class Generator:
         if choice == 8:
             return f"LIN_REL {{Z {self.real()}}}" + self.one("", " #TOOL", " C_DIS #BASE", " C_DIS", " C_VEL #TOOL")
         if choice == 9:
-            return f"LIN {self.one(*FRAMES)}:{self.point()}{tail}"
+            return f"LIN {self.one(*(self.names('FRAME') or ('$NULLFRAME',)))}:{self.point()}{tail}"
         if choice == 10:
             return "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
         via = (
@@ -291,7 +302,7 @@ class Generator:
             lines += self.statement()
         if self.maybe(0.08):
             lines += ["IF $IN[3] THEN", "RETURN" + (" (1)" if routine.function else ""), "ENDIF", self.assignment()]
-        if self.maybe(0.04):
+        if self.maybe(0.04 if routine.function or not self.moving else 0.5):
             lines.append(self.motion())
         if routine.function:
             lines.append(f"RETURN ({self.integer()})")

@@ -42,6 +42,10 @@ class _Return(Exception):
     pass
 
 
+class _Exit(Exception):
+    pass
+
+
 @dataclass
 class Variable:
     kind: str = ""
@@ -317,10 +321,18 @@ class Controller:
             first = self.sum(reader)
             reader.take("TO")
             last = self.sum(reader)
-            for value in range(int(first), int(last) + 1):
-                place.set(value)
-                self.block(parts[0])
-            place.set(int(last) + 1 if first <= last else int(first))
+            step = 1
+            if reader.peek() == "STEP":
+                reader.take()
+                step = self.sum(reader)
+            if step == 0 or any(not isinstance(bound, int) for bound in (first, last, step)):
+                raise Invalid("bounds of FOR")
+            place.set(first)
+            with suppress(_Exit):
+                while (place.get() - last) * step <= 0:
+                    self.block(parts[0])
+                    self.chance()
+                    place.set(place.get() + step)
         elif word == "WHILE":
             text = line
             while True:
@@ -328,10 +340,22 @@ class Controller:
                 reader.take("WHILE")
                 if not self.expression(reader):
                     return
-                self.block(parts[0])
+                try:
+                    self.block(parts[0])
+                except _Exit:
+                    return
+                self.chance()
+        elif word == "LOOP":
+            with suppress(_Exit):
+                while True:
+                    self.block(parts[0])
+                    self.chance()
         elif word == "REPEAT":
             while True:
-                self.block(parts[0])
+                try:
+                    self.block(parts[0])
+                except _Exit:
+                    return
                 reader = Reader(closing)
                 reader.take("UNTIL")
                 if self.expression(reader):
@@ -340,7 +364,12 @@ class Controller:
             value = self.expression(reader)
             for part in parts[1:]:
                 head = Reader(part[0][0])
-                if head.take() == "DEFAULT" or self.expression(head) == value:
+                found = head.take() == "DEFAULT"
+                while not found and head.kind():
+                    found = self.expression(head) == value
+                    if head.kind():
+                        head.take(",")
+                if found:
                     self.block(part[1:])
                     return
         else:
@@ -361,6 +390,8 @@ class Controller:
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
         elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE"):
             return
+        elif word == "EXIT":
+            raise _Exit
         elif word == "RETURN":
             reader = Reader(line)
             reader.take()

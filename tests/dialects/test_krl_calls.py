@@ -102,7 +102,7 @@ REFUSED = [
     (["I=2*FN(XP1)", "LIN XP1"], FUNCTION, 5, "XP1 is changed"),
     (["I=P[FN(XP1)].X", "LIN XP1"], FUNCTION, 5, "XP1 is changed"),
     (["IF OK THEN", "SHIFT()", "ENDIF", "LIN XP1"], SHIFT, 7, "XP1 is changed"),
-    (["FOR I=1 TO 2", "SHIFT()", "ENDFOR", "LIN XP1"], SHIFT, 7, "XP1 is changed"),
+    (["FOR I=1 TO $ANIN[1]", "SHIFT()", "ENDFOR", "LIN XP1"], SHIFT, 7, "XP1 is changed"),
     (["M()", "LIN XP1"], "DEF M()\nIF $IN[1] THEN\nXP1.Z=5\nENDIF\nEND\n", 5, "XP1 is changed"),
     (["M()", "LIN XP1"], "DEF M()\nIF $IN[1] THEN\nRETURN\nENDIF\nXP1.Z=5\nEND\n", 5, "XP1 is changed"),
     (["M(1)", "LIN XP1"], "DEF M(N:IN)\nINT N\nXP1.Z=XP1.Z+1\nM(N-1)\nEND\n", 5, "XP1 is changed"),
@@ -227,8 +227,8 @@ def test_another_file_has_variables_of_its_own(tmp_path):
     assert found.motions.feed.tolist() == [0.125] * 3
 
 
-def test_motions_in_another_file_leave_the_start_of_the_next_motion_open(tmp_path):
-    files = {"job.src": "DEF job()\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\nLIN {X 1,Y 2,Z 3}\nEND\n"}
+def test_motions_in_another_file_that_cannot_be_known_leave_the_start_of_the_next_motion_open(tmp_path):
+    files = {"job.src": "DEF job()\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\nLIN $POS_ACT:{X 1}\nEND\n"}
     with pytest.raises(ProgramError, match=r"moves the robot \(job\.src, line [23]\)") as caught:
         in_folder(tmp_path, body("job()", FULL), files)
     assert caught.value.line == 4

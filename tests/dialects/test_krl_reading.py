@@ -602,13 +602,11 @@ def test_a_point_given_to_an_unknown_subprogram_is_no_longer_known():
         read(body("DECL E6POS P1", "P1={X 1,Y 2,Z 3}", "MEASURE(P1)", "LIN P1"))
 
 
-def test_subprograms_that_do_not_move_may_be_called_and_others_must_not():
+def test_subprograms_may_be_called_whether_they_move_or_not():
     harmless = body(FULL, "LAMP()") + "DEF LAMP()\r\n$OUT[1]=TRUE\r\nEND\r\n"
     assert kinds(read(harmless)) == ["default-speed"]
-    for inner in ("LIN {X 1,Y 2,Z 3}", "PTP P1"):
-        with pytest.raises(ProgramError, match=r"DEEP|SUB") as caught:
-            read(body(FULL, "SUB()") + f"DEF SUB()\r\nDEEP()\r\nEND\r\nDEF DEEP()\r\n{inner}\r\nEND\r\n")
-        assert caught.value.line == 5
+    moving = body(FULL, "SUB()") + "DEF SUB()\r\nDEEP()\r\nEND\r\nDEF DEEP()\r\nLIN {X 1,Y 2,Z 3}\r\nEND\r\n"
+    assert read(moving).motions.line.tolist() == [4, 11]
 
 
 def test_motions_of_a_subprogram_that_is_not_called_are_told_and_left():
@@ -687,19 +685,19 @@ ERRORS = [
     (["XP1.X=XP1.X+$IN[1]", "LIN XP1"], 5, r"changed while the program runs \(line 4\)"),
     (["LIN P[1]+5"], 4, "computed"),
     (["LIN CALC(3)"], 4, "computed"),
-    (["FOR I=1 TO 9", FULL, "ENDFOR"], 5, r"inside FOR \(line 4\)"),
+    (["FOR I=1 TO $ANIN[1]", FULL, "ENDFOR"], 4, "inside FOR: its bounds"),
     (["FOR I=1 TO 9", "XP1={X 5}", "ENDFOR", "LIN XP1"], 7, "changed while the program runs"),
-    (["WHILE TRUE", "LIN P[1]", "ENDWHILE"], 5, "inside WHILE"),
-    (["LOOP", FULL, "ENDLOOP"], 5, "inside LOOP"),
-    (["REPEAT", FULL, "UNTIL TRUE"], 5, "inside REPEAT"),
-    (["IF $IN[1] THEN", FULL, "ENDIF"], 5, "inside IF"),
-    (["SWITCH I", "CASE 1", FULL, "ENDSWITCH"], 6, "inside SWITCH"),
+    (["WHILE TRUE", "LIN P[1]", "ENDWHILE"], 4, "WHILE never ends"),
+    (["LOOP", FULL, "ENDLOOP"], 4, "LOOP never ends"),
+    (["REPEAT", FULL, "UNTIL $IN[2]"], 6, "inside UNTIL"),
+    (["IF $IN[1] THEN", FULL, "ENDIF"], 4, "inside IF"),
+    (["SWITCH $ANIN[1]", "CASE 1", FULL, "ENDSWITCH"], 4, "inside SWITCH"),
     (["GOTO A", "A:"], 4, "GOTO"),
     (["SPLINE", "SPL P[1]", "ENDSPLINE"], 4, "spline blocks"),
     (["RETURN", FULL], 5, "never reached"),
     (["ENDIF"], 4, "ENDIF without IF"),
-    (["IF TRUE THEN", "$BASE={X 1}", "ENDIF"], 5, "changed inside IF"),
-    (["IF TRUE THEN", "BAS(#TOOL,1)", "ENDIF"], 5, "changed inside IF"),
+    (["IF $IN[1] THEN", "$BASE={X 1}", "ENDIF"], 5, "changed inside IF"),
+    (["IF $IN[1] THEN", "BAS(#TOOL,1)", "ENDIF"], 5, "changed inside IF"),
     (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=1"], 4, "TRIGGER in line 4 changes"),
     (["$IPO_MODE=#TCP"], 4, "IPO_MODE"),
     (["FDAT_ACT={TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP}", "BAS(#FRAMES)"], 5, "IPO_MODE"),
@@ -725,7 +723,7 @@ ERRORS = [
     ([FULL, "CIRC {X 1,Y 2,Z 3}"], 5, "auxiliary point and an end point"),
     ([FULL, "LIN_REL $POS_ACT"], 5, "where the robot stands"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},$POS_ACT"], 5, "where the robot stands"),
-    (["IF TRUE THEN", "PTP $POS_ACT:{Z 5}", "ENDIF"], 5, "inside IF"),
+    (["IF $IN[1] THEN", "PTP $POS_ACT:{Z 5}", "ENDIF"], 4, "inside IF"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},{X 4,Y 9,Z 3},CA 0"], 5, "circular angle"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},{X 4,Y 9,Z 3},CA Q"], 5, "circular angle"),
     ([FULL + " C_DIS C_WHAT"], 4, "not understood"),
@@ -853,9 +851,9 @@ def test_an_index_of_two_that_is_not_known_is_refused():
         read(body("LIN P[2,2]"), GRID)
 
 
-def test_a_loop_over_one_index_makes_all_elements_unknown():
+def test_a_loop_over_an_unknown_index_makes_all_elements_unknown():
     with pytest.raises(ProgramError, match=r"P\[1,1\] is changed while the program runs"):
-        read(body("FOR J=1 TO 2", "P[1,J].X=5", "ENDFOR", "LIN P[1,1]"), GRID)
+        read(body("FOR J=1 TO $ANIN[1]", "P[1,J].X=5", "ENDFOR", "LIN P[1,1]"), GRID)
 
 
 def test_what_an_interrupt_changes_is_told_with_its_line_once():

@@ -55,11 +55,17 @@ class _Writer:
     ) -> Written:
         """Return a program as text, see `write.rewrite`, `write.emit` and `write.in_files`."""
         del joints  # S and T of the targets say which branch is meant
-        if isinstance(program.layout, Layout):
-            files, written = program.documents, write.rewrite(program, targets, comments)
-        else:
-            files, written = (), write.emit(program, targets, cell, comments)
-        return write.in_files(program.name, files, written, cell.output.lines_per_file)
+        if not isinstance(program.layout, Layout):
+            return write.in_files(
+                program.name, (), write.emit(program, targets, cell, comments), cell.output.lines_per_file
+            )
+        apart = {document.name for document in program.layout.course.files}
+        whole = write.rewrite(program, targets, comments)
+        own = replace(whole, documents=tuple(d for d in whole.documents if d.name not in apart))
+        files = [document for document in program.documents if document.name not in apart]
+        written = write.in_files(program.name, files, own, cell.output.lines_per_file)
+        others = tuple(document for document in whole.documents if document.name in apart)
+        return replace(written, documents=(*written.documents, *others))
 
     def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name."""
@@ -108,7 +114,8 @@ class Krl:
             raise whole.located(cause) from None
         layout = program.layout
         if isinstance(layout, Layout):
-            layout = replace(layout, documents=whole.documents)
+            documents = [*documents, *layout.course.files]
+            layout = replace(layout, documents=(*whole.documents, *layout.course.files))
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
         return replace(program, name=name, documents=tuple(documents), layout=layout)
 

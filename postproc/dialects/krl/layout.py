@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.frames import Array
@@ -18,8 +19,11 @@ Offsets = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """The text of M motions. Offsets count characters from the beginning of the `.src`.
+    """The text of M motions. Offsets count characters from the beginning of the text of the course.
 
+    :param course: the program in the order in which it runs.
+    :param line: (M,) 1-based lines of the course.
+    :param notes: lines of the course with the force comments of the program, in order.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param missing: (M, 6) True where the text does not give the component.
@@ -41,6 +45,9 @@ class Layout:
     :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
     """
 
+    course: Course
+    line: Ints
+    notes: tuple[int, ...]
     numbers: Array
     missing: Bools
     spans: Offsets

@@ -52,7 +52,7 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
         after = skip_blanks(source.text, end, stop)
         if after == stop or source.text[after] in _ENDS:
             return value, end  # nothing is joined to it: so common that looking first is faster
-    value, end = _sum(source, start, stop)
+    value, end = arithmetic(source, start, stop)
     after = skip_blanks(source.text, end, stop)
     if after < stop and _LOGIC.match(source.text, after, stop):
         end = beyond(source, after, stop)
@@ -60,7 +60,11 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
     return value, end
 
 
-def _sum(source: Source, start: int, stop: int) -> tuple[Value, int]:
+def arithmetic(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    """Return the value that begins at `start`, up to what compares it or joins it to another by logic, and its end.
+
+    :raises ProgramError: as for `parse`.
+    """
     return _joined(source, start, stop, "+-", _product)
 
 

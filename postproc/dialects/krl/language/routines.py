@@ -39,7 +39,7 @@ class Routine:
     :param first: line of DEF.
     :param last: line of END.
     :param lines: those with code between, plain motions left out.
-    :param motion: line of the first plain motion in it; 0 if there is none.
+    :param plain: lines of plain motions, in order.
     :param local: names that it declares, parameters included.
     """
 
@@ -50,8 +50,13 @@ class Routine:
     first: int
     last: int
     lines: tuple[int, ...]
-    motion: int
+    plain: Sequence[int]
     local: frozenset[str]
+
+    @property
+    def motion(self) -> int:
+        """Line of the first plain motion in it; 0 if there is none."""
+        return self.plain[0] if self.plain else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +139,6 @@ def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int]) -> Ro
         start, stop = source.code_span(inside)
         if declares(source.text, start, stop):
             local |= {one.name for one in declared(source, start, stop)}
-    at = bisect_left(plain, begun.line)
-    motion = int(plain[at]) if at < len(plain) and plain[at] < line else 0
     return Routine(
         source,
         begun.name,
@@ -144,6 +147,6 @@ def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int]) -> Ro
         begun.line,
         line,
         tuple(begun.lines),
-        motion,
+        plain[bisect_left(plain, begun.line) : bisect_left(plain, line)],
         frozenset(local),
     )

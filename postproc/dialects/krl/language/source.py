@@ -13,6 +13,22 @@ from postproc.program import Document, Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Origins:
+    """Where the L lines of a text that was put together come from.
+
+    :param sources: the files.
+    :param source: (L,) place in `sources`.
+    :param line: (L,) 1-based line there.
+    :param shown: (L,) line of the program's own `.src` that stands for it: that of the call for lines of other files.
+    """
+
+    sources: tuple[Source, ...]
+    source: Ints
+    line: Ints
+    shown: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Source:
     """A document and where its lines are.
 
@@ -20,6 +36,7 @@ class Source:
     :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind its last character, the line end not included.
+    :param origins: where its lines come from, of a text that was put together.
     """
 
     document: Document
@@ -27,12 +44,23 @@ class Source:
     index: int
     starts: Ints
     stops: Ints
+    origins: Origins | None = None
 
     @classmethod
     def of(cls, document: Document, index: int) -> Source:
         """Return the document with its lines."""
         starts, stops = line_spans(document.text)
         return cls(document, document.text, index, starts, stops)
+
+    def origin(self, line: int) -> Place:
+        """Return where a 1-based line comes from."""
+        if self.origins is None or line > len(self.origins.line):
+            return Place(self, line)
+        return Place(self.origins.sources[self.origins.source[line - 1]], int(self.origins.line[line - 1]))
+
+    def shown(self, line: Ints) -> Ints:
+        """Return the lines of the program's own `.src` that stand for lines (n,)."""
+        return line if self.origins is None else self.origins.shown[line - 1]
 
     def line_at(self, offset: int) -> int:
         """Return the 1-based line that holds an offset."""
@@ -48,6 +76,9 @@ class Source:
 
     def line_error(self, problem: str, line: int, advice: str | None = None) -> ProgramError:
         """Return an error that names the file, a 1-based line, and its text."""
+        if self.origins is not None:
+            source, line = self.origin(line)
+            return source.line_error(problem, line, advice)
         text = self.text[self.starts[line - 1] : self.stops[line - 1]]
         return ProgramError(problem, file=self.document.name, line=line, text=text, advice=advice)
 
@@ -60,6 +91,8 @@ class Place(NamedTuple):
 
     def __str__(self) -> str:
         """Say where: ``line 12``, and in which file if that is not the program itself."""
+        if self.source.origins is not None:
+            return str(self.source.origin(self.line))
         return f"line {self.line}" if self.source.index == 0 else f"{self.source.document.name}, line {self.line}"
 
     def error(self, problem: str, advice: str | None = None) -> ProgramError:

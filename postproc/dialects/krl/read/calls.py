@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import PURE, STANDARD
@@ -12,25 +12,26 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.statements import calls, reference_of, sole_call
 from postproc.dialects.krl.language.values import Aggregate, Call, Reference
 from postproc.dialects.krl.read.effects import Effects
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.inexact import inexact
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT
 from postproc.errors import Issue, ProgramError
 
-_MOST_STATEMENTS = 200_000
-"""So many statements of called routines are run; those of later calls count as uncertain."""
 _DEEPEST = 20
+_INLINE_ADVICE = "Put the motions of the subprogram in place of its call."
 
 
 class Calls:
     """Follows calls, and expressions with calls in them.
 
     :param run: the program as far as it has run.
-    :param statement: runs one statement.
+    :param called: runs the routine that was called.
     """
 
-    def __init__(self, run: Run, statement: Callable[[Place], None]) -> None:
-        self.run, self._statement = run, statement
+    def __init__(self, run: Run, called: Callable[[], None]) -> None:
+        self.run, self._called = run, called
+        self._entered: list[_Bound] = []
 
     def value(self, at: Place, start: int, stop: int) -> Known:
         """Return what an expression is now; run the functions in it."""
@@ -74,7 +75,7 @@ class Calls:
         if call.name in PURE:
             return
         if call.name not in STANDARD:
-            self.run.absent.append((call.spelt(at.source), self.run.line))
+            self.run.absent.append((call.spelt(at.source), self.run.here))
         self._forget_arguments(at, call, None)
 
     def notice(self, at: Place, what: str, effects: Effects) -> None:
@@ -82,7 +83,7 @@ class Calls:
 
         :raises ProgramError: that are frames or speeds.
         """
-        self.run.absent += [(name, self.run.line) for name in effects.absent.values()]
+        self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:
@@ -126,8 +127,8 @@ class Calls:
         if place is None or not self.run.in_main:
             return
         problem = f"{call.name} is called, which moves the robot ({place})"
-        if place.source is self.run.source:
-            raise at.error(problem, "Put the motions of subprograms in place of their calls.")
+        if place.source is self.run.routine.source:
+            raise at.error(problem, _INLINE_ADVICE)
         advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
         if self.run.level.open:
             raise at.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
@@ -135,11 +136,54 @@ class Calls:
             (self.run.line, at.error(f"{problem}: where the next motion begins is not known", advice))
         )
         message = f"{call.name}() moves the robot ({place}): its motions are not corrected here."
-        self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.line, subject=call.name))
+        self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
+
+    def moving(self, call: Call) -> tuple[Module, Routine] | None:
+        """Return the routine that a call goes to if it moves the robot in the course of the program, else None."""
+        found = self.run.library.find(call.name, self.run.level.module)
+        if found is None or found[1] in self.run.elsewhere or self.run.analysis.of(*found).motion is None:
+            return None
+        return found
+
+    def enter(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
+        """Go into a routine that moves; what runs next runs in it, up to `leave`.
+
+        :raises InexactError: it cannot be followed.
+        """
+        effects = self.run.analysis.of(module, routine)
+        self.notice(at, call.name, effects)
+        if module is self.run.library.program:
+            self.run.reached |= {routine}
+        bound = None
+        if not effects.jumps and not self.run.resumable:
+            bound = self._bound(at, call, module, routine, effects)
+        if bound is None:
+            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed"
+            raise inexact(at, problem, _INLINE_ADVICE, routine)
+        self._entered.append(bound)
+        self._begin(bound, traced=True)
+
+    def leave(self) -> None:
+        """Go back from the routine that was entered last."""
+        self._end(self._entered.pop())
 
     def _executed(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> Known | None:
         """Run a routine; None if that cannot be done exactly."""
-        if routine in self.run.stack or len(self.run.stack) > _DEEPEST or self.run.steps > _MOST_STATEMENTS:
+        bound = self._bound(at, call, module, routine, effects)
+        if bound is None:
+            return None
+        level = self._begin(bound, traced=False)
+        try:
+            self._called()
+        except ProgramError:
+            self._back(bound)
+            return None
+        self._end(bound)
+        return level.result if level.result != NOTHING else Unknown(str(at))
+
+    def _bound(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> _Bound | None:
+        """Return a call with what is given for its parameters; None if it cannot be run exactly."""
+        if routine in self.run.stack or len(self.run.stack) > _DEEPEST:
             return None
         written = self._by_reference(at, call, routine)
         roots = [self.run.stored(reference.name) for _, reference in written]
@@ -149,27 +193,33 @@ class Calls:
             return None
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls)
-        variables, caller, caller_scope = self.run.variables, self.run.level, self.run.variables.scope
         given: dict[int, Known] = {}
         for index, (start, stop) in enumerate(call.arguments):
             given[index] = self.value(at, start, stop) if at.source.text[start:stop].strip() else NOTHING
-        for index, parameter in enumerate(routine.parameters):
-            variables.put(scope.stored(parameter.name), given.get(index, NOTHING))
-        level = self.run.level = Level(module, routine, scope)
-        self.run.stack.append(routine)
-        variables.scope = scope
-        try:
-            self._lines(level)
-        except ProgramError:
-            return None
-        finally:
-            self.run.stack.pop()
-            self.run.level, variables.scope = caller, caller_scope
-        for index, reference in written:
-            if index >= len(routine.parameters):
+        return _Bound(at, module, routine, scope, written, given, self.run.level, self.run.variables.scope)
+
+    def _begin(self, bound: _Bound, *, traced: bool) -> Level:
+        """Run in a routine from now on."""
+        for index, parameter in enumerate(bound.routine.parameters):
+            self.run.variables.put(bound.scope.stored(parameter.name), bound.given.get(index, NOTHING))
+        self.run.level = Level(bound.module, bound.routine, bound.scope, traced=traced)
+        self.run.stack.append(bound.routine)
+        self.run.variables.scope = bound.scope
+        return self.run.level
+
+    def _back(self, bound: _Bound) -> None:
+        self.run.stack.pop()
+        self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
+
+    def _end(self, bound: _Bound) -> None:
+        """Run behind a call again, with what it has left in its arguments."""
+        self._back(bound)
+        at, variables = bound.at, self.run.variables
+        for index, reference in bound.written:
+            if index >= len(bound.routine.parameters):
                 continue
-            value = variables.value(scope.stored(routine.parameters[index].name))
-            if value is given[index] or value is None:
+            value = variables.value(bound.scope.stored(bound.routine.parameters[index].name))
+            if value is bound.given[index] or value is None:
                 continue
             key = variables.key_of(at.source, reference)
             if key is None:
@@ -178,11 +228,20 @@ class Calls:
                 variables.set_field(key, reference.field, value, str(at))
             else:
                 variables.set(key, value, str(at))
-        return level.result if level.result != NOTHING else Unknown(str(at))
 
-    def _lines(self, level: Level) -> None:
-        for line in level.routine.lines:
-            self.run.steps += 1
-            self._statement(Place(level.routine.source, line))
-            if level.returned:
-                return
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bound:
+    """A call.
+
+    :param written: arguments that the routine may write; `given` the values of all, by place.
+    """
+
+    at: Place
+    module: Module
+    routine: Routine
+    scope: Scope
+    written: list[tuple[int, Reference]]
+    given: dict[int, Known]
+    caller: Level
+    caller_scope: Scope

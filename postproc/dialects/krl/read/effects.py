@@ -52,7 +52,7 @@ class Effects:
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
-    :ivar jumps: True where it may not run from its first to its last line: RETURN in a branch, GOTO, RESUME.
+    :ivar jumps: True where it may not run line by line: GOTO, RESUME.
     :ivar resumes: True where RESUME may break off what is running.
     """
 
@@ -118,10 +118,9 @@ class Analysis:
             self._all[routine] = total
         return self._all[routine]
 
-    def of_action(self, module: Module, routine: Routine, line: int, start: int, stop: int) -> Effects:
+    def of_action(self, module: Module, routine: Routine, place: Place, start: int, stop: int) -> Effects:
         """Return what an interrupt or a trigger that stands in a routine may do."""
         direct, total = _Direct(), Effects()
-        place = Place(routine.source, line)
         _Statement(self, module, routine, place, direct.later, direct.called_later).read_event(start, stop)
         self._add_later(total, direct)
         return total
@@ -152,12 +151,10 @@ class Analysis:
             known = self._direct[routine] = _Direct()
             if routine.motion:
                 known.now.motion = Place(routine.source, routine.motion)
-            depth = 0
             for line in routine.lines:
                 start, stop = routine.source.code_span(line)
                 word = word_at(routine.source.text, start, stop)
-                depth += (word in _OPENS) - (word in _CLOSES)
-                known.now.jumps |= word in ("GOTO", "RESUME") or (word == "RETURN" and depth > 0)
+                known.now.jumps |= word in ("GOTO", "RESUME")
                 known.now.resumes |= word == "RESUME"
                 self._read(known, word, (module, routine), Place(routine.source, line))
         return known
@@ -176,10 +173,6 @@ class Analysis:
             direct.later.writes.setdefault(match[2].upper(), place)
         else:
             _Statement(self, *where, place, direct.now, direct.called).read(start, stop)
-
-
-_OPENS = frozenset({"IF", "FOR", "WHILE", "LOOP", "REPEAT", "SWITCH"})
-_CLOSES = frozenset({"ENDIF", "ENDFOR", "ENDWHILE", "ENDLOOP", "UNTIL", "ENDSWITCH"})
 
 
 @dataclass(slots=True, eq=False)

@@ -14,10 +14,12 @@ from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.names import DECLARING, OPENING, TYPES, WITHOUT_MOTION
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, assignment, calls, declares, word_at
+from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED
+from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, State
@@ -27,20 +29,32 @@ _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
 _FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 _LABEL = re.compile(r"[ \t]*:[ \t]*$")
-LOOP_ADVICE = "Motions in loops, branches and interrupts cannot be corrected one by one; write them out in order."
+_IN_ORDER = "Motions of interrupts, and behind GOTO, cannot be corrected; write them out in order."
+LOOP_ADVICE = (
+    "Motions in loops and branches are corrected where it is known before the program runs what is executed, and how "
+    "often; write them out in order."
+)
 
 
 class Interpreter:
     """Runs the statements of a program, and of what it calls.
 
     :param run: the program as far as it has run.
-    :param motion: takes a motion of the main routine: where it stands, its instruction in upper case, offsets of the
+    :param motion: takes a motion of the program: where it stands, its instruction in upper case, offsets of the
         instruction and behind the code of the line.
+    :param called: runs the routine that was called.
+    :param entered: goes into a routine that moves, in the course of the program; False where it does not.
     """
 
-    def __init__(self, run: Run, motion: Callable[[Place, str, int, int], None]) -> None:
-        self.run, self._motion = run, motion
-        self.calls = Calls(run, self.statement)
+    def __init__(
+        self,
+        run: Run,
+        motion: Callable[[Place, str, int, int], None],
+        called: Callable[[], None],
+        entered: Callable[[Place, Call], bool],
+    ) -> None:
+        self.run, self._motion, self._entered = run, motion, entered
+        self.calls = Calls(run, called)
 
     def statement(self, at: Place) -> None:
         """Run one statement.
@@ -67,11 +81,9 @@ class Interpreter:
         elif word in _CLOSING:
             if not level.open or level.open[-1][0] != _CLOSING[word]:
                 raise at.error(f"{word} without {_CLOSING[word]}")
-            opener, opened = level.open.pop()
-            if not level.open and self.run.in_main:
-                self.run.blocked.append((opened, at.line, opener))
+            level.open.pop()
         elif word == "GOTO":
-            raise at.error("GOTO changes the order of motions", LOOP_ADVICE)
+            raise at.error("GOTO changes the order of motions", _IN_ORDER)
         elif word == "RETURN":
             self._return(at)
         elif word in SPLINES and self.run.in_main:
@@ -85,9 +97,11 @@ class Interpreter:
         return True
 
     def _return(self, at: Place) -> None:
-        if not self.run.certain:
-            return
         level = self.run.level
+        if not self.run.certain:
+            if not level.traced or len(self.run.stack) > 1:
+                raise inexact(at, "it is not known whether it returns here")
+            return
         start, stop = at.source.code_span(at.line)
         start += len("RETURN")
         if at.source.text[start:stop].strip():
@@ -117,6 +131,8 @@ class Interpreter:
             self.run.changes_always(at, match[2].upper())
         elif word in DECLARING:
             return
+        elif word == "EXIT":
+            self._exit(at)
         elif word == "DECL" or word in TYPES:
             self._declare(at, start, stop)
         elif word in WITHOUT_MOTION:
@@ -124,6 +140,12 @@ class Interpreter:
                 self.calls.call(at, call, certain=False)
         else:
             self._assignment_or_call(at, start, stop)
+
+    def _exit(self, at: Place) -> None:
+        """Note that a loop that is followed may be left."""
+        level = self.run.level
+        if level.loops and not any(word in LOOPS for word, _ in level.open):
+            raise inexact(at, "it is not known whether the loop is left here")
 
     def _declare(self, at: Place, start: int, stop: int) -> None:
         names = declare(self.run.variables, at.source, start, stop)
@@ -154,7 +176,8 @@ class Interpreter:
         if isinstance(target, Call) and position == stop:
             for inner in calls(at.source, start + len(target.name), stop):
                 self.calls.call(at, inner, certain=False)
-            self.calls.call(at, target, certain=self.run.certain)
+            if not self._entered(at, target):
+                self.calls.call(at, target, certain=self.run.certain)
         elif isinstance(target, Reference) and _LABEL.match(at.source.text, position, stop):
             return
         elif declares(at.source.text, start, stop):
@@ -196,7 +219,7 @@ class Interpreter:
 
     def _event(self, at: Place, word: str, start: int, stop: int) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on."""
-        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at.line, start, stop)
+        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, start, stop)
         if effects.motion is not None:
-            raise at.error(f"{word} moves the robot ({effects.motion})", LOOP_ADVICE)
+            raise at.error(f"{word} moves the robot ({effects.motion})", _IN_ORDER)
         self.calls.notice(at, f"{word} in {at}", effects)

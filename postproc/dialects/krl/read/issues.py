@@ -77,4 +77,11 @@ def _initial_frames(
             f"{name} is never set behind BAS(#INITMOV,0): {table} of the cell is assumed, but KUKA's BAS makes it "
             f'{real}. Say in the cell which is meant: [krl] initmov = "cell" or "bas".'
         )
-        yield Issue("warning", "initial-frames", message, int(rows.line[found[0]]), subject=name, count=len(found))
+        yield Issue(
+            "warning",
+            "initial-frames",
+            message,
+            int(main.run.source.shown(rows.line[found])[0]),
+            subject=name,
+            count=len(found),
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError, together
+from postproc.program import Document
 
 _GLOBAL = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 _LARGEST = 20_000_000
@@ -23,11 +25,13 @@ _LARGEST = 20_000_000
 class Library:
     """Finds what a program calls.
 
+    :param documents: files that count instead of those of the same name in the folders.
     :ivar faults: name of a routine → why the file that it stands in cannot be read.
     """
 
-    def __init__(self, program: Module, folders: Sequence[Path]) -> None:
+    def __init__(self, program: Module, folders: Sequence[Path], documents: Sequence[Document] = ()) -> None:
         self.program, self.folders = program, folders
+        self._given = {document.name.upper(): document for document in documents}
         self.faults: dict[str, str] = {}
         self._modules: dict[Path, Module | None] = {}
         self._found: dict[str, tuple[Module, Routine] | None] = {}
@@ -48,6 +52,10 @@ class Library:
             if file.endswith(".SUB") and (module := self._module(path)) is not None:
                 yield module
 
+    def read(self) -> Iterator[Module]:
+        """Yield the files that were read."""
+        yield from (module for module in self._modules.values() if module is not None)
+
     def _search(self, name: str) -> tuple[Module, Routine] | None:
         program = self.program.routines.get(name)
         if program is not None and (program.public or name == self.program.name):
@@ -59,7 +67,7 @@ class Library:
             if module is not None and routine is not None:
                 return module, routine
         for file, path in self._files().items():
-            if file.endswith(".SRC") and name in _public_names(path):
+            if file.endswith(".SRC") and name in self._public_names(path):
                 module = self._module(path, name)
                 if module is not None and name in module.routines:
                     return module, module.routines[name]
@@ -72,13 +80,15 @@ class Library:
             for folder in self.folders:
                 for path in _listing(folder):
                     self._listed.setdefault(path.name.upper(), path)
+            for file, document in self._given.items():
+                self._listed.setdefault(file, Path(document.folder) / document.name)
         return self._listed
 
     def _module(self, path: Path, name: str = "") -> Module | None:
         if path not in self._modules:
             self._modules[path] = None
             try:
-                source = _source(path)
+                source = self._source(path)
                 self._modules[path] = module_of(source, self._data(path))
             except ProgramError as cause:
                 self.faults[name] = str(cause)
@@ -89,9 +99,17 @@ class Library:
         if data is None or data.parent != path.parent:
             return None
         try:
-            return _source(data)
+            return self._source(data)
         except ProgramError:
             return None  # its variables have no values then
+
+    def _source(self, path: Path) -> Source:
+        given = self._given.get(path.name.upper())
+        return _source(path) if given is None else Source.of(given, 2)
+
+    def _public_names(self, path: Path) -> frozenset[str]:
+        given = self._given.get(path.name.upper())
+        return _public_names(path) if given is None else _named(given.to_bytes())
 
 
 def module_of(source: Source, data: Source | None = None) -> Module:
@@ -110,7 +128,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 
 def _source(path: Path) -> Source:
     try:
-        return Source.of(decode(path.name, path.read_bytes()), 2)
+        return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), 2)
     except OSError as cause:
         raise ProgramError(f"cannot be read ({cause.strerror})", file=str(path)) from cause
 
@@ -135,6 +153,10 @@ def _public_names(path: Path) -> frozenset[str]:
 def _names_in(path: Path, modified: int, size: int) -> frozenset[str]:
     del modified, size  # a file that changes is read again
     try:
-        return frozenset(name.decode("ascii", "replace").upper() for name in _GLOBAL.findall(path.read_bytes()))
+        return _named(path.read_bytes())
     except OSError:
         return frozenset()
+
+
+def _named(content: bytes) -> frozenset[str]:
+    return frozenset(name.decode("ascii", "replace").upper() for name in _GLOBAL.findall(content))

@@ -2,81 +2,158 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
 
+import numpy as np
+
+from postproc.dialects.krl.course import Body, Course, Enter, Lines
+from postproc.dialects.krl.language.expressions import operand
 from postproc.dialects.krl.language.names import NAME, fault_of
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.statements import MOTION_WORDS, calls
-from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter
+from postproc.dialects.krl.language.statements import MOTION_WORDS, calls, word_at
+from postproc.dialects.krl.language.structures import Block, nodes_of
+from postproc.dialects.krl.language.values import Call
+from postproc.dialects.krl.read.flow import Flow
+from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import FIELDS
+from postproc.dialects.krl.read.tracing import Trace
 from postproc.errors import MOST, ProgramError, together
+from postproc.program import Bools, Ints
+
+
+def course_of(
+    library: Library, main: Routine, settings: Settings, reader: MotionReader, elsewhere: frozenset[Routine]
+) -> Course:
+    """Return the lines of a program in the order in which they run.
+
+    :param settings: as they are before it; they are changed.
+    :param elsewhere: routines whose motions are not those of the program.
+    :raises ProgramError: that order is not known before the program runs.
+    """
+    run = Run(library, main, settings)
+    run.elsewhere = elsewhere
+    trace = Trace(main)
+    flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
+    nodes = run.nodes(main)
+    if not any(flow.moves(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
+        body = Body(main.first + 1, main.last)
+        return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body)
+    _submitted(run)
+    flow.follow(main.source, nodes)
+    if not run.level.returned:
+        trace.run_to(main.last - 1)
+    trace.pass_to(main.last - 1, live=False)
+    return trace.course()
+
+
+def _calls(main: Routine, line: int) -> bool:
+    start, stop = main.source.code_span(line)
+    text = main.source.text
+    return "(" in text[start:stop] and word_at(text, start, stop) not in MOTION_WORDS
+
+
+def _passed(at: Place, word: str, start: int, stop: int) -> None:
+    """Pass over a motion: it is read when the course is followed."""
+
+
+def _submitted(run: Run) -> None:
+    """Note what submit programs write all the time."""
+    for module in run.library.submit():
+        for routine in module.routines.values():
+            effects = run.analysis.of(module, routine)
+            run.may_change(effects.writes | effects.anytime, f"the submit program {module.name}")
 
 
 class MainRoutine:
-    """Follows a program through the lines that are not plain motions.
+    """Follows the course of a program through the lines that are not plain motions.
 
     :ivar run: the program as far as it has run.
-    :ivar motions: those of the main routine, in order.
+    :ivar motions: those of the course, in order.
     :ivar still: lines of motions to where the robot is already.
     """
 
-    def __init__(self, library: Library, main: Routine, settings: Settings, reader: MotionReader) -> None:
-        self.run = Run(library, main, settings)
-        self._interpreter = Interpreter(self.run, self._motion)
+    def __init__(
+        self, library: Library, main: Routine, settings: Settings, reader: MotionReader, course: Course, plain: Ints
+    ) -> None:
+        self.course = course
+        self.run = Run(library, main, settings, course.source)
+        self._flow = Flow(self.run, self._motion, self._fault, reader.stays)
         self.reader = reader
         self.motions = MotionCollector()
         self.still: list[int] = []
+        self._errors: list[ProgramError] = []
+        self._broken: set[str] = set()
         self._refused: set[int] = set()
+        self._lines = main.lines if course.straight else _others(course, plain)
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
-        """Follow the main routine.
+        """Follow the course.
 
         :param faults: what is wrong with the bounds of routines.
         :raises ProgramError: something that changes motion is not understood; all such lines together.
         """
-        fault = fault_of(self.run.routine.name)
+        run, source = self.run, self.run.source
+        fault = fault_of(run.routine.name)
         if fault:
-            raise self.run.source.line_error(
-                f"{self.run.routine.name} is not a valid name: {fault}", self.run.routine.first
-            )
-        for module in self.run.library.submit():
-            for routine in module.routines.values():
-                effects = self.run.analysis.of(module, routine)
-                self.run.may_change(effects.writes | effects.anytime, f"the submit program {module.name}")
-        errors = list(faults)
-        broken: set[str] = set()
-        for line in self.run.routine.lines:
-            self.run.line = line
-            try:
-                self._interpreter.statement(Place(self.run.source, line))
-            except ProgramError as cause:
-                names = [name.upper() for name in NAME.findall(self.run.source.text, *self.run.source.code_span(line))]
-                if broken.isdisjoint(names):
-                    errors.append(cause)
-                broken.update(name for name in names[:1] if name not in FIELDS and name not in MOTION_WORDS)
-                if len(errors) > MOST:
-                    break
-        if self.run.level.open and not errors:
-            word, opened = self.run.level.open[-1]
-            errors.append(
-                self.run.source.line_error(f"{word} is not closed", opened, "Check that the file is complete.")
-            )
+            raise run.routine.source.line_error(f"{run.routine.name} is not a valid name: {fault}", run.routine.first)
+        _submitted(run)
+        self._errors += faults
+        for step in self.course.steps:
+            if isinstance(step, Lines):
+                lines = self._lines[bisect_left(self._lines, step.first) : bisect_right(self._lines, step.last)]
+                self._flow.follow(source, nodes_of(source, lines))
+            elif isinstance(step, Enter):
+                self._enter(step)
+            else:
+                self._flow.interpreter.calls.leave()
+            if len(self._errors) > MOST:
+                break
+        errors = self._errors
+        if self.course.straight and run.level.returned:
+            errors += self._never_reached(run.level.returned)
+        if run.level.open and not errors:
+            word, opened = run.level.open[-1]
+            errors.append(source.line_error(f"{word} is not closed", opened, "Check that the file is complete."))
         if errors:
-            raise together({(error.line, error.problem): error for error in reversed(errors)}.values())
-        if self.run.level.returned:
-            self.run.blocked.append((self.run.level.returned, self.run.routine.last, "RETURN"))
+            raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
 
-    def misplaced(self, line: int, opener: str, opened: int) -> ProgramError:
-        """Return the error for a motion inside a control structure or behind RETURN."""
-        if opener == "RETURN":
-            return self.run.source.line_error(f"the motion is never reached: RETURN in line {opened}", line)
-        return self.run.source.line_error(f"motion inside {opener} (line {opened})", line, LOOP_ADVICE)
+    def _never_reached(self, returned: int) -> Iterator[ProgramError]:
+        """Yield an error for the first statement behind RETURN that moves."""
+        source = self.run.source
+        for line in self._lines[bisect_right(self._lines, returned) :]:
+            if word_at(source.text, *source.code_span(line)) in MOTION_WORDS:
+                yield source.line_error(f"the motion is never reached: RETURN in line {returned}", line)
+                return
+
+    def executed(self, plain: Ints) -> Bools:
+        """Return which plain motions, by their lines, are those of the course.
+
+        :raises ProgramError: one of them stands behind RETURN, or outside of DEF … END.
+        """
+        out = np.zeros(len(plain), dtype=np.bool_)
+        for step in self.course.steps:
+            if isinstance(step, Lines):
+                out[np.searchsorted(plain, step.first) : np.searchsorted(plain, step.last, side="right")] = True
+        if not self.course.straight:
+            return out
+        returned = self.run.level.returned
+        if returned and (begin := int(np.searchsorted(plain, returned))) < len(plain) and out[begin]:
+            problem = f"the motion is never reached: RETURN in line {returned}"
+            raise self.run.source.line_error(problem, int(plain[begin]))
+        inside = np.zeros(len(plain), dtype=np.bool_)
+        for routine in self.run.library.program.routines.values():
+            inside |= (plain > routine.first) & (plain < routine.last)
+        outside = np.flatnonzero(~inside)
+        if len(outside):
+            raise self.run.source.line_error("the motion stands outside of DEF … END", int(plain[outside[0]]))
+        return out
 
     def only_comments(self, first: int, last: int) -> bool:
         """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""
@@ -86,23 +163,53 @@ class MainRoutine:
                 return False
         return True
 
+    def _enter(self, step: Enter) -> None:
+        at = Place(self.run.source, step.line)
+        self.run.line = step.line
+        start, stop = at.source.code_span(step.line)
+        call, _ = operand(at.source, start, stop)
+        if isinstance(call, Call):
+            for inner in calls(at.source, start + len(call.name), stop):
+                self._flow.interpreter.calls.call(at, inner, certain=False)
+            self._flow.interpreter.calls.enter(at, call, step.module, step.routine)
+
+    def _fault(self, at: Place, cause: ProgramError) -> None:
+        """Note what is wrong with a statement, but not what follows from what was wrong before."""
+        names = [name.upper() for name in NAME.findall(at.source.text, *at.source.code_span(at.line))]
+        if self._broken.isdisjoint(names):
+            self._errors.append(cause)
+        self._broken.update(name for name in names[:1] if name not in FIELDS and name not in MOTION_WORDS)
+
     def _motion(self, at: Place, word: str, start: int, stop: int) -> None:
-        """Take a motion of the main routine.
+        """Take a motion of the course.
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
         level = self.run.level
-        opener, opened = level.open[-1] if level.open else ("RETURN", level.returned)
-        if opened and not self.reader.stays(at, word, start, stop):
+        if level.open and not self.reader.stays(at, word, start, stop):
+            opener, opened = level.open[-1]
             if opened not in self._refused:
                 self._refused.add(opened)
-                raise self.misplaced(at.line, opener, opened)
+                raise at.error(f"motion inside {opener} (line {opened})", LOOP_ADVICE)
             return
         for call in calls(at.source, start, stop):
-            self._interpreter.calls.call(at, call, certain=False)
+            self._flow.interpreter.calls.call(at, call, certain=False)
         move, state, names = self.reader.read(at, word, start, stop)
         self.run.understood.update(names)
         if move is None:
             self.still.append(at.line)
         else:
             self.motions.add(move, state)
+
+
+def _others(course: Course, plain: Ints) -> list[int]:
+    """Return the lines of a course that have code and are not plain motions."""
+    source = course.source
+    others = np.ones(len(source.starts), dtype=np.bool_)
+    others[plain - 1] = False
+    found = []
+    for line in (np.flatnonzero(others) + 1).tolist():
+        start, stop = source.code_span(line)
+        if start < stop and source.text[start] != "&":
+            found.append(line)
+    return found

@@ -97,7 +97,7 @@ def motions_and_layout(
     motions = Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
-        line=rows.line,
+        line=source.shown(rows.line),
         target=ends.pose,
         joints=ends.joints,
         centre=centre,
@@ -114,6 +114,9 @@ def motions_and_layout(
     missing = np.isnan(given)
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
     layout = Layout(
+        course=main.course,
+        line=rows.line,
+        notes=(),
         numbers=ends.numbers,
         missing=missing,
         spans=rows.spans,
@@ -128,10 +131,10 @@ def motions_and_layout(
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
         understood=frozenset(main.run.understood),
-        triggers=_triggers(source, main, motions, ends.start),
+        triggers=_triggers(source, main, rows.line, motions, ends.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    return motions, layout, [*standing, *_assumptions(rows.line, missing, assumed, moves), *_by_speed(source, rows)]
+    return motions, layout, [*standing, *_assumptions(motions.line, missing, assumed, moves), *_by_speed(source, rows)]
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints]:
@@ -188,7 +191,7 @@ def _external(source: Source, rows: MotionColumns, moves: Mapping[int, MotionSta
                 "Only external axes that stand still are supported.",
             )
         if len(given) and abs(values[given[0]]) > _SAME_EXTERNAL:
-            name, line = EXTERNAL[axis], int(rows.line[given[0]])
+            name, line = EXTERNAL[axis], int(source.shown(rows.line[given])[0])
             message = (
                 f"{name} stands at {values[given[0]]:g}: $BASE is taken as seen from the robot there. If {name} "
                 "carries the robot or the part, [base] of the cell must be that of this place."
@@ -241,14 +244,14 @@ def _arcs(
     return centre, normal, sweep
 
 
-def _triggers(source: Source, main: MainRoutine, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
+def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
     """Return the TRIGGERs that a motion follows."""
     lines = np.array(main.run.triggers, dtype=np.int64)
-    rows = np.searchsorted(motions.line, lines)
+    rows = np.searchsorted(line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
     if not len(rows):
         return ()
-    following = motions.line[rows].tolist()
+    following = line[rows].tolist()
     attached = [main.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
     arc = motions.kind[rows] == CIRC
@@ -271,7 +274,7 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and is left out of "
         "what is said of the tolerance."
     )
-    line = rows.line[found]
+    line = source.shown(rows.line[found])
     lines = tuple(distinct(line).tolist())
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(found), lines=lines)]
 

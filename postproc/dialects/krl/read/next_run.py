@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import Position
-from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
@@ -36,12 +37,21 @@ def changed_data_issues(
     kept = main.run.settings.variables.kept()
     if not kept:
         return
-    settings = Settings(main.run.settings.variables.next_run(), main.run.settings.cell)
-    second_run = MainRoutine(main.run.library, main.run.routine, settings, MotionReader(settings, start_joints))
+    cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
+    first_left = main.run.settings.variables
+    settings, again = (Settings(first_left.next_run(), cell) for _ in range(2))
+    reader = MotionReader(settings, start_joints)
     try:
-        second_run.follow([])
-        second = ordered_motions(second_run, plain)
-        line = _first_difference(main.run.settings, first, settings, second)
+        course = course_of(library, routine, again, reader, main.run.elsewhere)
+        line = _elsewhere(main.course, course)
+        if line is None:
+            lines = np.concatenate([rows.line for rows in plain])
+            second_run = MainRoutine(library, routine, settings, reader, main.course, lines)
+            second_run.run.elsewhere = main.run.elsewhere
+            second_run.follow([])
+            second = ordered_motions(second_run, plain)
+            line = _first_difference(main.run.settings, first, settings, second)
+        line = None if line is None else int(main.course.source.shown(np.array([line]))[0])
     except ProgramError as cause:
         line = cause.line or main.run.routine.first
     if line is None:
@@ -54,6 +64,14 @@ def changed_data_issues(
         "the files. Set them at the beginning of the program."
     )
     yield Issue("warning", "changed-data", message, line, subject=", ".join(list(kept)[:_MOST_NAMES]))
+
+
+def _elsewhere(one: Course, other: Course) -> int | None:
+    """Return a line of the first course from which on another one goes elsewhere."""
+    if one.steps == other.steps and one.source.text == other.source.text:
+        return None
+    pairs = zip(one.source.text.splitlines(), other.source.text.splitlines(), strict=False)
+    return next((line for line, (a, b) in enumerate(pairs, 1) if a != b), 1)
 
 
 def _first_difference(one: Settings, first: OrderedMotions, other: Settings, second: OrderedMotions) -> int | None:

@@ -9,21 +9,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
 
 import numpy as np
 
 from postproc.cell import Cell
+from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source, comment_start
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.frames import out_of_reach
+from postproc.dialects.krl.read.inexact import InexactError
 from postproc.dialects.krl.read.issues import issues_of
 from postproc.dialects.krl.read.library import Library
-from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged, none
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions
@@ -34,7 +36,7 @@ from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, largest
-from postproc.program import FORCE_COMMENT, Bools, Document, ForceNote, Ints, Program, parse_force_note
+from postproc.program import FORCE_COMMENT, Document, ForceNote, Ints, Program, parse_force_note
 
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
@@ -49,7 +51,8 @@ def read_program(
 ) -> Program:
     """Read a KRL program.
 
-    :param documents: the `.src` first, then its `.dat` if there is one.
+    :param documents: the `.src` first, then its `.dat` if there is one, and files of routines that it calls, which
+        count instead of those of the same name in its folder.
     :param cell: frames for programs that set none of their own, frames by number, where the robot stands first.
     :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
     :param name: name of the program.
@@ -60,54 +63,124 @@ def read_program(
     :raises CellError: the `$config.dat` that the cell names cannot be read.
     """
     source = Source.of(documents[0], 0)
-    variables = Variables(cell)
-    for index, document in enumerate(documents[1:], 1):
-        read_data(variables, Source.of(document, index))
-    if cell.config_dat is not None:
-        read_data(variables, _config(cell, cell.config_dat), fill=True, shared=True)
     plain = plain_lines.scan(source) if _bulk else [none()]
-    lines = np.concatenate([rows.line for rows in plain])
-    module, entry, faults = _main(source, lines, name)
-    settings = Settings(variables, cell)
-    start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
-    moves = MotionReader(settings, start)
-    main = MainRoutine(Library(module, _folders(documents[0], cell)), entry, settings, moves)
-    try:
-        main.follow(faults)
-    except RecursionError:
-        raise source.line_error("brackets are nested too deeply", main.run.line) from None
-    executed = _executed(main, lines)
-    if not executed.all():
-        plain = [merged(plain, np.arange(len(lines))).take(executed)]
-    if not executed.any() and not len(main.motions):
-        raise ProgramError("there are no motions", file=documents[0].name, advice="Check that this is the program.")
-    ordered = ordered_motions(main, plain)
-    changed = list(changed_data_issues(main, ordered, plain, start))
-    del plain  # what follows needs the memory
-    _check_size(source, ordered.rows)
-    _check_starts(main, ordered)
-    motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, forward)
-    issues = [
-        *main.run.issues,
-        *assumptions,
-        *changed,
-        *issues_of(main, ordered.states, ordered.state, ordered.rows, layout),
-    ]
-    if moves.home_used:
-        message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-        issues.append(Issue("info", "home-from-cell", message, moves.home_used))
-    return Program(
-        name,
-        "krl",
-        tuple(documents),
-        motions,
-        np.stack(settings.frames.bases),
-        np.stack(settings.frames.tools),
-        events=remarks(source, motions.line),
-        notes=_notes(source, motions.line),
-        still=np.array(main.still, dtype=np.int64),
-        issues=tuple(issues),
-        layout=layout,
+    module, entry, faults = _main(source, np.concatenate([rows.line for rows in plain]), name)
+    others = [document for document in documents[1:] if not _belongs(document, documents[0])]
+    library = Library(module, _folders(documents[0], cell), others)
+    reading = _Reading(documents, cell, forward, name, library, entry, faults)
+    elsewhere: frozenset[Routine] = frozenset()
+    while True:
+        try:
+            return reading.program(plain, elsewhere, bulk=_bulk)
+        except ProgramError as cause:
+            apart = _apart(cause, library) - elsewhere
+            if not apart:
+                raise
+            elsewhere |= apart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """What is known of a program before it is followed; see `read_program`."""
+
+    documents: Sequence[Document]
+    cell: Cell
+    forward: Callable[[Array], Array]
+    name: str
+    library: Library
+    entry: Routine
+    faults: list[ProgramError]
+
+    def program(self, plain: list[MotionColumns], elsewhere: frozenset[Routine], *, bulk: bool) -> Program:
+        """Follow the program, and read what moves.
+
+        :param plain: plain motions of the `.src`, in parts.
+        :param elsewhere: routines of other files whose motions are not those of the program.
+        """
+        library, entry, cell = self.library, self.entry, self.cell
+        start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
+        settings = self._settings()
+        course = course_of(library, entry, self._settings(), MotionReader(settings, start), elsewhere)
+        if not course.straight:
+            plain = plain_lines.scan(course.source) if bulk else [none()]
+        source = course.source
+        lines = np.concatenate([rows.line for rows in plain])
+        moves = MotionReader(settings, start)
+        main = MainRoutine(library, entry, settings, moves, course, lines)
+        main.run.elsewhere = elsewhere
+        try:
+            main.follow(self.faults)
+        except RecursionError:
+            raise source.line_error("brackets are nested too deeply", main.run.line) from None
+        executed = main.executed(lines)
+        if not executed.all():
+            plain = [merged(plain, np.arange(len(lines))).take(executed)]
+        if not executed.any() and not len(main.motions):
+            raise ProgramError(
+                "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
+            )
+        ordered = ordered_motions(main, plain)
+        changed = list(changed_data_issues(main, ordered, plain, start))
+        del plain  # what follows needs the memory
+        _check_size(source, ordered.rows)
+        _check_starts(main, ordered)
+        motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward)
+        issues = [
+            *main.run.issues,
+            *assumptions,
+            *changed,
+            *issues_of(main, ordered.states, ordered.state, ordered.rows, layout),
+        ]
+        if moves.home_used:
+            message = (
+                "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
+            )
+            line = int(source.shown(np.array([moves.home_used]))[0])
+            issues.append(Issue("info", "home-from-cell", message, line))
+        notes = _notes(course, layout.line)
+        return Program(
+            self.name,
+            "krl",
+            (
+                *(d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0])),
+                *course.files,
+            ),
+            motions,
+            np.stack(settings.frames.bases),
+            np.stack(settings.frames.tools),
+            events=remarks(source, layout.line),
+            notes=tuple(note for _, note in notes),
+            still=source.shown(np.unique(np.array(main.still, dtype=np.int64))),
+            issues=tuple(issues),
+            layout=replace(layout, notes=tuple(line for line, _ in notes)),
+        )
+
+    def _settings(self) -> Settings:
+        """Return what is in force first."""
+        variables = Variables(self.cell)
+        for document in self.documents[1:]:
+            if _belongs(document, self.documents[0]):
+                read_data(variables, Source.of(document, 1))
+        if self.cell.config_dat is not None:
+            read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, shared=True)
+        return Settings(variables, self.cell)
+
+
+def _belongs(data: Document, source: Document) -> bool:
+    """Return whether a file is the `.dat` of a program."""
+    return PurePath(data.name).suffix.upper() == ".DAT" and data.name[:-4].upper() == PurePath(source.name).stem.upper()
+
+
+def _apart(cause: ProgramError, library: Library) -> frozenset[Routine]:
+    """Return the routines of other files that an error is about: their motions are left as they are."""
+    if isinstance(cause, InexactError) and cause.routine is not None:
+        return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
+    files = {error.file for error in (cause, *cause.others)}
+    return frozenset(
+        routine
+        for module in library.read()
+        if module.source.document.name in files
+        for routine in module.routines.values()
     )
 
 
@@ -144,23 +217,6 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
     return beside + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
-def _executed(main: MainRoutine, line: Ints) -> Bools:
-    """Return which plain motions, by their lines, are those of the main routine; refuse those in control structures."""
-    first, last = main.run.routine.first, main.run.routine.last
-    inside = np.asarray((line > first) & (line < last))
-    for opened, closed, word in main.run.blocked:
-        begin, end = np.searchsorted(line, [opened, closed]).tolist()
-        if begin < end:
-            raise main.misplaced(int(line[begin]), word, opened)
-    in_routines = np.zeros(len(inside), dtype=np.bool_)
-    for routine in main.run.library.program.routines.values():
-        in_routines |= (line > routine.first) & (line < routine.last)
-    outside = np.flatnonzero(~in_routines)
-    if len(outside):
-        raise main.run.source.line_error("the motion stands outside of DEF … END", int(line[outside[0]]))
-    return inside
-
-
 def _check_size(source: Source, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
     farthest = largest(np.nan_to_num(np.concatenate([rows.numbers[:, :6], rows.via], axis=1)))
@@ -180,16 +236,19 @@ def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
                 raise reason
 
 
-def _notes(source: Source, motions: Ints) -> tuple[ForceNote, ...]:
-    """Return the force comments of a file, whose motions stand on lines (M,)."""
-    notes = []
+def _notes(course: Course, motions: Ints) -> list[tuple[int, ForceNote]]:
+    """Return the force comments of a course by its lines; its motions stand on lines (M,) of it."""
+    source, notes = course.source, []
     for match in _FORCE.finditer(source.text):
         line = source.line_at(match.start())
+        if course.live is not None and not course.live[line - 1]:
+            continue
         start, stop = int(source.starts[line - 1]), int(source.stops[line - 1])
         if (
             comment_start(source.text, start, stop) == match.start()
         ):  # else the semicolon stands in a string or a comment
-            note = parse_force_note(source.text[match.start() + 1 : stop], line, source.document.name)
+            origin = source.origin(line)
+            note = parse_force_note(source.text[match.start() + 1 : stop], origin.line, origin.source.document.name)
             if note is not None:
-                notes.append(replace(note, before=int(np.searchsorted(motions, line))))
-    return tuple(notes)
+                notes.append((line, replace(note, before=int(np.searchsorted(motions, line)))))
+    return notes

@@ -32,5 +32,6 @@ def remarks(source: Source, motions: Ints) -> tuple[Event, ...]:
         text = _FOLD.sub("", match[1]).strip(" \t-=*")
         if text and not _OF_THE_EDITOR.match(match[1].rstrip()):
             line = source.line_at(match.start(1))
-            out.append(Event(int(np.searchsorted(motions, line)), "comment", line, 0.0, text))
+            shown = int(source.shown(np.array([line]))[0])
+            out.append(Event(int(np.searchsorted(motions, line)), "comment", shown, 0.0, text))
     return tuple(out)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from postproc.dialects.krl.language.routines import Module, Routine
-from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.structures import Node, nodes_of
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
 from postproc.dialects.krl.read.library import Library
@@ -21,7 +24,10 @@ SETTING_ADVICE = "Set $BASE, $TOOL and speeds outside of loops, branches and int
 class Level:
     """A routine that runs.
 
-    :ivar open: control structures that are open: word and line.
+    :ivar traced: True where its motions are those of the program: the main routine, and what it calls in its course.
+    :ivar open: control structures of which it is not known what runs in them: word and line.
+    :ivar loops: loops that are followed, one in the other.
+    :ivar left: True behind EXIT.
     :ivar returned: line of a RETURN; 0 before.
     :ivar result: what a function returns.
     """
@@ -29,7 +35,10 @@ class Level:
     module: Module
     routine: Routine
     scope: Scope
+    traced: bool = False
     open: list[tuple[str, int]] = field(default_factory=list)
+    loops: int = 0
+    left: bool = False
     returned: int = 0
     result: Known = NOTHING
 
@@ -38,43 +47,65 @@ class Run:
     """What is shared by all that follows a program.
 
     :ivar routine: the main routine.
-    :ivar line: of the main routine, where the run is.
+    :ivar source: the course of the program, see `course`.
+    :ivar line: of the course, where the run is.
     :ivar level: the routine that runs.
     :ivar stack: it, and those that called it.
     :ivar steps: statements of called routines that have run.
     :ivar calls: calls that have been run.
     :ivar resumable: True where RESUME may break off what is running.
-    :ivar blocked: (first line, last line, word): control structures of the main routine, where no motion may stand.
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: (line, reason): behind such a line it is not known where the robot stands.
     :ivar understood: offsets of names in the main routine whose use is followed.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
     :ivar issues: what the user should know.
+    :ivar elsewhere: routines of other files whose motions are not those of the program.
     """
 
-    def __init__(self, library: Library, routine: Routine, settings: Settings) -> None:
+    def __init__(self, library: Library, routine: Routine, settings: Settings, source: Source | None = None) -> None:
         self.library, self.routine, self.settings = library, routine, settings
-        self.source, self.variables = routine.source, settings.variables
+        self.source, self.variables = source or routine.source, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.of)
         self.line = 0
-        self.level = Level(library.program, routine, Scope())
+        self.level = Level(library.program, routine, Scope(), traced=True)
         self.stack: list[Routine] = [routine]
         self.steps = self.calls = 0
         self.resumable = False
-        self.blocked: list[tuple[int, int, str]] = []
         self.triggers: list[int] = []
         self.moved: list[tuple[int, ProgramError]] = []
         self.understood: set[int] = set()
         self.absent: list[tuple[str, int]] = []
         self.reached: set[Routine] = set()
         self.issues: list[Issue] = []
+        self.elsewhere: frozenset[Routine] = frozenset()
+        self._nodes: dict[Routine, tuple[Node, ...]] = {}
+
+    def nodes(self, routine: Routine) -> tuple[Node, ...]:
+        """Return the statements and control structures of a routine."""
+        if routine not in self._nodes:
+            self._nodes[routine] = nodes_of(routine.source, routine.lines)
+        return self._nodes[routine]
+
+    @property
+    def here(self) -> int:
+        """Line of the program's own `.src` that stands for where the run is."""
+        return int(self.source.shown(np.array([self.line]))[0])
+
+    def marks(self) -> tuple[int, ...]:
+        """Return how much is noted, for `back_to`."""
+        return len(self.triggers), len(self.moved), len(self.absent), len(self.issues)
+
+    def back_to(self, marks: tuple[int, ...]) -> None:
+        """Forget what was noted since, to follow the same statements in another way."""
+        triggers, moved, absent, issues = marks
+        del self.triggers[triggers:], self.moved[moved:], self.absent[absent:], self.issues[issues:]
 
     @property
     def in_main(self) -> bool:
-        """Whether the main routine runs."""
-        return self.level.routine is self.routine and len(self.stack) == 1
+        """Whether what runs is in the course of the program: the main routine, or what stands in place of its call."""
+        return self.level.traced
 
     @property
     def certain(self) -> bool:

@@ -39,6 +39,7 @@ _ZERO = Position((0.0,) * 6)
 class Variables:
     """Values by name (upper case; elements as ``P[3]``), at one moment of the program's run.
 
+    :ivar changes: how often a value was replaced by another one.
     :ivar types: declared type by name, upper case.
     :ivar public: names declared GLOBAL.
     :ivar scope: which variables the names of the present routine mean.
@@ -51,6 +52,7 @@ class Variables:
     def __init__(self, cell: Cell) -> None:
         self._values: dict[str, Known | Unread] = {}
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
+        self.changes = 0
         self.types: dict[str, str] = {}
         self.public: set[str] = set()
         self.scope = Scope()
@@ -67,6 +69,7 @@ class Variables:
 
     def put(self, key: str, value: Known | Unread) -> None:
         """Give a variable its first value."""
+        self.changes += self._values.get(key) != value
         if key not in self._values and key.endswith("]"):
             self._elements[key[: key.index("[")]].append(key)
         self._values[key] = value

@@ -18,11 +18,18 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     """Return the files of a program with another name; all else stays to the byte.
 
     :param documents: the `.src`, whose first DEF is the program, and its `.dat`; or the files of a divided program.
+        Files of other programs keep their names.
     :param name: one that the controller accepts.
     """
+    if not documents:
+        return ()
     calls = called(documents[0])
     if not calls:
-        return tuple(_renamed(document, name) for document in documents)
+        own = PurePath(documents[0].name).stem.lower()
+        return tuple(
+            _renamed(document, name) if PurePath(document.name).stem.lower() == own else document
+            for document in documents
+        )
     old = PurePath(documents[0].name).stem[: -len(MAIN)]
     new = name[: MAX_LENGTH - len(MAIN)]
     names = {f"{old}{MAIN}": f"{new}{MAIN}"} | {call: f"{new}{call[len(old) :]}" for call, _ in calls}
@@ -33,8 +40,8 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         text = document.text
         if document is documents[0] or f"of={old}{MAIN}" in text:
             text = inside.sub(lambda match: spelt[match[0].lower()], text)
-        stem = spelt[PurePath(document.name).stem.lower()]
-        out.append(_renamed(replace(document, text=text), stem))
+        stem = spelt.get(PurePath(document.name).stem.lower())
+        out.append(_renamed(replace(document, text=text), stem) if stem else document)
     return tuple(out)
 
 

@@ -50,6 +50,19 @@ class Replacements:
     def __bool__(self) -> bool:
         return bool(self._single or self._starts)
 
+    def moved(self, offsets: Ints) -> Ints:
+        """Return where offsets (n,) of the text are once all is replaced; what is inserted there comes behind."""
+        starts, grown = [], []
+        for begin, stop, length in zip(self._starts, self._stops, self._lengths, strict=True):
+            starts.append(begin)
+            grown.append(length - (stop - begin))
+        starts.append(np.array([start for start, _, _ in self._single], dtype=np.int64))
+        grown.append(np.array([len(piece) - stop + start for start, stop, piece in self._single], dtype=np.int64))
+        start = np.concatenate(starts)
+        order = np.argsort(start, kind="stable")
+        total = np.append(0, np.cumsum(np.concatenate(grown)[order]))
+        return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
+
     def applied(self, text: str) -> str:
         """Return the text with all pieces replaced."""
         if not self:

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
+from pathlib import PurePath
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement, Po
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.write.folding import folded
 from postproc.dialects.krl.write.inserted_lines import InsertedLines
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
 from postproc.dialects.krl.write.replacements import Replacements
@@ -36,8 +38,9 @@ from postproc.dialects.krl.write.target_statements import (
     replaced_numbers,
 )
 from postproc.dialects.krl.write.trigger_places import placed
+from postproc.dialects.text import line_spans
 from postproc.errors import Issue, group_issues
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, TargetForces, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 
 _STOP = (
     "The robot stops at an inserted target, as it does at the end of this motion: $APO.CDIS as the program sets it "
@@ -66,9 +69,11 @@ class _Rewriter:
     def __init__(self, program: Program, layout: Layout, targets: Targets, carried: TargetForces | None) -> None:
         self.program, self.layout, self.targets, self.carried = program, layout, targets, carried
         self.documents = layout.documents or program.documents
-        self.sources = [Source.of(document, index) for index, document in enumerate(self.documents)]
+        stem = PurePath(self.documents[0].name).stem.upper()
+        data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
+        self.sources = [layout.course.source, *(Source.of(document, 1) for document in data)]
         self.source, self.text = self.sources[0], self.sources[0].text
-        self.noted = {note.line for note in program.notes}
+        self.noted = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
         self.row = targets.motion
@@ -95,11 +100,33 @@ class _Rewriter:
             self._special()
         output_line = self._insert()
         self._check_orientation()
-        documents = tuple(
-            replace(document, text=changes.applied(document.text)) if changes else document
-            for document, changes in zip(self.documents, self.replacements, strict=True)
-        )
+        documents, output_line = self._files(output_line)
         return Written(documents, output_line, "krl", group_issues(self.issues))
+
+    def _files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
+        """Return the files with all edits, and the lines of the targets in the `.src`.
+
+        :param line: (K,) their lines in the corrected course.
+        """
+        course, text = self.layout.course, self.replacements[0].applied(self.text)
+        files = {document.name: document for document in self.documents}
+        for source, changes in zip(self.sources[1:], self.replacements[1:], strict=True):
+            files[source.document.name] = replace(source.document, text=changes.applied(source.text))
+        if course.straight:
+            main = self.documents[0]
+            files[main.name] = replace(main, text=text)
+            return tuple(files.values()), line
+        begins = self.replacements[0].moved(np.append(self.source.starts, len(self.text)))
+        back = folded(course, course.main, text, begins)
+        files |= {document.name: document for document in back.documents}
+        shown = [
+            (i, None if i.source_line is None else int(course.source.shown(np.array([i.source_line]))[0]))
+            for i in self.issues
+        ]
+        self.issues = [*(replace(issue, source_line=line) for issue, line in shown), *back.issues]
+        origin = self.layout.line[self.row]
+        first = np.searchsorted(line_spans(text)[0], begins[origin - 1]) + 1
+        return tuple(files.values()), back.line[origin] + np.where(back.inside[origin], line - first, 0)
 
     def _added(self) -> Bools:
         """Return which targets get components that their text lacks, (K,)."""
@@ -138,7 +165,7 @@ class _Rewriter:
         """Change statements that are not plain lines."""
         moves = self.layout.statements
         named = any(move.end.name or (move.via and move.via.name) for move in moves.values())
-        plain = np.delete(self.program.motions.line, list(moves)).tolist()
+        plain = np.delete(self.layout.line, list(moves)).tolist()
         points = NamedPoints(
             self.sources, self.layout, self.replacements, mentions(self.source, plain) if named else {}
         )
@@ -189,7 +216,7 @@ class _Rewriter:
 
     def _insert(self) -> Ints:
         """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
-        line = self.program.motions.line[self.row]
+        line = self.layout.line[self.row]
         lines = InsertedLines(self.source, self.replacements[0])
         at, moved = self._around_triggers()
         forces = self._forces(line, at)
@@ -212,13 +239,13 @@ class _Rewriter:
             return {}
         seen = line + self.last  # a comment on the line of a motion holds for it, but not for what is inserted before
         seen[list(at)] = list(at.values())
-        note = np.searchsorted([note.line for note in self.program.notes], seen) - 1
+        note = np.searchsorted(self.layout.notes, seen) - 1
         rows = np.flatnonzero(needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.carried, rows), strict=True))
 
     def _replaced_comment(self, k: int, text: str) -> bool:
         """Put a force comment in place of the one on the line of a motion; return whether there is one."""
-        line = int(self.program.motions.line[self.row[k]])
+        line = int(self.layout.line[self.row[k]])
         if not self.last[k] or line not in self.noted:
             return False
         start, stop = int(self.source.starts[line - 1]), int(self.source.stops[line - 1])
@@ -235,7 +262,7 @@ class _Rewriter:
             if beyond - first < 2:
                 continue
             places = placed(
-                tuple(group), int(motions.line[row]), self.targets.t[first:beyond], float(motions.feed[row])
+                tuple(group), int(self.layout.line[row]), self.targets.t[first:beyond], float(motions.feed[row])
             )
             at |= dict(zip(range(first, beyond), places.at, strict=False))
             away = {trigger for triggers in places.moved for trigger in triggers}
@@ -268,7 +295,7 @@ class _Rewriter:
         ignored = rows[~same_orientation(self.targets.pose[rows, :3, :3], nominal)]
         if len(ignored):
             message = "The corrected orientation would be ignored under $ORI_TYPE=#CONSTANT: set $ORI_TYPE=#VAR."
-            line = int(self.program.motions.line[self.row[ignored[0]]])
+            line = int(self.layout.line[self.row[ignored[0]]])
             self.issues.append(Issue("error", "constant-orientation", message, line, count=len(ignored)))
 
     def _tell(self, kind: str, message: str, line: int) -> None:

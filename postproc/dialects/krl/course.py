@@ -1,0 +1,107 @@
+"""The lines of a program in the order in which they run: loops written out, called routines in place of their calls.
+
+Reading and correcting work on that text as on a straight program; `write.folding` leads it back to the files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.source import Source
+from postproc.program import Bools, Document
+
+
+class Lines(NamedTuple):
+    """Lines first … last of the course run one after the other."""
+
+    first: int
+    last: int
+
+
+class Enter(NamedTuple):
+    """The call on a line of the course: what follows, up to its `Leave`, runs in the routine."""
+
+    line: int
+    module: Module
+    routine: Routine
+
+
+class Leave(NamedTuple):
+    """The end of the routine that was entered last."""
+
+
+Step = Lines | Enter | Leave
+
+
+@dataclass(slots=True, eq=False)
+class Body:
+    """Lines first … last − 1 of the course that stand together in a file.
+
+    :ivar parts: what is written out in them, in order.
+    """
+
+    first: int
+    last: int = 0
+    parts: list[Repeated | Called] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class Repeated:
+    """A loop, written out.
+
+    :ivar opener: text of its first line, with its line end; `closer` that of its last.
+    :ivar counted: True where each body begins with an assignment to the counter of FOR.
+    :ivar left: True where EXIT stands in it.
+    :ivar first: first line of the course; `last` the one behind it.
+    :ivar bodies: what was run, again and again; none: the loop stands as it is.
+    """
+
+    opener: str
+    closer: str
+    counted: bool
+    left: bool
+    first: int
+    last: int = 0
+    bodies: list[Body] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class Called:
+    """A routine in place of its call.
+
+    :ivar line: of the course, with the call; `name` the span of the routine's name in it.
+    """
+
+    line: int
+    name: tuple[int, int]
+    routine: Routine
+    body: Body
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """A program in the order in which it runs.
+
+    :param main: the main routine.
+    :param source: the text; that of the `.src` itself where nothing is written out.
+    :param steps: what runs, in order.
+    :param body: the lines of the main routine.
+    :param live: (L,) False for lines that do not run: branches that are not taken; None: all may.
+    :param inlined: routines that stand in it, and no longer where they stood.
+    :param files: other files than that of the program from which these are, and their data.
+    """
+
+    main: Routine
+    source: Source
+    steps: tuple[Step, ...]
+    body: Body
+    live: Bools | None = None
+    inlined: frozenset[Routine] = frozenset()
+    files: tuple[Document, ...] = ()
+
+    @property
+    def straight(self) -> bool:
+        """Whether it is the `.src` itself."""
+        return self.source.origins is None

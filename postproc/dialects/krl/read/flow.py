@@ -1,0 +1,359 @@
+"""Loops, branches and calls in the order in which they run.
+
+A control structure is followed statement by statement where its conditions are known. Where they are not, and nothing
+moves in it, all that it may write is no longer known behind it; where something moves, the program is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Callable
+
+from postproc.dialects.krl.language.expressions import operand, parse
+from postproc.dialects.krl.language.routines import Module
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, calls, word_at
+from postproc.dialects.krl.language.structures import LOOPS, Block, Node
+from postproc.dialects.krl.language.values import Call, Number, Reference, Value
+from postproc.dialects.krl.read.conditions import chosen, truth
+from postproc.dialects.krl.read.inexact import InexactError, inexact
+from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter
+from postproc.dialects.krl.read.run import Run
+from postproc.dialects.krl.read.tracing import Trace
+from postproc.errors import ProgramError
+
+_MOST_STATEMENTS = 200_000
+"""So many statements that do not move are followed in loops and called routines; later ones count as uncertain."""
+_MOST_TRACED = 400_000
+"""A course of more statements is taken for one without an end."""
+_THEN = re.compile(r"\bTHEN[ \t]*$", re.IGNORECASE)
+_TO = re.compile(r"[ \t]*TO\b", re.IGNORECASE)
+_STEP = re.compile(r"[ \t]*STEP\b", re.IGNORECASE)
+_EQUALS = re.compile(r"[ \t]*=")
+_ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO", "HALT"})
+
+
+class Flow:
+    """Follows a program.
+
+    :param run: the program as far as it has run.
+    :param motion: takes a motion of the program.
+    :param fault: takes what is wrong with a statement of the program.
+    :param stays: whether a motion statement leads to where the robot is.
+    :param trace: where its course is put down; None where it follows a course already.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        motion: Callable[[Place, str, int, int], None],
+        fault: Callable[[Place, ProgramError], None],
+        stays: Callable[[Place, str, int, int], bool],
+        trace: Trace | None = None,
+    ) -> None:
+        self.run, self.trace, self._fault, self._stays = run, trace, fault, stays
+        self.interpreter = Interpreter(run, motion, self.called, self._entered)
+        self._moving: dict[tuple[Block, Module], bool] = {}
+        self._traced = self._still = 0
+
+    def follow(self, source: Source, nodes: tuple[Node, ...]) -> None:
+        """Run statements and control structures one by one, up to RETURN or the EXIT of a loop.
+
+        :raises InexactError: it is not known what runs.
+        """
+        level = self.run.level
+        for node in nodes:
+            if isinstance(node, Block):
+                self._block(source, node)
+            else:
+                self._statement(Place(source, node))
+            if level.returned or level.left:
+                if self.trace is not None and level.traced:
+                    self.trace.run_to(node if isinstance(node, int) else node.last)
+                return
+
+    def called(self) -> None:
+        """Run the routine that was called."""
+        routine = self.run.level.routine
+        self.follow(routine.source, self.run.nodes(routine))
+
+    def moves(self, source: Source, node: Node) -> bool:
+        """Return whether a statement or a control structure moves the robot in the course of the program."""
+        module = self.run.level.module
+        if isinstance(node, int):
+            return self._statement_moves(source, node)
+        key = node, module
+        if key not in self._moving:
+            plain = self.run.level.routine.plain if source is self.run.level.routine.source else ()
+            found = bisect_left(plain, node.first) < bisect_left(plain, node.last)
+            self._moving[key] = found or any(self._statement_moves(source, line) for line in node.lines())
+        return self._moving[key]
+
+    def _statement_moves(self, source: Source, line: int) -> bool:
+        start, stop = source.code_span(line)
+        word = word_at(source.text, start, stop)
+        if word in MOTION_WORDS:
+            return not self._stays(Place(source, line), word, start, stop)
+        if word in SPLINES:
+            return True
+        if "(" not in source.text[start:stop] or word in ("INTERRUPT", "TRIGGER", "GLOBAL"):
+            return False
+        try:
+            return any(self.interpreter.calls.moving(call) is not None for call in calls(source, start, stop))
+        except ProgramError:
+            return False
+
+    # --- statements --------------------------------------------------------------------------------------------------
+
+    def _statement(self, at: Place) -> None:
+        level = self.run.level
+        if level.traced:
+            self.run.line = at.line
+        self._count(at)
+        if level.loops and word_at(at.source.text, *at.source.code_span(at.line)) == "EXIT":
+            level.left = True
+            return
+        self._guarded(at)
+
+    def _guarded(self, at: Place) -> None:
+        try:
+            self.interpreter.statement(at)
+        except InexactError:
+            raise
+        except ProgramError as cause:
+            if not self.run.level.traced:
+                raise
+            self._fault(at, cause)
+
+    def _count(self, at: Place) -> None:
+        if self._still or not self.run.level.traced:
+            self.run.steps += 1
+            if self.run.steps > _MOST_STATEMENTS:
+                raise inexact(at, "too much runs before")
+            return
+        self._traced += 1
+        if self._traced > _MOST_TRACED:
+            problem = f"the program does not end: {_MOST_TRACED} statements have run when it comes here"
+            raise at.error(problem, "Give loops around motions an end that is known before the program runs.")
+
+    def _entered(self, at: Place, call: Call) -> bool:
+        """Go into a routine that moves; return whether it was done."""
+        run, trace = self.run, self.trace
+        if trace is None or not run.level.traced or not run.certain:
+            return False
+        found = self.interpreter.calls.moving(call)
+        if found is None:
+            return False
+        module, routine = found
+        trace.run_to(at.line - 1)
+        trace.enter(at, (call.start, call.start + len(call.name)), module, routine)
+        self.interpreter.calls.enter(at, call, module, routine)
+        level = run.level
+        self.called()
+        if not level.returned:
+            trace.run_to(routine.last - 1)
+        trace.pass_to(routine.last - 1, live=False)
+        self.interpreter.calls.leave()
+        trace.leave()
+        return True
+
+    # --- control structures ------------------------------------------------------------------------------------------
+
+    def _block(self, source: Source, block: Block) -> None:
+        if self.trace is not None and self.run.level.traced and self.moves(source, block):
+            self._exactly(source, block, self.trace)
+            return
+        marks = self.run.marks()
+        self._still += 1
+        try:
+            self._exactly(source, block, None)
+        except InexactError:
+            self.run.back_to(marks)
+            self._roughly(source, block)
+        finally:
+            self._still -= 1
+
+    def _roughly(self, source: Source, block: Block) -> None:
+        """Forget what a control structure may write, however often it runs."""
+        lines = list(block.lines())
+        marks = self.run.marks()
+        for _ in range(1 + (block.word in LOOPS)):  # once more with what its own statements have left
+            self.run.back_to(marks)
+            for line in lines:
+                if self.run.level.traced:
+                    self.run.line = line
+                self._guarded(Place(source, line))
+
+    def _exactly(self, source: Source, block: Block, trace: Trace | None) -> None:
+        """Follow a control structure.
+
+        :raises InexactError: it is not known what runs in it.
+        """
+        if block.word in LOOPS:
+            self._loop(source, block, trace)
+            return
+        taken = self._taken(source, block)
+        level = self.run.level
+        if trace is not None:
+            trace.run_to(block.first - 1)
+        for index, part in enumerate(block.parts):
+            if trace is not None:
+                trace.pass_to(part.head)
+            if index == taken:
+                self.follow(source, part.nodes)
+                if trace is not None and not (level.returned or level.left):
+                    trace.run_to(part.beyond - 1)
+            if trace is not None:
+                trace.pass_to(part.beyond - 1, live=False)
+        if trace is not None:
+            trace.pass_to(block.last)
+
+    def _taken(self, source: Source, block: Block) -> int:
+        """Return which part of IF or SWITCH runs; −1 for none."""
+        at = Place(source, block.first)
+        start, stop = source.code_span(block.first)
+        start += len(block.word)
+        if block.word == "IF":
+            then = _THEN.search(source.text, start, stop)
+            holds = truth(self.run.variables, source, start, then.start() if then else stop)
+            if holds is None:
+                raise self._unknown(at)
+            return 0 if holds else 1 if len(block.parts) > 1 else -1
+        if calls(source, start, stop):
+            raise self._unknown(at)
+        value, _ = parse(source, start, stop)
+        known = self.run.variables.evaluate(source, value)
+        for index, part in enumerate(block.parts[1:], 1):
+            begin, end = source.code_span(part.head)
+            word = word_at(source.text, begin, end)
+            found = word == "DEFAULT" or chosen(self.run.variables, source, known, begin + len(word), end)
+            if found is None:
+                raise self._unknown(at)
+            if found:
+                return index
+        return -1
+
+    def _loop(self, source: Source, block: Block, trace: Trace | None) -> None:
+        level, part = self.run.level, block.parts[0]
+        words = {word_at(source.text, *source.code_span(line)) for line in block.lines()}
+        if block.word == "LOOP" and words.isdisjoint(_ENDS_LOOPS):
+            raise inexact(Place(source, block.first), "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+        counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
+        loop = trace.begin(block, counted=counter is not None, left="EXIT" in words) if trace is not None else None
+        level.loops += 1
+        try:
+            while self._again(source, block, counter):
+                self._count(Place(source, block.first))
+                before = self.run.variables.changes
+                if trace is not None and loop is not None:
+                    trace.repeat(loop, block, counter.text if counter is not None else None)
+                self.follow(source, part.nodes)
+                going = not (level.returned or level.left)
+                if trace is not None:
+                    trace.repeated(block, whole=going)
+                if not going:
+                    break
+                if block.word == "REPEAT" and self._holds(source, block.last, "UNTIL"):
+                    break
+                if counter is not None:
+                    counter.advance()
+                elif self.run.variables.changes == before:
+                    problem = f"{block.word} never ends: nothing that it asks changes from round to round"
+                    raise inexact(Place(source, block.first), problem, LOOP_ADVICE)
+        finally:
+            level.loops -= 1
+        ended = counter is not None and not (level.returned or level.left)
+        level.left = False
+        if trace is not None and loop is not None:
+            trace.end(loop, block, counter.text if counter is not None and ended else None)
+
+    def _again(self, source: Source, block: Block, counter: _Counter | None) -> bool:
+        """Return whether the body of a loop runs once more."""
+        if counter is not None:
+            return counter.within()
+        return block.word != "WHILE" or self._holds(source, block.first, "WHILE")
+
+    def _holds(self, source: Source, line: int, word: str) -> bool:
+        start, stop = source.code_span(line)
+        holds = truth(self.run.variables, source, start + len(word), stop)
+        if holds is None:
+            raise self._unknown(Place(source, line))
+        return holds
+
+    def _unknown(self, at: Place) -> InexactError:
+        word = word_at(at.source.text, *at.source.code_span(at.line))
+        return inexact(at, f"motion inside {word}: its condition is not known before the program runs", LOOP_ADVICE)
+
+
+class _Counter:
+    """The counter of a FOR loop.
+
+    :raises InexactError: it is not known what it counts.
+    """
+
+    def __init__(self, run: Run, source: Source, line: int) -> None:
+        self.run, self.at = run, Place(source, line)
+        start, stop = source.code_span(line)
+        target, position = operand(source, start + len("FOR"), stop)
+        equals = _EQUALS.match(source.text, position, stop)
+        if not isinstance(target, Reference) or target.field is not None or not equals:
+            raise self._unknown()
+        self.name = source.text[target.start : target.stop]
+        key = run.variables.key_of(source, target)
+        if key is None:
+            raise self._unknown()
+        self.key, self.begin = key, equals.end()
+        first, self.behind = parse(source, self.begin, stop)
+        self.last, self.step = self._bounds()
+        self._set(self._whole(first))
+
+    @property
+    def text(self) -> str:
+        """An assignment that gives it the number that it has."""
+        return f"{self.name}={self._now()}"
+
+    def within(self) -> bool:
+        """Return whether it is not beyond its last number."""
+        now = self._now()
+        return now <= self.last if self.step > 0 else now >= self.last
+
+    def advance(self) -> None:
+        """Count on."""
+        if self._bounds() != (self.last, self.step):
+            raise inexact(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
+        self._set(self._now() + self.step)
+
+    def _bounds(self) -> tuple[int, int]:
+        """Return its last number and its step, as they are now."""
+        source, (_, stop) = self.at.source, self.at.source.code_span(self.at.line)
+        to = _TO.match(source.text, self.behind, stop)
+        if not to or calls(source, self.begin, stop):
+            raise self._unknown()
+        last, end = parse(source, to.end(), stop)
+        step = 1
+        if match := _STEP.match(source.text, end, stop):
+            width, end = parse(source, match.end(), stop)
+            step = self._whole(width)
+        if source.text[end:stop].strip() or step == 0:
+            raise self._unknown()
+        return self._whole(last), step
+
+    def _whole(self, value: Value) -> int:
+        known = self.run.variables.evaluate(self.at.source, value)
+        if not isinstance(known, Number) or not known.integer:
+            raise self._unknown()
+        return int(known.value)
+
+    def _set(self, number: int) -> None:
+        self.run.variables.set(self.key, Number(float(number), 0, 0, True), str(self.at))
+        self._now()
+
+    def _now(self) -> int:
+        value = self.run.variables.value(self.key)
+        if not isinstance(value, Number) or not value.integer:
+            raise self._unknown()
+        return int(value.value)
+
+    def _unknown(self) -> InexactError:
+        return inexact(self.at, "motion inside FOR: its bounds are not known before the program runs", LOOP_ADVICE)

@@ -1,0 +1,189 @@
+"""Puts down what runs, line by line, while a program is followed: its course."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from postproc.dialects.krl.course import Body, Called, Course, Enter, Leave, Lines, Repeated, Step
+from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.source import Origins, Place, Source
+from postproc.dialects.krl.language.structures import Block
+from postproc.dialects.text import line_spans
+from postproc.program import Document
+
+_INDENT = re.compile(r"[ \t]*")
+
+
+@dataclass(slots=True, eq=False)
+class _Standing:
+    """A routine in the course.
+
+    :ivar cursor: its first line that is not put down yet.
+    :ivar shown: line of the `.src` that stands for its lines; 0 where that is their own.
+    """
+
+    source: Source
+    cursor: int
+    shown: int
+    bodies: list[Body] = field(default_factory=list)
+
+
+class Trace:
+    """The course of a program so far.
+
+    :param main: the main routine.
+    """
+
+    def __init__(self, main: Routine) -> None:
+        self.main = main
+        self.count = 0
+        self._texts: list[str] = []
+        self._sources: dict[Source, int] = {main.source: 0}
+        self._from: list[tuple[int, int, int, int, int, bool]] = []
+        self._steps: list[Step] = []
+        self._inlined: set[Routine] = set()
+        self._files: dict[Document, None] = {}
+        self._put(main.source, 1, main.first, 0, live=False)
+        self.body = Body(self.count + 1)
+        self._standing = [_Standing(main.source, main.first + 1, 0, [self.body])]
+
+    def run_to(self, line: int) -> None:
+        """Put down lines that run, up to a line of the routine."""
+        first = self.count + 1
+        if self._next(line, live=True):
+            before = self._steps[-1] if self._steps else None
+            if isinstance(before, Lines) and before.last == first - 1:
+                self._steps[-1] = Lines(before.first, self.count)
+            else:
+                self._steps.append(Lines(first, self.count))
+
+    def pass_to(self, line: int, *, live: bool = True) -> None:
+        """Put down lines that say what runs, up to a line of the routine; or, not `live`, lines that do not run."""
+        self._next(line, live=live)
+
+    def enter(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
+        """Begin with a routine that the present line calls.
+
+        :param name: span of its name in the file of that line.
+        """
+        here = self._standing[-1]
+        self.pass_to(at.line)
+        start = int(at.source.starts[at.line - 1])
+        self._steps.append(Enter(self.count, module, routine))
+        body = Body(self.count + 1)
+        here.bodies[-1].parts.append(Called(self.count, (name[0] - start, name[1] - start), routine, body))
+        own = routine.source is self.main.source
+        shown = 0 if own else here.shown or at.line
+        self._standing.append(_Standing(routine.source, routine.first + 1, shown, [body]))
+        self._inlined.add(routine)
+        if not own:
+            self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
+
+    def leave(self) -> None:
+        """End with the routine that was entered last."""
+        body = self._standing.pop().bodies[0]
+        body.last = self.count + 1
+        self._steps.append(Leave())
+
+    def begin(self, block: Block, *, counted: bool, left: bool) -> Repeated:
+        """Begin to write out a loop."""
+        self.run_to(block.first - 1)
+        source = self._standing[-1].source
+        opener, closer = (_line(source, line) for line in (block.first, block.last))
+        loop = Repeated(opener, closer, counted, left, self.count + 1)
+        self._standing[-1].bodies[-1].parts.append(loop)
+        return loop
+
+    def repeat(self, loop: Repeated, block: Block, assigned: str | None) -> None:
+        """Begin with the body of a loop, once more."""
+        body = Body(self.count + 1)
+        loop.bodies.append(body)
+        self._standing[-1].bodies.append(body)
+        self._assign(loop, block, assigned)
+        self._standing[-1].cursor = block.first + 1
+
+    def repeated(self, block: Block, *, whole: bool) -> None:
+        """End with the body of a loop; not `whole`: it was left."""
+        if whole:
+            self.run_to(block.last - 1)
+        self.pass_to(block.last - 1, live=False)
+        self._standing[-1].bodies.pop().last = self.count + 1
+
+    def end(self, loop: Repeated, block: Block, assigned: str | None) -> None:
+        """End with a loop."""
+        if not loop.bodies:
+            self.pass_to(block.last, live=False)
+        self._assign(loop, block, assigned)
+        self._standing[-1].cursor = block.last + 1
+        loop.last = self.count + 1
+
+    def course(self) -> Course:
+        """Return the whole of it."""
+        main = self.main
+        self.body.last = self.count + 1
+        line = main.last
+        for routine in sorted(self._inlined, key=lambda routine: routine.first):
+            if routine.source is main.source and routine.first > main.last:
+                self._put(main.source, line, routine.first - 1, 0, live=False)
+                line = routine.last + 1
+        self._put(main.source, line, len(main.source.starts), 0, live=False)
+        text = "".join(self._texts)
+        starts, stops = line_spans(text)
+        lengths = np.array([last - first + 1 for _, first, last, *_ in self._from])
+        column = np.array(self._from, dtype=np.int64)
+        run = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+        source, first, _, shown, own, live = (np.repeat(values, lengths) for values in column.T)
+        origin = np.where(own > 0, own, first + run)
+        origins = Origins(tuple(self._sources), source, origin, np.where(shown > 0, shown, origin))
+        document = replace(main.source.document, text=text)
+        put = Source(document, text, 0, starts, stops, origins)
+        return Course(
+            main,
+            put,
+            tuple(self._steps),
+            self.body,
+            live.astype(np.bool_),
+            frozenset(self._inlined),
+            tuple(self._files),
+        )
+
+    def _next(self, line: int, *, live: bool) -> bool:
+        """Put down the lines up to one; return whether there are any."""
+        here = self._standing[-1]
+        if line < here.cursor:
+            return False
+        self._put(here.source, here.cursor, line, here.shown, live=live)
+        here.cursor = line + 1
+        return True
+
+    def _put(self, source: Source, first: int, last: int, shown: int, *, live: bool) -> None:
+        if last < first:
+            return
+        start = int(source.starts[first - 1])
+        stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)
+        self._texts.append(source.text[start:stop])
+        self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown, 0, live))
+        self.count += last - first + 1
+
+    def _assign(self, loop: Repeated, block: Block, assigned: str | None) -> None:
+        """Put down an assignment to the counter of a loop."""
+        if assigned is None:
+            return
+        here = self._standing[-1]
+        indent = _INDENT.match(loop.opener)
+        self._texts.append(f"{indent[0] if indent else ''}{assigned}{_end(loop.opener)}")
+        self._from.append((self._sources[here.source], 1, 1, here.shown, block.first, True))
+        self.count += 1
+        self._steps.append(Lines(self.count, self.count))
+
+
+def _line(source: Source, line: int) -> str:
+    start = int(source.starts[line - 1])
+    return source.text[start : int(source.starts[line]) if line < len(source.starts) else len(source.text)]
+
+
+def _end(text: str) -> str:
+    return text[len(text.rstrip("\r\n")) :]

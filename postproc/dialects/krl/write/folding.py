@@ -1,0 +1,231 @@
+"""From the corrected course of a program back to its files.
+
+A loop of which all rounds read the same again stays a loop; else its rounds are written out. A routine that reads the
+same in all its calls stands corrected in its place; where calls differ, the others get copies of it under names of
+their own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from postproc.dialects.krl.course import Body, Called, Course, Repeated
+from postproc.dialects.krl.language.names import NAME, unused
+from postproc.dialects.krl.language.routines import Routine
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.text import line_spans
+from postproc.errors import Issue
+from postproc.program import Document, Ints
+
+_INDENT = re.compile(r"[ \t]*")
+_HEAD = re.compile(r"(GLOBAL[ \t]+)?(DEF[ \t]+)([A-Za-z_$][\w$]*)", re.IGNORECASE)
+
+
+class Folded(NamedTuple):
+    """The files of a program.
+
+    :ivar documents: the `.src`, then changed files of routines that it calls.
+    :ivar line: (L + 1,) line of the `.src` on which each line of the course begins now; of lines in other files that
+        of the call.
+    :ivar inside: (L + 1,) True where the line stands in the `.src`.
+    :ivar issues: what the user should know.
+    """
+
+    documents: tuple[Document, ...]
+    line: Ints
+    inside: np.ndarray
+    issues: tuple[Issue, ...]
+
+
+def folded(course: Course, main: Routine, text: str, begins: Ints) -> Folded:
+    """Return the files of a program whose course was corrected.
+
+    :param main: its main routine.
+    :param text: the corrected course.
+    :param begins: (L + 1,) offset in it where each line of the course now begins, and where it ends.
+    """
+    return _Folder(course, main, text, begins.tolist()).folded()
+
+
+class _Piece(NamedTuple):
+    """Some lines of a file, and which lines of the course begin with them."""
+
+    text: str
+    lines: tuple[int, ...] = ()
+
+
+@dataclass(slots=True, eq=False)
+class _Version:
+    """A routine as it is written, under one name."""
+
+    name: str
+    pieces: list[_Piece]
+
+
+@dataclass(slots=True, eq=False)
+class _Folder:
+    course: Course
+    main: Routine
+    text: str
+    begins: list[int]
+    versions: defaultdict[Routine, list[_Version]] = field(default_factory=lambda: defaultdict(list))
+    taken: set[str] = field(default_factory=set)
+    outside: list[Called] = field(default_factory=list)
+    issues: list[Issue] = field(default_factory=list)
+
+    def folded(self) -> Folded:
+        pieces = self._body(self.course.body)
+        self.versions[self.main].append(_Version(self.main.name, pieces))
+        line = np.zeros(len(self.begins), dtype=np.int64)
+        inside = np.zeros(len(self.begins), dtype=np.bool_)
+        documents = []
+        for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
+            file = list(self._file(source))
+            if source is self.main.source:
+                number = 1
+                for piece in file:
+                    line[list(piece.lines)] = number
+                    inside[list(piece.lines)] = True
+                    number += _count(piece.text)
+            text = "".join(piece.text for piece in file)
+            if source is self.main.source or text != source.text:
+                documents.append(replace(source.document, text=text))
+        for called in self.outside:
+            rows = line[called.body.first : called.body.last]
+            rows[rows == 0] = line[called.line]
+        return Folded(tuple(documents), line, inside, tuple(self.issues))
+
+    # --- bodies ------------------------------------------------------------------------------------------------------
+
+    def _body(self, body: Body) -> list[_Piece]:
+        pieces, line = [], body.first
+        for part in body.parts:
+            if isinstance(part, Called):
+                pieces += [*self._lines(line, part.line), self._call(part)]
+                line = part.body.last
+            else:
+                pieces += [*self._lines(line, part.first), *self._loop(part)]
+                line = part.last
+        return [*pieces, *self._lines(line, body.last)]
+
+    def _lines(self, first: int, last: int) -> list[_Piece]:
+        """Return lines first … last − 1 of the course as they are now."""
+        begins, text = self.begins, self.text
+        return [_Piece(text[begins[line - 1] : begins[line]], (line,)) for line in range(first, last)]
+
+    def _loop(self, loop: Repeated) -> list[_Piece]:
+        """Return a loop with its body corrected where all rounds read the same, else one round behind the other."""
+        if not loop.bodies:
+            return self._lines(loop.first, loop.last - loop.counted)
+        rounds = [self._body(body) for body in loop.bodies]
+        own = [pieces[1:] if loop.counted else pieces for pieces in rounds]
+        texts = [piece.text for piece in own[0]]
+        if all([piece.text for piece in pieces] == texts for pieces in own[1:]):
+            return [_Piece(loop.opener), *_joined(own), _Piece(loop.closer)]
+        head, indent, end = loop.opener.strip(), _indent(loop.opener), _line_end(loop.opener)
+        out = [piece for pieces in rounds for piece in pieces] + self._lines(loop.bodies[-1].last, loop.last)
+        if loop.left:
+            out = [_Piece(f"{indent}LOOP{end}"), *out, _Piece(f"{indent}EXIT{end}{indent}ENDLOOP{end}")]
+        message = f"The {len(rounds)} rounds of {head} are corrected differently: they are written out one by one."
+        line = int(self.course.source.shown(np.array([loop.first]))[0])
+        self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
+        return [_Piece(f"{indent}; {head} (written out){end}"), *out]
+
+    def _call(self, called: Called) -> _Piece:
+        """Return the line of a call, with the name of the version that it calls."""
+        name = self._version(called, self._body(called.body))
+        (text, lines) = self._lines(called.line, called.line + 1)[0]
+        if called.routine.source is not self.main.source:
+            self.outside.append(called)
+        if name != called.routine.name:
+            text = text[: called.name[0]] + name + text[called.name[1] :]
+        return _Piece(text, lines)
+
+    # --- routines ----------------------------------------------------------------------------------------------------
+
+    def _version(self, called: Called, pieces: list[_Piece]) -> str:
+        """Return the name under which a routine reads like some pieces."""
+        versions = self.versions[called.routine]
+        texts = [piece.text for piece in pieces]
+        for version in versions:
+            if [piece.text for piece in version.pieces] == texts:
+                version.pieces = _joined([version.pieces, pieces])
+                return version.name
+        name = self._unused(called) if versions else called.routine.name
+        versions.append(_Version(name, pieces))
+        return name
+
+    def _unused(self, called: Called) -> str:
+        """Return a name for a copy of a routine."""
+        if not self.taken:
+            sources = [self.course.source, self.main.source, *(routine.source for routine in self.versions)]
+            self.taken = {word.upper() for source in sources for word in NAME.findall(source.text)}
+        routine = called.routine
+        head = _HEAD.search(_text(routine.source, routine.first, routine.first))
+        spelt = head[3] if head else routine.name
+        name = unused(spelt, self.taken)
+        self.taken.add(name.upper())
+        message = f"{spelt}() is corrected differently from call to call: this one calls its copy {name}()."
+        line = int(self.course.source.shown(np.array([called.line]))[0])
+        self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
+        return name
+
+    def _file(self, source: Source) -> Iterator[_Piece]:
+        """Yield a file with its routines as they are now, copies behind them."""
+        line = 1
+        for routine in sorted(self.versions, key=lambda routine: routine.first):
+            if routine.source is source:
+                yield _Piece(_text(source, line, routine.first))
+                first, *copies = self.versions[routine]
+                yield from first.pieces
+                end = _text(source, routine.last, routine.last)
+                line = routine.last + 1
+                yield _Piece(end)
+                head = _text(source, routine.first, routine.first)
+                for version in copies:
+                    gap = _line_end(head)
+                    yield _Piece(gap if _line_end(end) else gap + gap)
+                    yield _Piece(self._head(head, version.name, source))
+                    yield from version.pieces
+                    yield _Piece(end if _line_end(end) else end + gap)
+        yield _Piece(_text(source, line, len(source.starts)))
+
+    def _head(self, head: str, name: str, source: Source) -> str:
+        """Return the line of a DEF with another name; in other files it is one that the program finds."""
+        public = "GLOBAL " if source is not self.main.source else ""
+        return _HEAD.sub(lambda match: f"{match[1] or public}{match[2]}{name}", head, count=1)
+
+
+def _joined(copies: Sequence[list[_Piece]]) -> list[_Piece]:
+    """Return the pieces of copies that read the same, each for the lines of all."""
+    together = zip(*copies, strict=True)
+    return [_Piece(same[0].text, tuple(line for piece in same for line in piece.lines)) for same in together]
+
+
+def _text(source: Source, first: int, last: int) -> str:
+    if last < first:
+        return ""
+    stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)
+    return source.text[int(source.starts[first - 1]) : stop]
+
+
+def _count(text: str) -> int:
+    """Return how many lines a text has."""
+    if text.endswith("\n") and text.count("\r") in (0, text.count("\r\n")):
+        return text.count("\n")  # told much faster
+    return len(line_spans(text)[0])
+
+
+def _indent(text: str) -> str:
+    match = _INDENT.match(text)
+    return match[0] if match else ""
+
+
+def _line_end(text: str) -> str:
+    return text[len(text.rstrip("\r\n")) :]

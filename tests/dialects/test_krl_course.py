@@ -1,0 +1,154 @@
+"""Loops, branches and subprograms that move: read in the order in which they run, corrected where they stand.
+
+What is read and what is written is executed by the controller of `tests.attack.krl_interpreter`.
+"""
+
+import numpy as np
+import pytest
+
+from postproc.dialects import krl
+from postproc.errors import ProgramError
+from tests.attack.krl import confirmed
+from tests.attack.krl import read as read_files
+from tests.dialects.krl_programs import body, check_commands, numbers, read, targets
+
+FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
+COUNT = 5
+DATA = "DEFDAT part\r\nDECL INT I=1\r\nDECL INT K=0\r\nDECL REAL Z=0\r\nDECL BOOL OK=TRUE\r\nDECL E6POS P[5]\r\n"
+DATA += "".join(f"P[{n}]={{X {n},Y 2,Z 3,A 4,B 5,C 6}}\r\n" for n in range(1, COUNT + 1))
+DATA += "DECL E6POS Q={X 50,Y 5,Z 5,A 1,B 2,C 3}\r\nDECL PT S[3]\r\n"
+DATA += "".join(f"S[{n}]={{N {n},FCNC {{X {n}0,Y 2,Z 3,A 4,B 5,C 6}}}}\r\n" for n in range(1, 4)) + "ENDDAT\r\n"
+SUB = "DEF SUB(n:IN)\r\nDECL INT n\r\nLIN {X n,Y 1,Z 2,A 0,B 0,C 0} C_DIS\r\n$OUT[n]=TRUE\r\nEND\r\n"
+STILL = "DEF SUB(n:IN)\r\nDECL INT n\r\nLIN {X 7,Y 1,Z 2,A 0,B 0,C 0} C_DIS\r\nEND\r\n"
+OUT = "DEF SUB(n:OUT)\r\nDECL INT n\r\nn=n+1\r\nLIN {X n*10,Y 1,Z 2,A 0,B 0,C 0}\r\nEND\r\n"
+DEEP = "DEF SUB(n:IN)\r\nDECL INT n\r\nINNER(n*10)\r\nEND\r\n"
+DEEP += "DEF INNER(m:IN)\r\nDECL INT m\r\nLIN {X m,Y 1,Z 2,A 0,B 0,C 0}\r\nEND\r\n"
+
+PROGRAMS = [
+    # lines, subprograms, X of the motions behind the first
+    (["FOR I=1 TO 3", "LIN {X 10*I,Y 0}", "ENDFOR"], "", [10, 20, 30]),
+    (["FOR I=1 TO 5", "LIN P[I] C_DIS ; N", "ENDFOR"], "", [1, 2, 3, 4, 5]),
+    (["FOR I=5 TO 1 STEP -2", "  LIN P[I]", "ENDFOR", "LIN P[I+2]"], "", [5, 3, 1, 1]),
+    (["FOR I=2 TO 1", FULL, "ENDFOR", "LIN P[I]"], "", [2]),
+    (["FOR I=1 TO 2", "FOR K=1 TO 2", "LIN {X I*10+K}", "ENDFOR", "$OUT[1]=TRUE", "ENDFOR"], "", [11, 12, 21, 22]),
+    (["FOR I=1 TO 2", "LIN {X 5,Y 5,Z 5}", "LIN {X 6}", "ENDFOR"], "", [5, 6, 5, 6]),
+    (["WHILE K<3", "K=K+1", "LIN {X K}", "ENDWHILE"], "", [1, 2, 3]),
+    (["REPEAT", "K=K+2", "LIN {X K}", "UNTIL K>=4"], "", [2, 4]),
+    (["Z=1.5", "REPEAT", "LIN {X Z}", "Z=Z-0.5", "UNTIL Z<0.25"], "", [1.5, 1, 0.5]),
+    (["LOOP", "K=K+1", "IF K==3 THEN", "EXIT", "ENDIF", "LIN {X K}", "ENDLOOP", "LIN {X 9}"], "", [1, 2, 9]),
+    (["FOR I=1 TO 9", "LIN {X I}", "IF I==2 THEN", "EXIT", "ENDIF", "ENDFOR", "LIN {X I}"], "", [1, 2, 2]),
+    (["IF OK AND (K==0) THEN", "LIN {X 1}", "ELSE", "LIN {X 2}", "ENDIF"], "", [1]),
+    (["IF K==0 AND I==2 THEN", "LIN {X 1}", "ELSE", "LIN {X 2}", "ENDIF"], "", [2]),
+    (["SWITCH I+1", "CASE 1", "LIN {X 1}", "CASE 3,2", "LIN {X 2}", "DEFAULT", "LIN {X 3}", "ENDSWITCH"], "", [2]),
+    (["SWITCH I", "CASE 5", "LIN {X 1}", "ENDSWITCH", "LIN {X 2}"], "", [2]),
+    (["SUB(4)", "LIN {X 5}"], SUB, [4, 5]),
+    (["SUB(4)", "SUB(5)", "SUB(4)"], SUB, [4, 5, 4]),
+    (["SUB(4)", "SUB(5)"], STILL, [7, 7]),
+    (["FOR I=1 TO 3", "SUB(I)", "ENDFOR"], SUB, [1, 2, 3]),
+    (["SUB(K)", "SUB(K)", "LIN {X K}"], OUT, [10, 20, 2]),
+    (["SUB(1)", "INNER(2)", "SUB(3)"], DEEP, [10, 2, 30]),
+    (["SUB()"], "DEF SUB()\r\nIF OK THEN\r\nLIN {X 1}\r\nRETURN\r\nENDIF\r\nLIN {X 2}\r\nEND\r\n", [1]),
+    (["Q=P[2]", "Q.Z=Q.Z-4", "LIN Q", "LIN {X 100+50,Y K*2}"], "", [2, 150]),
+]
+IDS = [" / ".join(lines)[:60] for lines, *_ in PROGRAMS]
+
+
+def files_of(lines, subprograms):
+    return {"part.src": body(FULL, *lines) + subprograms, "part.dat": DATA}
+
+
+@pytest.mark.parametrize(("lines", "subprograms", "x"), PROGRAMS, ids=IDS)
+def test_a_program_moves_as_a_controller_moves_it_before_and_after_its_correction(lines, subprograms, x, tmp_path):
+    files = files_of(lines, subprograms)
+    program = read_files(files, tmp_path)
+    np.testing.assert_allclose(numbers(program)[1:, 0], x, atol=1e-9)
+    for seed in range(3):
+        assert confirmed(program, files, tmp_path, np.random.default_rng(seed)) == "accepted"
+
+
+def written(lines, subprograms="", shift=None, pieces=None):
+    program = read(body(FULL, *lines) + subprograms, DATA)
+    wanted = targets(program, shift, pieces=pieces)
+    out = krl.rewrite(program, wanted)
+    check_commands(program, wanted, out)
+    return program, out
+
+
+def test_elements_of_an_array_are_corrected_in_the_data_and_the_loop_stays():
+    lines = ["FOR I=1 TO 3", "  LIN S[I].FCNC C_VEL", "ENDFOR"]
+    program, out = written(lines, shift=np.arange(12.0).reshape(4, 3) * 1e-3)
+    text, data = (document.text for document in out.documents)
+    assert "\r\n".join(lines) in text
+    assert "S[2]={N 2,FCNC {X 26.0000,Y 9.0000,Z 11.0000,A 4.00000,B 5.00000,C 6.00000}}" in data
+    assert program.motions.line.tolist() == [4, 6, 6, 6]
+    assert out.output_line.tolist() == [4, 6, 6, 6]
+
+
+def test_a_loop_whose_rounds_are_corrected_alike_stays_a_loop():
+    shift = np.tile([1e-3, 0, 0], (5, 1))
+    _, out = written(["FOR I=1 TO 4", "LIN {X 5,Y 5,Z 5,A 0,B 0,C 0}", "ENDFOR"], shift=shift)
+    assert (
+        "FOR I=1 TO 4\r\nLIN {X 6.0000,Y 5.0000,Z 5.0000,A 0.00000,B 0.00000,C 0.00000}\r\nENDFOR"
+        in out.documents[0].text
+    )
+
+
+def test_a_loop_whose_rounds_differ_is_written_out_with_all_that_it_does():
+    shift = np.arange(9.0).reshape(3, 3) * 1e-3
+    _, out = written(["FOR I=1 TO 2", " LIN {X 5,Y 5,Z 5} ; N", " $OUT[I]=TRUE", "ENDFOR"], shift=shift)
+    text = out.documents[0].text
+    assert "; FOR I=1 TO 2 (written out)\r\nI=1\r\n LIN {X 8" in text
+    assert text.count("$OUT[I]=TRUE") == 2
+    assert text.count(" ; N") == 2
+    assert "I=3\r\nEND" in text
+    assert [issue.kind for issue in out.issues] == ["loop-written-out"]
+
+
+def test_a_subprogram_is_corrected_in_its_place_where_its_calls_agree_and_copied_where_they_do_not():
+    _, out = written(["SUB(1)", "SUB(2)"], STILL, shift=np.tile([1e-3, 0, 0], (3, 1)))
+    assert out.documents[0].text.count("DEF SUB") == 1
+    _, out = written(["SUB(1)", "SUB(2)"], STILL, shift=np.arange(9.0).reshape(3, 3) * 1e-3)
+    text = out.documents[0].text
+    assert "SUB(1)\r\nSUB_2(2)\r\n" in text
+    assert "DEF SUB_2(n:IN)" in text
+    assert [issue.kind for issue in out.issues] == ["routine-copied"]
+
+
+def test_inserted_targets_stand_in_each_round(tmp_path):
+    files = files_of(["FOR I=1 TO 3", "LIN P[I]", "ENDFOR"], "")
+    program = read_files(files, tmp_path)
+    _, out = written(["FOR I=1 TO 3", "LIN P[I]", "ENDFOR"], pieces={2: [0.5]})
+    assert out.output_line.tolist() == [4, 7, 9, 10, 12]
+    assert len(program.motions) == 4
+
+
+def test_a_program_that_does_not_end_is_refused_with_the_line():
+    for lines, line in ((["WHILE K<3", FULL, "ENDWHILE"], 5), (["LOOP", "K=K+1", FULL, "ENDLOOP"], 5)):
+        with pytest.raises(ProgramError, match="never ends") as caught:
+            read(body(FULL, *lines), DATA)
+        assert caught.value.line == line
+
+
+def test_a_count_without_end_stops_with_a_message(monkeypatch):
+    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 1000)
+    with pytest.raises(ProgramError, match="does not end: 1000 statements"):
+        read(body(FULL, "WHILE K>-1", "K=K+1", FULL, "ENDWHILE"), DATA)
+
+
+def test_reals_that_are_too_close_to_tell_decide_no_loop():
+    with pytest.raises(ProgramError, match="inside UNTIL"):
+        read(body(FULL, "REPEAT", FULL, "Z=Z+0.1", "UNTIL Z>=0.3"), DATA)
+
+
+def test_subprograms_of_other_files_are_corrected_there(tmp_path):
+    files = files_of(["cut(1)", "cut(2)"], "")
+    files["cut.src"] = "&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN XP1 C_DIS\nLIN {X n,Y 1,Z 2,A 0,B 0,C 0}\nEND"
+    files["cut.dat"] = "DEFDAT cut\nDECL E6POS XP1={X 3,Y 3,Z 3,A 0,B 0,C 0}\nENDDAT\n"
+    program = read_files(files, tmp_path)
+    assert numbers(program)[1:, 0].tolist() == [3, 1, 3, 2]
+    assert program.motions.line.tolist() == [4, 5, 5, 6, 6]
+    assert confirmed(program, files, tmp_path, np.random.default_rng(2)) == "accepted"
+    out = krl.rewrite(program, targets(program, np.arange(15.0).reshape(5, 3) * 1e-3))
+    assert [document.name for document in out.documents] == ["part.src", "part.dat", "cut.src", "cut.dat"]
+    assert "GLOBAL DEF cut_2(n:IN)" in out.documents[2].text
+    assert out.documents[2].text.startswith("&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN {X 6.0000,")
