@@ -8,16 +8,18 @@ from functools import cache
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
-from postproc.report.kit.appearance import sections
 from postproc.report.kit.columns import Columns
-from postproc.report.kit.html import Html, element
-from postproc.report.kit.parts import Note, Part, Section, View
-from postproc.report.kit.plots import Plot, encoded
+from postproc.report.kit.parts import Note, Part, Section
+from postproc.report.kit.plots import encoded
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 _ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "stage", "plots")
-_POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
-"""A page loads nothing."""
+_LIBRARY = b"<!-- library -->"
+_COLUMNS = b"<!-- columns -->"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,54 +45,33 @@ class Page:
     columns: Mapping[str, Columns] = field(default_factory=dict)
     scripts: tuple[tuple[str, str], ...] = ()
 
+    drawn: ClassVar[frozenset[str]] = frozenset({"plot", "view"})
+
     def render(self) -> Iterator[bytes]:
         """Yield the page as HTML in UTF-8; what needs no plot is without the library that draws them."""
-        plots = any(_drawn(section.parts) for section in self.sections)
+        plots = any(_holds(section.parts, self.drawn) for section in self.sections)
         shared = (*_ALWAYS, *(_DRAWING if plots else ()))
         names = [*(("postproc.report.kit", name) for name in shared), *(self.scripts if plots else ())]
-        yield _encoded(Html("<!DOCTYPE html>\n"), Html('<html lang="en">\n'), self._head(), Html("\n<body>\n"))
-        yield _encoded(*self._body())
+        text = (
+            _template()
+            .render(
+                page=self,
+                plots=plots,
+                style=_text("postproc.report.kit", "templates/style.css"),
+                scripts=[_text(package, f"scripts/{name}.js") for package, name in names],
+                told=encoded(self.facts),
+                columns={name: encoded(columns.described) for name, columns in self.columns.items()},
+            )
+            .encode(errors="replace")
+        )
+        head, _, rest = text.partition(_LIBRARY)
+        yield head
         if plots:
-            yield from (b"<script>", library(), b"</script>\n")
-        for name, columns in self.columns.items():
-            told = Html(encoded(columns.described))
-            yield _encoded(element("script", told, type="application/json", class_="columns", data_name=name))
-            yield from (b'<script type="application/octet-stream">', columns.text.encode(), b"</script>\n")
-        yield _encoded(element("script", Html(encoded(self.facts)), type="application/json", id="page-facts"))
-        for package, name in names:
-            yield _encoded(element("script", Html(f"\n{_text(package, f'scripts/{name}.js')}\n")))
-        yield b"</body>\n</html>\n"
-
-    def _head(self) -> Html:
-        return element(
-            "head",
-            element("meta", charset="utf-8"),
-            element("meta", http_equiv="Content-Security-Policy", content=_POLICY),
-            element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            element("meta", name="color-scheme", content="light dark"),
-            element("title", f"{self.title}: {self.kind.lower()}"),
-            element("style", Html(_text("postproc.report.kit", "style.css"))),
-        )
-
-    def _body(self) -> Iterator[Html]:
-        side = [section for section in self.sections if section.width == "side"]
-        others = [section for section in self.sections if section.width != "side"]
-        links = (element("a", section.title, href=f"#{section.id}") for section in others)
-        yield element("a", "To the content", class_="skip", href="#main")
-        yield element(
-            "header",
-            element("p", self.kind, class_="kind"),
-            element("h1", self.title),
-            element("p", self.subtitle),
-            element("nav", *links, aria_label="Sections"),
-        )
-        yield element(
-            "div",
-            element("main", sections(others), id="main"),
-            element("aside", sections(side)) if side else "",
-            class_="page with-side" if side else "page",
-        )
-        yield element("footer", *(element("p", note.text) for note in self.footer))
+            yield from (b"<script>", library(), b"</script>")
+        for columns in self.columns.values():
+            before, _, rest = rest.partition(_COLUMNS)
+            yield from (before, columns.text.encode())
+        yield rest
 
 
 def library() -> bytes:
@@ -101,15 +82,23 @@ def library() -> bytes:
     return (Path(spec.origin).parent / "package_data" / "plotly.min.js").read_bytes()
 
 
-def _drawn(parts: tuple[Part, ...]) -> bool:
-    """Whether some of the parts, or of those in them, are drawn by a script."""
-    return any(isinstance(part, Plot | View) or _drawn(getattr(part, "parts", ())) for part in parts)
-
-
-def _encoded(*html: Html) -> bytes:
-    return "".join(html).encode(errors="replace")
+def _holds(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
+    return any(part.template in templates or _holds(getattr(part, "parts", ()), templates) for part in parts)
 
 
 @cache
 def _text(package: str, name: str) -> str:
     return (files(package) / name).read_text(encoding="utf-8")
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    def load(name: str) -> str:
+        return _text("postproc.report.kit", f"templates/{name}")
+
+    environment = Environment(
+        autoescape=True, loader=FunctionLoader(load), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("page.html")

@@ -1,16 +1,20 @@
-"""What stands in a section of a page: plain data; `appearance` says how each part looks."""
+"""What stands in a section of a page: plain data; `templates/page.html` says how each part looks."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal, Protocol
 
 import msgspec
-
-from postproc.report.kit.plots import Plot
 
 State = Literal["ok", "warning", "failed"]
 Kind = Literal["", "good", "warning", "error", "soft"]
 """How a text is shown: plain, or as good, as something to look at, as wrong, as less important."""
+
+
+class Part(Protocol):
+    """What can stand in a section; `template` names the macro of `templates/page.html` that shows it."""
+
+    template: ClassVar[str]
 
 
 class Cell(msgspec.Struct, frozen=True):
@@ -47,6 +51,7 @@ class Table(msgspec.Struct, frozen=True):
     :param note: a sentence below.
     """
 
+    template: ClassVar[str] = "table"
     head: tuple[str, ...]
     rows: tuple[Row, ...]
     caption: str
@@ -58,6 +63,7 @@ class Table(msgspec.Struct, frozen=True):
 class Facts(msgspec.Struct, frozen=True):
     """Names and what is known about them."""
 
+    template: ClassVar[str] = "facts"
     rows: tuple[tuple[str, Cell | str], ...]
 
 
@@ -74,6 +80,7 @@ class Tile(msgspec.Struct, frozen=True):
 class Tiles(msgspec.Struct, frozen=True):
     """Some of them, side by side."""
 
+    template: ClassVar[str] = "tiles"
     tiles: tuple[Tile, ...]
 
 
@@ -90,6 +97,7 @@ class Notes(msgspec.Struct, frozen=True):
     :param marked: as a list.
     """
 
+    template: ClassVar[str] = "notes"
     notes: tuple[Note, ...]
     title: str = ""
     marked: bool = False
@@ -98,6 +106,7 @@ class Notes(msgspec.Struct, frozen=True):
 class Verdict(msgspec.Struct, frozen=True):
     """What to think of it all, in one word and one sentence."""
 
+    template: ClassVar[str] = "verdict"
     state: State
     word: str
     sentence: str
@@ -111,6 +120,7 @@ class View(msgspec.Struct, frozen=True):
     :param note: a sentence below.
     """
 
+    template: ClassVar[str] = "view"
     name: str
     label: str
     note: str = ""
@@ -119,12 +129,9 @@ class View(msgspec.Struct, frozen=True):
 class Fold(msgspec.Struct, frozen=True):
     """Parts that are shown when asked for."""
 
+    template: ClassVar[str] = "fold"
     title: str
     parts: tuple[Part, ...]
-
-
-Part = Table | Facts | Tiles | Notes | Verdict | Plot | View | Fold
-"""What can stand in a section."""
 
 
 class Section(msgspec.Struct, frozen=True):

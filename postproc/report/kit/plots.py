@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import msgspec
 
@@ -109,6 +109,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     :param steps: for each step of a slider, which of the traces are shown; a name for each in `step_names`.
     """
 
+    template: ClassVar[str] = "plot"
     label: str
     traces: list[Traced]
     x: Axis = Axis()
