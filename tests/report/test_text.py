@@ -12,7 +12,7 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
         "part.nc  on kuka_kr270: 100 targets\n"
         "Look before you run it.\n"
         "  - how far the part will be off is unknown: the robot model states no uncertainty of its parameters\n"
-        "  - values of the robot model are assumed, not measured: compliance A2, compensator spring\n"
+        "  - values of the robot model are assumed, not measured: compliance A2, compensator spring, joint speeds\n"
         "  - line 12 and 310 more: cutting moves <without> a force: none is assumed\n"
         "\n"
         "  deviation [mm]  before   after  improvement\n"
