@@ -20,8 +20,9 @@ from postproc.frames import Array, inverse, norm
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-LIN, CIRC, PTP = 0, 1, 2
-"""Values of `Motions.kind`: straight line of the TCP, circular arc (or helix) of the TCP, joint interpolation."""
+LIN, CIRC, PTP, SPL = 0, 1, 2, 3
+"""Values of `Motions.kind`: straight line of the TCP, circular arc (or helix) of the TCP, joint interpolation, piece of
+a spline, of whose path only the end is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class Document:
 class Motions:
     """M motions in the order of execution, one end point each. Lengths m, angles rad, speeds m/s.
 
-    :param kind: (M,) `LIN`, `CIRC` or `PTP`.
+    :param kind: (M,) `LIN`, `CIRC`, `PTP` or `SPL`.
     :param rapid: (M,) True for G0 and PTP: moves that never carry force.
     :param line: (M,) 1-based line of the (first) document that makes the motion.
     :param target: (M, 4, 4) pose of the tool frame in `$BASE` at the end (for axis targets: by the controller's
@@ -388,7 +389,7 @@ class Targets:
 
     :param motion: (K,) row of `Motions` that the target belongs to, never decreasing.
     :param t: (K,) in (0, 1], where on that motion the target lies; the last one of each motion has 1.
-    :param kind: (K,) `LIN`, `CIRC` or `PTP`; a CIRC motion may be written as several CIRC or LIN targets.
+    :param kind: (K,) `LIN`, `CIRC`, `PTP` or `SPL`; a CIRC motion may be written as several CIRC or LIN targets.
     :param pose: (K, 4, 4) pose of the tool frame in `$BASE` to be commanded [m].
     :param via: (K, 3) auxiliary point of a CIRC target, `$BASE` [m]; NaN elsewhere.
     :param keep: (K,) True where the text of the motion already commands this pose: it is left to the byte.

@@ -15,7 +15,7 @@ import numpy as np
 from postproc import toolpath
 from postproc.cell import Cell
 from postproc.frames import M_PER_MM, Array, norm
-from postproc.program import CIRC, PTP, Bools, Ints, Program, Targets
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program, Targets
 from postproc.toolpath import Segments, circle_through
 
 _SHARE = 0.2
@@ -28,7 +28,8 @@ _STEPS = np.array([1.0, 2.0, 5.0])
 class Corners(NamedTuple):
     """The K targets of a path as corners.
 
-    :ivar sharp: (K,) |b − a| = 2 sin(turn/2); 0 where nothing can be rounded: at PTP, at the end, where frames change.
+    :ivar sharp: (K,) |b − a| = 2 sin(turn/2); 0 where nothing can be rounded: at PTP, at pieces of splines,
+        at the end, where frames change.
     :ivar reach: (K,) half the length of the shorter one of the neighbouring pieces [m]: blending begins no earlier.
     """
 
@@ -57,7 +58,8 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     m = program.motions
     after = np.append(motion[1:], -1)
     same = (after - motion <= 1) & (m.base[after] == m.base[motion]) & (m.tool[after] == m.tool[motion])
-    return np.asarray((after >= 0) & same & (kind != PTP) & np.append(kind[1:] != PTP, False))
+    path = (kind != PTP) & (kind != SPL)
+    return np.asarray((after >= 0) & same & path & np.append(path[1:], False))
 
 
 def of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:

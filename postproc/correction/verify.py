@@ -19,7 +19,7 @@ from postproc.correction.targets import Chosen
 from postproc.errors import Issue, Level, NotConvergedError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import CIRC, PTP, Bools, Ints, distinct
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, distinct
 from postproc.under_load import PathUnderLoad
 
 _HELD = 1e-6
@@ -178,7 +178,7 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     wide = (length > _LONG) | (turn > _TURNED)
     number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
     number[steep] = np.maximum(number[steep], _ON_RAMPS)
-    number[m.kind[back.row] == PTP] = 1
+    number[(m.kind[back.row] == PTP) | (m.kind[back.row] == SPL)] = 1
     target = np.repeat(np.arange(len(targets)), number)
     inside = np.arange(len(target)) - np.repeat(np.cumsum(number) - number, number) + 1
     share = inside / number[target]

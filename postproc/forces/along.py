@@ -12,7 +12,7 @@ from postproc.forces.comments import of_comments
 from postproc.forces.feed import last_travel
 from postproc.forces.knots import BASE, FEED, ForceSource, Knots
 from postproc.frames import Array
-from postproc.program import Bools, Ints, Program, distinct
+from postproc.program import SPL, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, Toolpath
 
 BEHIND_STEP = 1e-5
@@ -159,6 +159,12 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
     feed = given.frame == FEED
     if not feed.any():
         return np.zeros((0, 3)), []
+    curved = np.unique(given.motion[feed & (m.kind[given.motion] == SPL) & given.wrench.any(axis=1)])
+    if len(curved):
+        name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
+        advice = "Give its force in BASE or TOOL axes."
+        lines = np.unique(m.line[curved])[: MOST + 1].tolist()
+        raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)
     across = (given.wrench[:, [0, 1, 3, 4]] != 0.0) | (given.sigma[:, [0, 1, 3, 4]] != 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc.chunks import in_chunks
 from postproc.frames import Array, angle_between, interpolated, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Starts
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
 
 _STILL = 1e-6
 """Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
@@ -21,7 +21,7 @@ class Segments:
 
     :param start: tool frames where the motions start.
     :param begin: (M, 3) positions there [m].
-    :param length: (M,) path length of the TCP; 0 for PTP.
+    :param length: (M,) path length of the TCP; 0 for PTP, of a piece of a spline the chord.
     :param turn: (M,) angle between the orientations at start and end [rad].
     :param arcs: the geometry of the arcs among them.
     """
@@ -145,7 +145,8 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """Return the nominal path at places (motion, t).
 
     LIN: position linear, orientation by one rotation, or as rotary axes turn (`Program.swivel`). CIRC: rotation about
-    the arc's axis with a linear rise, the orientation as for LIN. PTP: only its end (t = 1) is known here.
+    the arc's axis with a linear rise, the orientation as for LIN. PTP: only its end (t = 1) is known here; so it is of
+    a piece of a spline, whose chord stands for it.
     """
     m = program.motions
     pose = m.target[motion]
@@ -172,7 +173,7 @@ def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array
     out = m.target[motion, :3, 3]
     kind = m.kind[motion]
     inner = t < 1.0
-    lines = np.flatnonzero(inner & (kind == LIN))
+    lines = np.flatnonzero(inner & ((kind == LIN) | (kind == SPL)))
     if len(lines):
         begin = path.begin[motion[lines]]
         out[lines] = begin + t[lines, None] * (out[lines] - begin)
@@ -187,7 +188,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     m = program.motions
     out = np.zeros((len(motion), 3))
     kind = m.kind[motion]
-    long = np.flatnonzero((kind == LIN) & (path.length[motion] > 0.0))
+    long = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
     rows = motion[long]
     out[long] = (m.target[rows, :3, 3] - path.begin[rows]) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.toolpath.path import Segments
 
 _STEP = 0.020
@@ -204,10 +204,10 @@ def places(
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
     count = np.ceil(np.maximum(path.length / step, path.turn / _TURN) - 1e-9)
     count = np.maximum(count, swivel_pieces(program, path, tolerance))
-    count[m.kind == PTP] = 1.0
+    count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
-    bent = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] != CIRC))
+    bent = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] == LIN))
     more = [(estimate.motion[bent], estimate.t[bent]), *([also] if also is not None else [])]
     if len(arcs.motion):
         stretch, share = _even(np.arange(len(arcs.motion)), arcs.number * arcs.each)

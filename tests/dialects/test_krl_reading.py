@@ -693,7 +693,7 @@ ERRORS = [
     (["IF $IN[1] THEN", FULL, "ENDIF"], 4, "inside IF"),
     (["SWITCH $ANIN[1]", "CASE 1", FULL, "ENDSWITCH"], 4, "inside SWITCH"),
     (["GOTO A", "A:"], 4, "GOTO"),
-    (["SPLINE", "SPL P[1]", "ENDSPLINE"], 4, "spline blocks"),
+    (["SPLINE", "LIN {X 1,Y 0,Z 0,A 0,B 0,C 180}", "ENDSPLINE"], 5, "LIN in a SPLINE block"),
     (["RETURN", FULL], 5, "never reached"),
     (["ENDIF"], 4, "ENDIF without IF"),
     (["IF $IN[1] THEN", "$BASE={X 1}", "ENDIF"], 5, "changed inside IF"),

@@ -20,7 +20,7 @@ def words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-MOTIONS = words("LIN PTP CIRC SLIN SPTP SCIRC")
+MOTIONS = words("LIN PTP CIRC SLIN SPTP SCIRC SPL")
 """Motion instructions that are read; each may carry ``_REL``."""
 
 OPENING = {"FOR": "ENDFOR", "WHILE": "ENDWHILE", "LOOP": "ENDLOOP", "IF": "ENDIF", "SWITCH": "ENDSWITCH"}

@@ -10,7 +10,10 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import Call, Reference, Value
 
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
-SPLINES = frozenset({"SPLINE", "PTP_SPLINE", "SPL", "SPL_REL"})
+SPLINES = {"SPLINE": ("SPL", "SLIN", "SCIRC"), "PTP_SPLINE": ("SPTP",)}
+"""Spline blocks, and the instructions that may stand in them; ENDSPLINE closes both."""
+TIMED = frozenset({"CONST_VEL", "TIME_BLOCK", "STOP"})
+"""Statements of spline blocks that refer to places on a path, which inserted targets would divide otherwise."""
 _UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
 """A declaration without DECL: type and name."""
 _CALL = re.compile(r"(?<![\w$#.])([A-Za-z_]\w*)[ \t]*\(", re.A)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Set
 
 from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared
 from postproc.dialects.krl.language.source import Source
@@ -13,10 +14,18 @@ _MORE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[
 _INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
 
 
-def read_data(variables: Variables, source: Source, *, fill: bool = False, shared: bool = False) -> None:
+def read_data(
+    variables: Variables,
+    source: Source,
+    *,
+    fill: bool = False,
+    shared: bool = False,
+    only: Set[str] | None = None,
+) -> None:
     """Take the declarations of a `.dat`; with `fill` only those of names that have no value yet.
 
     :param shared: all of them are GLOBAL, as those of the `$config.dat`.
+    :param only: the names to take; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
     """
     text = source.text
@@ -34,7 +43,7 @@ def read_data(variables: Variables, source: Source, *, fill: bool = False, share
             closed = True
             break
         else:
-            _declare(variables, source, line, start, stop, fill=fill, shared=shared)
+            _declare(variables, source, line, start, stop, fill=fill, shared=shared, only=only)
     if not opened or not closed:
         raise source.line_error(
             f"{'ENDDAT' if opened else 'DEFDAT'} is missing",
@@ -44,7 +53,15 @@ def read_data(variables: Variables, source: Source, *, fill: bool = False, share
 
 
 def _declare(
-    variables: Variables, source: Source, line: int, start: int, stop: int, *, fill: bool, shared: bool
+    variables: Variables,
+    source: Source,
+    line: int,
+    start: int,
+    stop: int,
+    *,
+    fill: bool,
+    shared: bool,
+    only: Set[str] | None,
 ) -> None:
     """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
     match = DECLARATION.match(source.text, start, stop)
@@ -56,6 +73,8 @@ def _declare(
         start, stop = source.code_span(line)
         names = list(declared(source, start, stop))
     for one in names:
+        if only is not None and one.name not in only:
+            continue
         name = _noted(variables, one._replace(public=one.public or shared), fill=fill)
         if one.value >= 0 and not (fill and name in variables):
             variables.initial.add(variables.scope.stored(one.name))

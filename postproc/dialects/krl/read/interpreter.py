@@ -13,7 +13,7 @@ from collections.abc import Callable
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.names import DECLARING, OPENING, TYPES, WITHOUT_MOTION
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, assignment, calls, declares, word_at
+from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, TIMED, assignment, calls, declares, word_at
 from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.dialects.krl.read.calls import Calls
@@ -67,7 +67,7 @@ class Interpreter:
         if word == "GLOBAL":
             rest = text[start + len(word) : stop].lstrip()
             start, word = stop - len(rest), word_at(rest, 0, len(rest))
-        if word in MOTION_WORDS:
+        if word in MOTION_WORDS or word in SPLINES or word == "ENDSPLINE":
             if self.run.in_main:
                 self._motion(at, word, start, stop)
         elif not self._control(at, word):
@@ -86,8 +86,8 @@ class Interpreter:
             raise at.error("GOTO changes the order of motions", _IN_ORDER)
         elif word == "RETURN":
             self._return(at)
-        elif word in SPLINES and self.run.in_main:
-            raise at.error(f"{word}: spline blocks are not supported", "Write the path with LIN, CIRC, SLIN or SCIRC.")
+        elif word in TIMED:
+            raise at.error(f"{word} of spline blocks is not supported", "Leave it out, or write SLIN and SCIRC alone.")
         elif word in _ASYNCHRONOUS:
             raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:

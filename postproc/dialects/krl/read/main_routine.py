@@ -22,6 +22,7 @@ from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.spline_blocks import SplineBlocks
 from postproc.dialects.krl.read.state import FIELDS
 from postproc.dialects.krl.read.tracing import Trace
 from postproc.errors import MOST, ProgramError, together
@@ -77,6 +78,7 @@ class MainRoutine:
     :ivar run: the program as far as it has run.
     :ivar motions: those of the course, in order.
     :ivar still: lines of motions to where the robot is already.
+    :ivar splines: the spline blocks.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class MainRoutine:
         self.run = Run(library, main, settings, course.source)
         self._flow = Flow(self.run, self._motion, self._fault, reader.stays)
         self.reader = reader
+        self.splines = SplineBlocks(settings, reader)
         self.motions = MotionCollector()
         self.still: list[int] = []
         self._errors: list[ProgramError] = []
@@ -118,6 +121,8 @@ class MainRoutine:
         errors = self._errors
         if self.course.straight and run.level.returned:
             errors += self._never_reached(run.level.returned)
+        if self.splines.open is not None and not errors:
+            errors.append(source.line_error("the spline block is not closed", self.splines.open.line))
         if run.level.open and not errors:
             word, opened = run.level.open[-1]
             errors.append(source.line_error(f"{word} is not closed", opened, "Check that the file is complete."))
@@ -185,6 +190,9 @@ class MainRoutine:
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
+        if word not in MOTION_WORDS:
+            self.splines.statement(at, word, start, stop)
+            return
         level = self.run.level
         if level.open and not self.reader.stays(at, word, start, stop):
             opener, opened = level.open[-1]

@@ -15,9 +15,9 @@ from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
-from postproc.program import CIRC, LIN, PTP
+from postproc.program import CIRC, LIN, PTP, SPL
 
-KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC}
+KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC, "SPL": SPL}
 _APPROXIMATION = re.compile(r"(?:[ \t]*\bC_(?:DIS|VEL|ORI|PTP|SPL)\b)*[ \t]*$", re.IGNORECASE)
 _ANGLE = re.compile(r"[ \t]*,[ \t]*CA\b[ \t]*=?", re.IGNORECASE)
 _COMMA = re.compile(r"[ \t]*,")
@@ -87,6 +87,17 @@ class MotionReader:
             state,
             names,
         )
+
+    def block(self, at: Place, word: str, start: int, stop: int) -> State:
+        """Return what is in force within a spline block: what it is given by WITH, for itself alone.
+
+        :param word: ``SPLINE`` or ``PTP_SPLINE``.
+        :param start: offset behind it.
+        :param stop: offset behind the code of the line.
+        :raises ProgramError: it is not understood.
+        """
+        state, _ = self._tail(at, LIN, start, stop)
+        return state._replace(block=word)
 
     def stays(self, at: Place, word: str, start: int, stop: int) -> bool:
         """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from postproc.dialects.krl.read.end_poses import EndPoses, end_poses
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
@@ -80,6 +82,9 @@ def motions_and_layout(
     """
     settings = main.run.settings
     rows, states, state, moves = ordered
+    block = _column(states, state, lambda s: s.block)
+    check_words(source, rows, block)
+    rows = replace(rows, approximated=approximated(rows, block != "", main.splines.approximated))
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
@@ -127,6 +132,7 @@ def motions_and_layout(
         via_target=rows.via_target,
         resumed=ends.resumed,
         constant=constant,
+        passed=block != "",
         statements=moves,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
@@ -134,7 +140,8 @@ def motions_and_layout(
         triggers=_triggers(source, main, rows.line, motions, ends.start),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    return motions, layout, [*standing, *_assumptions(motions.line, missing, assumed, moves), *_by_speed(source, rows)]
+    assumptions = _assumptions(motions.line, missing, assumed, moves)
+    return motions, layout, [*standing, *assumptions, *_by_speed(source, rows), *told(motions)]
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints]:

@@ -32,6 +32,7 @@ from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layou
 from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.remarks import remarks
 from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.shared_data import read_shared
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
@@ -163,6 +164,8 @@ class _Reading:
                 read_data(variables, Source.of(document, 1))
         if self.cell.config_dat is not None:
             read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, shared=True)
+        names = [document.name for document in self.documents]
+        read_shared(variables, self.documents[0].text, names, _folders(self.documents[0], self.cell))
         return Settings(variables, self.cell)
 
 

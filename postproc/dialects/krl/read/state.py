@@ -44,6 +44,7 @@ class State(NamedTuple):
     :ivar orientation: `$ORI_TYPE`.
     :ivar circle: `$CIRC_TYPE`.
     :ivar initial: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
+    :ivar block: the spline block, ``SPLINE`` or ``PTP_SPLINE``; empty outside of one.
     :ivar uncertain: (field, index of its reason) of those that are not known; `base` and `tool` are never among them.
     """
 
@@ -55,6 +56,7 @@ class State(NamedTuple):
     orientation: str = "#VAR"
     circle: str = "#BASE"
     initial: frozenset[str] = frozenset()
+    block: str = ""
     uncertain: tuple[tuple[str, int], ...] = ()
 
     def with_known(self, **fields: object) -> State:

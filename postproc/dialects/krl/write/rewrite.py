@@ -229,7 +229,8 @@ class _Rewriter:
             if not self.last[k]:
                 text = self.statements.inserted(int(self.row[k]), k)
                 lines.add(before, text, k)
-                if self.targets.blend[k] == 0.0 and not APPROXIMATION.search(text):
+                stops = self.targets.blend[k] == 0.0 and not self.layout.passed[self.row[k]]
+                if stops and not APPROXIMATION.search(text):
                     self._tell("stop-inserted", _STOP, int(line[k]))
         return lines.numbers(line)
 

@@ -194,14 +194,14 @@ class TargetStatements:
         """Return an inserted target as a line of its own, with its line end.
 
         It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
-        the target is to stop too. Comments are not repeated.
+        the target is to stop too. In a spline block it has none. Comments are not repeated.
         """
         layout = self.layout
         keyword = int(layout.keyword[row])
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
         tail = self.text[slice(*layout.tail[row].tolist())]
-        if self.targets.blend[k] > 0.0 and not APPROXIMATION.search(tail):
+        if self.targets.blend[k] > 0.0 and not layout.passed[row] and not APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 

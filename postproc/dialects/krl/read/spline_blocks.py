@@ -1,0 +1,113 @@
+"""Spline blocks: ``SPLINE … ENDSPLINE`` and ``PTP_SPLINE … ENDSPLINE``.
+
+The robot passes the points of a block without a stop and without approximation; ``ENDSPLINE C_SPL`` approximates the
+last one. SLIN and SCIRC are in it what they are elsewhere, the path of SPL is known at its points alone (KUKA, KSS 8.x,
+'spline motion').
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.statements import SPLINES, word_at
+from postproc.dialects.krl.read.motion_columns import MotionColumns
+from postproc.dialects.krl.read.motion_reader import MotionReader
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.state import State
+from postproc.errors import Issue
+from postproc.program import SPL, Bools, Motions
+
+_APPROXIMATED = re.compile(r"(?:C_SPL)?", re.IGNORECASE)
+
+
+class Opened(NamedTuple):
+    """A block that is open.
+
+    :ivar line: of its first line.
+    :ivar before: what is in force outside of it.
+    """
+
+    line: int
+    before: State
+
+
+class SplineBlocks:
+    """Follows the spline blocks of a program.
+
+    :ivar open: the one that is open.
+    :ivar approximated: lines of ENDSPLINE C_SPL.
+    """
+
+    def __init__(self, settings: Settings, reader: MotionReader) -> None:
+        self.settings, self.reader = settings, reader
+        self.open: Opened | None = None
+        self.approximated: list[int] = []
+
+    def statement(self, at: Place, word: str, start: int, stop: int) -> None:
+        """Take a line that opens or closes a block.
+
+        :raises ProgramError: it is not understood, or none is open.
+        """
+        if word != "ENDSPLINE":
+            if self.open is not None:
+                raise at.error(f"{word} inside of a spline block (line {self.open.line})")
+            state = self.reader.block(at, word, start + len(word), stop)
+            self.open = Opened(at.line, self.settings.state)
+            self.settings.change(at.line, state)
+            return
+        if self.open is None:
+            raise at.error("ENDSPLINE without SPLINE")
+        tail = at.source.text[start + len(word) : stop].strip()
+        if not _APPROXIMATED.fullmatch(tail):
+            raise at.error(f"{tail!r} is not understood")
+        if tail:
+            self.approximated.append(at.line)
+        self.settings.change(at.line, self.open.before)
+        self.open = None
+
+
+def check_words(source: Source, rows: MotionColumns, block: np.ndarray) -> None:
+    """Refuse motions that cannot stand where they do.
+
+    :param block: (R,) the block in which each stands; empty outside.
+    :raises ProgramError: SPL outside of a block, or an instruction in a block that is none of it.
+    """
+    for row in np.flatnonzero((block != "") | (rows.kind == SPL)).tolist():
+        start = int(rows.keyword[row])
+        word = word_at(source.text, start, len(source.text)).removesuffix("_REL")
+        if block[row] == "":
+            advice = "Write SPLINE before the first of these lines and ENDSPLINE behind the last."
+            raise source.line_error("SPL outside of a spline block", int(rows.line[row]), advice)
+        if word not in SPLINES[block[row]]:
+            advice = f"It may hold {', '.join(SPLINES[block[row]])}."
+            raise source.line_error(f"{word} in a {block[row]} block", int(rows.line[row]), advice)
+
+
+def approximated(rows: MotionColumns, inside: Bools, ends: list[int]) -> Bools:
+    """Return which motions are approximated (R,).
+
+    :param inside: (R,) True in a spline block.
+    :param ends: lines of ENDSPLINE C_SPL.
+    """
+    out = rows.approximated & ~inside
+    last = np.searchsorted(rows.line, ends) - 1
+    out[last[last >= 0]] = True
+    return np.asarray(out)
+
+
+def told(motions: Motions) -> list[Issue]:
+    """Return what the user should know of splines."""
+    found = np.flatnonzero(motions.kind == SPL)
+    if not len(found):
+        return []
+    message = (
+        "The path of SPL is not known between its points: these are corrected for the force at each of them, nothing "
+        "is inserted between, and what is said of the path between targets leaves SPL out."
+    )
+    line = motions.line[found]
+    lines = tuple(np.unique(line).tolist())
+    return [Issue("warning", "spline", message, int(line[0]), count=len(found), lines=lines)]
