@@ -9,9 +9,11 @@ from postproc.machining.material import Entry, table
 from postproc.machining.operations import OperationForces, by_operation
 from postproc.machining.process import Process, load
 from postproc.machining.source import ProcessSource
+from postproc.machining.sweep import Cuts
 from postproc.machining.ways import Shift
 
 __all__ = [
+    "Cuts",
     "Entry",
     "OperationForces",
     "Process",

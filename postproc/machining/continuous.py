@@ -68,23 +68,36 @@ def without_steps(
     starts, _ = _axes(program, path, own[follows], np.zeros(len(follows)), map_in_base)
     before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
     reach = np.minimum(1.0, ramp / np.maximum(path.length[own], 1e-9))
-    parts_t, parts_wrench, count = [], [], np.ones(len(own), dtype=np.int64)
-    for place in range(len(own)):
-        rows = slice(int(first[place]), int(last[place]) + 1)
-        r = float(reach[place])
-        inner = t[rows][(t[rows] > r + 1e-9) & (t[rows] < 1.0)]
-        at = np.array([r]) if single[place] or r == 1.0 else np.concatenate([[r], inner, [1.0]])
-        values = np.stack([np.interp(at, t[rows], wrench[rows, k]) for k in range(6)], axis=-1)
-        parts_t.append(np.concatenate([[0.0], at]))
-        parts_wrench.append(np.concatenate([before[place][None], values]))
-        count[place] = len(at) + 1
-    motions, places, values = np.repeat(own, count), np.concatenate(parts_t), np.concatenate(parts_wrench)
+    # at 0 the force of the motion before, at the end of the ramp its own, then its stations, and its own at the end
+    row = np.repeat(np.arange(len(own)), last - first + 1)
+    inner = (t > reach[row] + 1e-9) & (t < 1.0) & ~single[row]
+    ramps, ends_ = np.arange(len(own)), np.flatnonzero(~single & (reach < 1.0))
+    which = np.concatenate([ramps, ramps, row[inner], ends_])
+    places = np.concatenate([np.zeros(len(own)), reach, t[inner], np.ones(len(ends_))])
+    order = np.lexsort((places, which))
+    which, places = which[order], places[order]
+    values = _at(motion, t, wrench, own[which], places)
+    begins = np.flatnonzero(np.diff(which, prepend=-1))
+    values[begins] = before
+    count = np.diff(begins, append=len(which))
+    motions = own[which]
     axes, along = _axes(program, path, motions, places, map_in_base)
     steady = np.repeat(single, count)
     turning = steady & (program.motions.kind[motions] == CIRC)  # the same in FEED axes: in $BASE it turns
     in_base = (along[np.repeat(np.cumsum(count) - 1, count)] | base_axes) & ~turning
     values[in_base] = _turn(_to_base(program, motions[in_base], map_in_base) @ axes[in_base], values[in_base])
     return AlongMotions(motions, places, values, np.where(in_base, BASE, FEED), np.abs(values) * sigma, steady)
+
+
+def _at(motion: Ints, t: Array, wrench: Array, own: Ints, places: Array) -> Array:
+    """Return wrenches (k, 6) at places on motions: linear between the stations of each, constant outside of them."""
+    after = np.searchsorted(motion + 0.5 * t, own + 0.5 * places)
+    low, high = np.searchsorted(motion, own, side="left"), np.searchsorted(motion, own, side="right") - 1
+    b = np.clip(after, low, high)
+    a = np.clip(after - 1, low, high)
+    gap = t[b] - t[a]
+    share = np.clip((places - t[a]) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
+    return np.asarray(wrench[a] + share[:, None] * (wrench[b] - wrench[a]))
 
 
 def _axes(program: Program, path: Segments, motion: Ints, t: Array, map_in_base: Array) -> tuple[Array, Bools]:

@@ -26,74 +26,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from postproc.frames import Array
-from postproc.machining.material import CuttingLaw
 from postproc.machining.sampling import Engaged
 from postproc.machining.stock import Floats
-from postproc.machining.tool import BOTTOM, CORNER, SIDE, Cutter, Edge
+from postproc.machining.tool import Cutter
+from postproc.machining.turn import Turn
 
 _HELIX_PARTS = 6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Turn:
-    """Angles and pieces of edge of one turn, and what each adds to the wrench.
-
-    :param phi: (K,) angles [rad], the middles of equal parts of the front (half a turn) or of the whole turn.
-    :param front: (K, S) and across, down: components of the normal along x, y and −z.
-    :param cut: (K·S, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; of the cylinder without what
-        the height of the force adds to the moment.
-    :param rub: (K·S, 6) the same per engaged length alone [N/m, N].
-    :param whole: True for a whole turn.
-    """
-
-    edge: Edge
-    law: CuttingLaw
-    teeth: int
-    phi: Array
-    front: Floats
-    across: Floats
-    down: Floats
-    cut: Floats
-    rub: Floats
-    whole: bool
-
-    @classmethod
-    def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, *, whole: bool) -> Turn:
-        """Divide a turn so that angles are about `step` [m] apart at the rim."""
-        half = cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), -(-24 // cutter.teeth))
-        width = np.pi / half
-        phi = (np.arange(2 * half if whole else half) + 0.5) * width
-        sine, cosine = np.sin(phi)[:, None], np.cos(phi)[:, None]
-        sk, ck = np.sin(edge.kappa)[None], np.cos(edge.kappa)[None]
-        ck = np.where(np.abs(ck) < 1e-12, 0.0, ck)
-        zero = np.zeros((len(phi), len(edge.kappa)))
-        normal = np.stack([sk * sine, sk * cosine, zero - ck], axis=-1)
-        tangential = np.stack([zero - cosine, zero + sine, zero], axis=-1)
-        along = np.stack([ck * sine, ck * cosine, zero + sk], axis=-1)
-        z = edge.low + np.where(edge.part == CORNER, 0.5 * np.where(np.isfinite(edge.rise), edge.rise, 0.0), 0.0)
-        z = np.where(edge.part == SIDE, 0.0, z)
-        point = np.stack([edge.radius * sine, edge.radius * cosine, zero + z], axis=-1)
-        share = cutter.teeth * width / (2.0 * np.pi)
-
-        def wrench(k: tuple[float, float, float]) -> Floats:
-            force = k[0] * tangential - k[1] * normal + k[2] * along
-            both = np.concatenate([force, np.cross(point, force)], axis=-1) * share
-            return np.asarray(both.reshape(-1, 6), dtype=np.float32)
-
-        parts = (normal[..., 0], normal[..., 1], -normal[..., 2])
-        front, across, down = (np.asarray(one, dtype=np.float32) for one in parts)
-        return cls(
-            edge,
-            law,
-            cutter.teeth,
-            np.asarray(phi, dtype=float),
-            front,
-            across,
-            down,
-            wrench(law.cutting),
-            wrench(law.edge),
-            whole,
-        )
+_ONE_THREAD = 200_000
+"""Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,73 +49,73 @@ class Loads:
 
 
 def chips(turn: Turn, feed: Floats, descent: Floats, other: tuple[Floats, Floats, Floats] | None = None) -> Floats:
-    """Return the chip thickness (n, K, S) [m]: feed per tooth along x (n,) and down (n,) [m].
+    """Return the chip thickness (n, P) [m]: feed per tooth along x (n,) and down (n,) [m].
 
     :param other: another feed direction (x, y, down), (n,) each: where its chips would be none, neither are these.
     """
-    chip = feed[:, None, None] * turn.front + descent[:, None, None] * turn.down
+    chip = feed[:, None] * turn.front
+    chip += descent[:, None] * turn.down
     if other is not None:
-        x, y, down = (one[:, None, None] for one in other)
+        x, y, down = (one[:, None] for one in other)
         chip[x * turn.front + y * turn.across + down * turn.down <= 0.0] = 0.0
-    return np.asarray(np.maximum(chip, 0.0))
+    return np.asarray(np.maximum(chip, 0.0, out=chip))
 
 
 def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats) -> Loads:
     """Return mean loads.
 
-    :param chip: (n, K, S) from `chips`.
+    :param chip: (n, P) from `chips`.
     :param plunging: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
         face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, this is
         an assumption.
     """
-    n = len(chip)
     cutting = inside.length * turn.law.chip(chip)
     rubbing = inside.length * (chip > 0.0)
-    bottom = turn.edge.part == BOTTOM
-    if bottom.any():
-        rubbing[:, :, bottom] *= plunging[:, None, None]
-    wrench = (cutting.reshape(n, -1) @ turn.cut + rubbing.reshape(n, -1) @ turn.rub).astype(float)
-    side = np.flatnonzero(turn.edge.part == SIDE)
-    if len(side):
-        at = slice(int(side[0]), None, len(turn.edge.part))
-        thin = chip[:, :, side[0]]
-        push = (inside.moment * turn.law.chip(thin)) @ turn.cut[at, :2] + (inside.moment * (thin > 0.0)) @ turn.rub[
-            at, :2
-        ]
-        wrench[:, 3] -= push[:, 1]
-        wrench[:, 4] += push[:, 0]
-    width = np.float32(turn.phi[1] - turn.phi[0])
-    removal = np.einsum("nks,nks,s->n", inside.length, chip, turn.edge.radius.astype(np.float32) * width)
+    rubbing[:, turn.bottom] *= plunging[:, None]
+    wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
+    thin = chip[:, turn.side]
+    push = times(inside.moment * turn.law.chip(thin), turn.cut[turn.side, :2])
+    push += times(inside.moment * (thin > 0.0), turn.rub[turn.side, :2])
+    wrench[:, 3] -= push[:, 1]
+    wrench[:, 4] += push[:, 0]
+    removal = times(inside.length * chip, (turn.radius * turn.width.astype(np.float32))[:, None])[:, 0]
     return Loads(wrench, np.asarray(removal, dtype=float))
 
 
 def peak(turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter) -> tuple[Array, Array]:
     """Return the largest force [N] and torque [N·m] within a turn, (n,) each, with the helix of the tool."""
-    n, angles, pieces = inside.length.shape
-    whole = angles if turn.whole else 2 * angles
-    width = 2.0 * np.pi / whole
-    share = cutter.teeth * width / (2.0 * np.pi)
-    columns = [0, 1, 2, 5]
-    cut, rub = (one.reshape(angles, pieces, 6)[:, :, columns] / np.float32(share) for one in (turn.cut, turn.rub))
     law, cuts = turn.law.chip(chip), (chip > 0.0).astype(np.float32)
-    side = turn.edge.part == SIDE
-    total = np.zeros((n, 2 * whole, 4), dtype=np.float32)
-    if not side.all():
-        length = inside.length[:, :, ~side]
-        total[:, :angles] = np.einsum("nks,ksj->nkj", length * law[:, :, ~side], cut[:, ~side])
-        total[:, :angles] += np.einsum("nks,ksj->nkj", length * cuts[:, :, ~side], rub[:, ~side])
-    if side.any():
-        piece = int(np.flatnonzero(side)[0])
-        own = law[:, :, piece, None] * cut[:, piece] + cuts[:, :, piece, None] * rub[:, piece]
-        length = inside.length[:, :, piece]
-        parts = _HELIX_PARTS if cutter.helix > 0.0 else 1
+    step = turn.phase.shape[1]
+
+    def together(where: slice, length: Floats, lag: int) -> Floats:
+        """Forces and torque (n, step·4) of all teeth, at each place of the first within its pitch."""
+        out: Floats = np.zeros(1, dtype=np.float32)
+        for coefficients, factor in ((turn.cut, law), (turn.rub, cuts)):
+            each = coefficients[where][:, [0, 1, 2, 5]]
+            each = each * np.float32(2.0 * np.pi / cutter.teeth) / turn.width[where].astype(np.float32)[:, None]
+            spread = np.roll(turn.phase[where], lag, axis=1)[:, :, None] * each[:, None, :]
+            out = out + times(length * factor[:, where], spread.reshape(len(each), 4 * step))
+        return out
+
+    level = slice(0, turn.side.start)
+    total = together(level, inside.length[:, level], 0)
+    length = inside.length[:, turn.side]
+    if length.shape[1]:
+        turned = np.tan(cutter.helix) / cutter.radius * step * cutter.teeth / (2.0 * np.pi)  # places by height
+        parts = int(np.clip(np.ceil(float(length.max()) * turned), 1, _HELIX_PARTS))
         height = length.max() / parts
         for k in range(parts):
-            lag = round((k + 0.5) * height * np.tan(cutter.helix) / cutter.radius / width) % whole
             layer = np.minimum(np.maximum(length - np.float32(k * height), 0.0), height)
-            total[:, lag : lag + angles] += layer[..., None] * own
-    total = total[:, :whole] + total[:, whole:]
-    step = whole // cutter.teeth
-    together = total.reshape(n, cutter.teeth, step, 4).sum(axis=1)
-    force = np.sqrt((together[..., :3] ** 2).sum(axis=-1)).max(axis=1)
-    return np.asarray(force), np.abs(together[..., 3]).max(axis=1)
+            total = total + together(turn.side, layer, round((k + 0.5) * float(height) * turned) % step)
+    joined = total.reshape(len(chip), step, 4)
+    force = np.sqrt((joined[..., :3] ** 2).sum(axis=-1)).max(axis=1)
+    return np.asarray(force, dtype=float), np.asarray(np.abs(joined[..., 3]).max(axis=1), dtype=float)
+
+
+def times(one: Floats, other: Floats) -> Floats:
+    """Return a product of matrices (n, P) and (P, k), in pieces that a BLAS does not share among its threads.
+
+    Threads cost more than they gain at such sizes, and very much more where other processes want the processors too.
+    """
+    rows = max(1, _ONE_THREAD // max(1, other.size))
+    return np.concatenate([one[k : k + rows] @ other for k in range(0, max(1, len(one)), rows)])

@@ -1,99 +1,163 @@
-"""Removing what a tool sweeps on a straight way from the map of the stock."""
+"""Removing what a tool sweeps on straight ways from the map of the stock."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from postproc.frames import Array
 from postproc.machining.stock import Floats, Stock
 from postproc.machining.tool import Cutter
+from postproc.program import Bools, Ints
 
-_NOTHING = np.float32(np.inf)
 _HALVINGS = 18
 _WHOLE = np.float32(0.999)
 """A cell that is cut to this share is cut."""
+_CELLS = 200_000
+"""Cells under ways that are looked at together."""
 
 
-def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, *, last: bool) -> float:
-    """Remove what a tool sweeps from one tip position to another, both (3,) [m]; the tool stands along z.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Footprint:
+    """Cells under some ways, one row for each cell and way.
 
-    Where the tool stands at the end, the half of it that is ahead is left for the next way, which begins there: the
-    front of the next way then sees material as it is, and no cells that the end of this way has cut in part.
-
-    :param last: nothing follows that begins here: the whole end is removed.
-    :returns: how deep material was cut at most, in cells that the tool covers wholly [m].
+    :param cell: (n,) place in the flat map of cells that the tool covers wholly; level: (n,) its lower side there [m].
+    :param rim: (r,) cells that its cylinder covers in part; covered: (r,) the share; rim_level: (r,) [m].
     """
-    radius, cell = cutter.radius, stock.cell
-    (x0, y0, z0), (x1, y1, z1) = begin, end
-    dx, dy = x1 - x0, y1 - y0
-    length = math.hypot(dx, dy)
-    reach = radius + cell
-    rows, columns = stock.high.shape
-    c0 = max(0, int((min(x0, x1) - reach - stock.x) / cell))
-    c1 = min(columns, int((max(x0, x1) + reach - stock.x) / cell) + 1)
-    r0 = max(0, int((min(y0, y1) - reach - stock.y) / cell))
-    r1 = min(rows, int((max(y0, y1) + reach - stock.y) / cell) + 1)
-    if c0 >= c1 or r0 >= r1:
-        return 0.0
-    here = (slice(r0, r1), slice(c0, c1))
-    high = stock.high[here]
-    lowest = min(z0, z1)
-    if float(high.max()) <= lowest:
-        return 0.0
-    px = (np.arange(c0, c1, dtype=np.float32) + np.float32(0.5)) * np.float32(cell) + np.float32(stock.x - x0)
-    py = ((np.arange(r0, r1, dtype=np.float32) + np.float32(0.5)) * np.float32(cell) + np.float32(stock.y - y0))[
-        :, None
-    ]
-    if length < 1e-9:
-        if not last and z1 >= z0:
-            return 0.0
-        away = np.sqrt(px * px + py * py)
-        return _lower(stock, here, cutter, away, np.float32(lowest) + cutter.height(away).astype(np.float32), lowest)
-    ux, uy, slope = np.float32(dx / length), np.float32(dy / length), (z1 - z0) / length
+
+    cell: Ints
+    level: Floats
+    rim: Ints
+    covered: Floats
+    rim_level: Floats
+
+
+def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> None:
+    """Remove what a tool sweeps from tip positions to others, both (L, 3) [m]; the tool stands along z.
+
+    The ways make one surface: where several of them cover a part of one cell, that which covers most of it counts.
+
+    :param last: (L,) False: where the tool stands at the end, the half of it that is ahead is left for the way that
+        begins there: its front then sees material as it is, and no cells that the end of this way has cut in part.
+    """
+    high = stock.high.reshape(-1)
+    rims = []
+    for under in _footprints(stock, cutter, begin, end, last):
+        np.minimum.at(high, under.cell, under.level)
+        rims.append((under.rim, under.covered, under.rim_level))
+    if rims:
+        cell, covered, level = (np.concatenate(column) for column in zip(*rims, strict=True))
+        if len(cell):
+            _cut_in_part(stock, *_widest(cell, covered, level))
+
+
+def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
+    """Return how deep a tool cuts at most on a way from one tip position to another, (3,) [m], in cells it covers."""
+    high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
+    for under in _footprints(stock, cutter, begin[None], end[None], np.ones(1, dtype=bool)):
+        cut = high[under.cell] - np.maximum(under.level, floor[under.cell])
+        deepest = max(deepest, float(cut.max(initial=0.0)))
+    return deepest
+
+
+def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> Iterator[_Footprint]:
+    """Yield the cells under ways, few ways at a time; small ones together, in order of their size."""
+    reach, cell = cutter.radius + stock.cell, stock.cell
+    origin = np.array([stock.x, stock.y])
+    most = np.array(stock.high.shape[::-1])
+    low = np.minimum(begin[:, :2], end[:, :2]) - reach - origin
+    high = np.maximum(begin[:, :2], end[:, :2]) + reach - origin
+    first = np.clip(np.floor(low / cell).astype(np.int64), 0, most)
+    count = np.clip(np.floor(high / cell).astype(np.int64) + 1, 0, most) - first
+    size = count[:, 0] * count[:, 1]
+    order = np.argsort(size, kind="stable")
+    order = order[size[order] > 0]
+    done = 0
+    while done < len(order):
+        rows = order[done : done + max(1, _CELLS // int(size[order[done]]))]
+        rows = rows[: max(1, _CELLS // int(size[rows[-1]]))]
+        done += len(rows)
+        window = np.minimum(count[rows].max(axis=0), most)
+        corner = np.minimum(first[rows], most - window)
+        under = _under(stock, cutter, (begin[rows], end[rows], last[rows]), corner, window)
+        if under is not None:
+            yield under
+
+
+def _under(
+    stock: Stock, cutter: Cutter, ways: tuple[Array, Array, Bools], corner: Ints, window: Ints
+) -> _Footprint | None:
+    """Return the cells under ways (L, 3), each seen in a window of the map that begins at `corner` (L, 2)."""
+    begin, end, last = ways
+    cell, columns = stock.cell, stock.high.shape[1]
+    column = corner[:, 0, None, None] + np.arange(window[0])
+    row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
+    index = row * columns + column
+    lowest = np.minimum(begin[:, 2], end[:, 2])
+    top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
+    if top <= float(lowest.min()):
+        return None
+    origin = (begin[:, :2] - (stock.x, stock.y) - 0.5 * cell)[:, :, None, None]
+    px = (column * cell - origin[:, 0]).astype(np.float32)
+    py = (row * cell - origin[:, 1]).astype(np.float32)
+    away, level, ahead = _tool_over(cutter, begin, end, px, py)
+    inner = np.float32(cutter.radius - 0.5 * cell)
+    wall = lowest + cutter.corner < top
+    full = away < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
+    if not last.all():
+        full &= ~ahead | last[:, None, None]
+    rim, covered, rim_level = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
+    if wall.any():
+        part = (away >= inner) & (away < inner + np.float32(cell)) & wall[:, None, None]
+        if not last.all():
+            part &= ~ahead | last[:, None, None]
+        rim, rim_level = index[part], level[part]
+        covered = np.minimum((inner + np.float32(cell) - away[part]) / np.float32(cell), np.float32(1.0))
+    return _Footprint(index[full], level[full], rim, covered, rim_level)
+
+
+def _tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats, Bools]:
+    """Return for cells at places from the begin of each way their distance from it, (L, h, w) [m], the lowest level of
+    the tool above them [m], and whether they lie ahead of its end.
+
+    Above a cell the height of the tool is z + slope·t + height(distance at t), which is convex in t.
+    """
+    chord = end - begin
+    run = np.hypot(chord[:, 0], chord[:, 1])
+    still = run < 1e-9
+    unit = np.where(still[:, None], [1.0, 0.0], chord[:, :2] / np.where(still, 1.0, run)[:, None])
+    ux, uy, length = (one.astype(np.float32)[:, None, None] for one in (unit[:, 0], unit[:, 1], run))
     along = ux * px + uy * py
     across = ux * py - uy * px
     square = across * across
-    level: Floats
-    if abs(slope) < 1e-9:
-        nearest = np.minimum(np.maximum(along, 0.0), np.float32(length))
-        away = np.sqrt(square + (along - nearest) ** 2)
-        level = np.float32(z0) + cutter.height(away).astype(np.float32)
-    else:
-        away, level = _sloping(cutter, along, square, length, slope, z0)
-    if not last:
-        away = np.where(along > np.float32(length), _NOTHING, away)
-    return _lower(stock, here, cutter, away, level, lowest)
-
-
-def _sloping(
-    cutter: Cutter, along: Floats, square: Floats, length: float, slope: float, z0: float
-) -> tuple[Floats, Floats]:
-    """Return the distance of each cell from the way, and the lowest level of the tool above it.
-
-    Above a cell the height of the tool is z0 + slope·t + height(distance at t), which is convex in t.
-    """
-    nearest = np.minimum(np.maximum(along, 0.0), np.float32(length))
+    nearest = np.minimum(np.maximum(along, 0.0), length)
     away = np.sqrt(square + (along - nearest) ** 2)
-    half = np.sqrt(np.maximum(cutter.radius**2 - square, 0.0))
+    z = np.where(still, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
+    slope = np.where(still, 0.0, chord[:, 2] / np.where(still, 1.0, run))
+    up = still & (chord[:, 2] >= 0.0)  # or nowhere: all of it is left for the next way
+    ahead = np.where(still[:, None, None], up[:, None, None], along > length)
+    if np.abs(slope).max() < 1e-9:
+        return away, np.broadcast_to(z + cutter.height(away).astype(np.float32), away.shape), ahead
+    slope_ = slope.astype(np.float32)[:, None, None]
+    half = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
     if cutter.corner == 0.0:
-        t = along + half if slope < 0.0 else along - half
+        t = np.where(slope_ < 0.0, along + half, along - half)
     elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the way
-        t = along - np.float32(slope / math.sqrt(1.0 + slope * slope)) * half
+        t = along - slope_ / np.sqrt(1.0 + slope_ * slope_) * half
     else:
-        t = _lowest(cutter, along, square, half, length, slope)
-    t = np.minimum(np.maximum(t, 0.0), np.float32(length))
+        t = _lowest(cutter, along, square, half, length, slope_)
+    t = np.minimum(np.maximum(t, 0.0), length)
     over = np.sqrt(square + (along - t) ** 2)
-    level = np.float32(z0) + np.float32(slope) * t + cutter.height(over).astype(np.float32)
-    return away, np.asarray(level, dtype=np.float32)
+    return away, np.asarray(z + slope_ * t + cutter.height(over), dtype=np.float32), ahead
 
 
-def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length: float, slope: float) -> Array:
+def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length: Floats, slope: Floats) -> Floats:
     """Return where on the way (t) a tool with a rounded corner is lowest above each cell, by golden section."""
-    a = np.clip(along - half, 0.0, length).astype(float)
-    b = np.clip(along + half, 0.0, length).astype(float)
+    a = np.minimum(np.maximum(along - half, 0.0), length).astype(float)
+    b = np.minimum(np.maximum(along + half, 0.0), length).astype(float)
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
 
     def height(t: Array) -> Array:
@@ -106,35 +170,23 @@ def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length:
     return np.asarray(0.5 * (a + b), dtype=np.float32)
 
 
-def _lower(
-    stock: Stock, here: tuple[slice, slice], cutter: Cutter, away: Floats, level: Floats, lowest: float
-) -> float:
-    """Lower the cells of a window under a tool, by their distance from its way; those at its rim in part."""
-    high, cell = stock.high[here], np.float32(stock.cell)
-    inner = np.float32(cutter.radius) - np.float32(0.5) * cell
-    wall = lowest + cutter.corner < float(high.max())
-    full = away < (inner if wall else np.float32(cutter.radius))
-    new = np.where(full, level, _NOTHING)
-    depth = float((high - np.maximum(new, stock.floor[here])).max())
-    np.minimum(high, new, out=high)
-    if wall:
-        row, column = np.nonzero((away >= inner) & (away < inner + cell))
-        if len(row):
-            covered = np.minimum((inner + cell - away[row, column]) / cell, np.float32(1.0))
-            _cut_in_part(stock, (row + here[0].start, column + here[1].start), covered, level[row, column])
-    return max(depth, 0.0)
+def _widest(cell: Ints, covered: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
+    """Return each cell once, with the largest share that a way covers, and the level of that way."""
+    order = np.lexsort((covered, cell))
+    final = order[np.flatnonzero(np.diff(cell[order], append=-1))]
+    return cell[final], covered[final], level[final]
 
 
-def _cut_in_part(stock: Stock, at: tuple[NDArray[np.int64], NDArray[np.int64]], covered: Floats, level: Floats) -> None:
+def _cut_in_part(stock: Stock, at: Ints, covered: Floats, level: Floats) -> None:
     """Cut shares of cells down to levels: walls of one cell are taken to lie side by side, the deeper one inside."""
-    high, low, share = stock.high[at], stock.low[at], stock.share[at]
+    own_high, own_low, own_share = (one.reshape(-1) for one in (stock.high, stock.low, stock.share))
+    high, low, share = own_high[at], own_low[at], own_share[at]
     cuts = level < high
-    low = np.minimum(low, high)
-    low = np.where(share > 0.0, low, high)
+    low = np.where(share > 0.0, np.minimum(low, high), high)
     both = np.minimum(share, covered)
     most = np.maximum(share, covered)
     rest = np.where(share > covered, low, np.minimum(level, high))
     mean = (both * np.minimum(low, level) + (most - both) * rest) / np.maximum(most, np.float32(1e-6))
-    stock.low[at] = np.where(cuts, mean, low)
-    stock.share[at] = np.where(cuts, most, share)
-    stock.high[at] = np.where(cuts & (covered > _WHOLE), level, high)
+    own_low[at] = np.where(cuts, mean, low)
+    own_share[at] = np.where(cuts, most, share)
+    own_high[at] = np.where(cuts & (covered > _WHOLE), level, high)

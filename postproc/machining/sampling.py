@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.frames import Array
 from postproc.machining.stock import Floats, Stock
-from postproc.machining.tool import BOTTOM, CORNER, SIDE, Edge
+from postproc.machining.turn import Turn
 
 _NOTHING = 1e-6
 """Less of an edge than this [m] in material is rounding."""
@@ -17,10 +17,10 @@ _NOTHING = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Engaged:
-    """Edge in material at n stations, K angles, S pieces of edge.
+    """Edge in material at n stations, at the P places of a turn.
 
-    :param length: (n, K, S) length of the piece that is in material [m].
-    :param moment: (n, K) ∫ z dz over what is in material of the cylinder, z above the tip [m²].
+    :param length: (n, P) length of the piece of edge that is in material [m].
+    :param moment: (n, C) ∫ z dz over what is in material at the C places of the cylinder, z above the tip [m²].
     """
 
     length: Floats
@@ -35,38 +35,41 @@ class _Corners:
     weight: tuple[Floats, ...]
 
 
-def engaged(stock: Stock, edge: Edge, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
+def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
     """Return what is in material.
 
-    :param x: (n, K, S) and y: places of the pieces of edge in the map [m].
+    :param x: (n, P) and y: where the places stand in the map [m].
     :param tip: (n,) height of the tip [m].
     :param descent: (n,) by which the tool goes down in one turn [m], > 0: what lies within it is cut by the end face.
     """
-    n, angles, _ = x.shape
     out = np.zeros(x.shape, dtype=np.float32)
-    moment = np.zeros((n, angles), dtype=np.float32)
-    only_side = bool((edge.part == SIDE).all())
-    around = _around(stock, x[:, :, :0], y[:, :, :0]) if only_side else _around(stock, x, y)
-    z = tip[:, None, None]
-    in_part = not only_side and _partly(stock, around)
-    corner = edge.part == CORNER
-    if corner.any():
-        level = _levels(stock, around, corner, z, in_part) - z
-        low, rise = edge.low[corner].astype(np.float32), edge.rise[corner].astype(np.float32)
-        piece = (edge.length / np.where(edge.rise > 0.0, edge.rise, 1.0))[corner].astype(np.float32)
-        floor = stock.floor.reshape(-1).take(around.cell[0][:, :, corner]) - z
-        under = np.minimum(np.maximum(floor - low, 0.0), rise)
-        out[:, :, corner] = np.maximum(np.minimum(np.maximum(level - low, 0.0), rise) - under, 0.0) * piece
-    side = np.flatnonzero(edge.part == SIDE)
-    if len(side):
-        start = np.float32(edge.low[side[0]])
-        at = _nearest(stock, x[:, :, side[0]], y[:, :, side[0]])
-        out[:, :, side[0]], moment[:] = _cylinder(stock, at, tip[:, None], start)
-    bottom = edge.part == BOTTOM
-    if bottom.any():
-        depth = np.maximum(descent, np.float32(1e-7))[:, None, None]
-        under = _blend(stock, around, bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), in_part)
-        out[:, :, bottom] = under / depth * edge.length[bottom].astype(np.float32)
+    z = tip[:, None]
+    end = turn.side.start
+    if end > 0:
+        around = _around(stock, x[:, :end], y[:, :end])
+        in_part = _partly(stock, around)
+        on_floor = float(tip.min()) < stock.ground
+        if turn.round.start < end:
+            level = _levels(stock, around, turn.round, z, in_part, on_floor)
+            level -= z
+            level -= turn.low[turn.round]
+            rise = turn.rise[turn.round]
+            inside = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
+            if on_floor:
+                floor = stock.floor.reshape(-1).take(around.cell[0][:, turn.round]) - z
+                inside -= np.minimum(np.maximum(floor - turn.low[turn.round], 0.0), rise)
+                np.maximum(inside, 0.0, out=inside)
+            out[:, turn.round] = inside * (turn.length[turn.round] / rise)
+        if turn.bottom.start < turn.bottom.stop:
+            depth = np.maximum(descent, np.float32(1e-7))[:, None]
+            under = _blend(
+                stock, around, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), in_part
+            )
+            out[:, turn.bottom] = under / depth * turn.length[turn.bottom]
+    moment = np.zeros((len(x), 0), dtype=np.float32)
+    if turn.side.start < turn.side.stop:
+        at = _nearest(stock, x[:, turn.side], y[:, turn.side])
+        out[:, turn.side], moment = _cylinder(stock, at, z, turn.low[turn.side.start])
     out[out < _NOTHING] = 0.0
     return Engaged(out, moment)
 
@@ -110,12 +113,14 @@ def _partly(stock: Stock, around: _Corners) -> bool:
     return bool(stock.share[rows].any())
 
 
-def _blend(stock: Stock, around: _Corners, pieces, function, in_part: bool) -> Floats:  # type: ignore[no-untyped-def]
+def _blend(
+    stock: Stock, around: _Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool
+) -> Floats:
     """Return a function of the level, less the same of the floor, as a mean over the cells around each point."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
     out = None
     for cell, weight in zip(around.cell, around.weight, strict=True):
-        at = cell[:, :, pieces]
+        at = cell[:, pieces]
         top = high.take(at)
         value = function(top)
         if in_part:
@@ -124,7 +129,7 @@ def _blend(stock: Stock, around: _Corners, pieces, function, in_part: bool) -> F
                 value += part * (function(np.minimum(low.take(at), top)) - value)
         value = value - function(floor.take(at))
         np.maximum(value, 0.0, out=value)
-        value *= weight[:, :, pieces]
+        value *= weight[:, pieces]
         out = value if out is None else out + value
     return np.asarray(out)
 
@@ -147,18 +152,21 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.f
     return height, np.float32(0.5) * moment
 
 
-def _levels(stock: Stock, around: _Corners, pieces: Array, z: Floats, in_part: bool) -> Floats:
+def _levels(stock: Stock, around: _Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
     """Return the level at each point, as a mean over the cells around it, not below the tip."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
     out = None
     for cell, weight in zip(around.cell, around.weight, strict=True):
-        at = cell[:, :, pieces]
-        top = high.take(at)
-        empty = top <= floor.take(at)
-        value = np.where(empty, z, np.maximum(top, z))
+        at = cell[:, pieces]
+        value = high.take(at)
+        np.maximum(value, z, out=value)
+        if on_floor:
+            empty = high.take(at) <= floor.take(at)
+            np.copyto(value, np.broadcast_to(z, value.shape), where=empty)
         if in_part:
             part = share.take(at)
-            value += part * (np.maximum(np.minimum(low.take(at), top), z) - value)
-        value *= weight[:, :, pieces]
-        out = value if out is None else out + value
+            if part.any():
+                value += part * (np.minimum(np.maximum(low.take(at), z), value) - value)
+        value *= weight[:, pieces]
+        out = value if out is None else np.add(out, value, out=out)
     return np.asarray(out)

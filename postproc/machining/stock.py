@@ -37,6 +37,7 @@ class Stock:
     :param low: (ny, nx) lower level; counts only where `share` is not 0.
     :param share: (ny, nx) part of the cell's area that is at the lower level, 0 … 1.
     :param floor: (ny, nx) where the material begins below; it never changes.
+    :param ground: its highest place.
     """
 
     x: float
@@ -46,6 +47,7 @@ class Stock:
     low: Floats
     share: Floats
     floor: Floats
+    ground: float
 
     def thickness(self) -> Array:
         """Return the mean thickness of material in each cell (ny, nx) [m]."""
@@ -94,7 +96,7 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
     high = np.where(covered > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(covered > 0.0, 1.0 - covered, 0.0).astype(np.float32)
-    return Stock(x, y, cell, high, floor.copy(), share, floor)
+    return Stock(x, y, cell, high, floor.copy(), share, floor, float(lower[2]) + 1e-6)
 
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
@@ -125,7 +127,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     lowest_of_all = float(np.nanmin(floor)) if not none.all() else 0.0
     high[none] = floor[none] = lowest_of_all
     low[:] = floor
-    return Stock(x, y, cell, high, low, share, floor)
+    return Stock(x, y, cell, high, low, share, floor, float(floor.max()) + 1e-6)
 
 
 def _columns(

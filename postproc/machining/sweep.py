@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
-from itertools import pairwise
 
 import numpy as np
 
@@ -17,11 +16,12 @@ from postproc.frames import Array
 from postproc.machining import cutting
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process
-from postproc.machining.removal import remove
+from postproc.machining.removal import depth_of, remove
 from postproc.machining.running import Running
 from postproc.machining.sampling import Engaged, engaged
 from postproc.machining.stock import Floats, Stock
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, edge, some
+from postproc.machining.turn import Turn
 from postproc.machining.ways import Ways
 from postproc.program import Bools, Ints
 
@@ -31,11 +31,16 @@ _LONGEST = 20.0
 """Ways are taken together over so many radii of the tool at most."""
 _ALONG = 1e-3
 """Sine of the angle to the spindle below which a way runs along it."""
-_ELEMENTS = 400_000
+_ELEMENTS = 200_000
+"""Places of edges that are looked at together."""
+_SLOPES = 16
+"""Steps of the sine of the slope by which it is known which part of a tool's edge can cut."""
 _FINE = 0.5
 """Of a cell: how close the angles stand at the rim where only the cylinder is looked at, cell by cell."""
 _ON_LINE = 1e-6
 """Directions that differ by less are those of one line."""
+_LITTLE = 0.05
+"""Less of an edge than this share in material does not count for angles and width of engagement."""
 _TOUCHED = 2e-5
 """A rapid move, or a spindle that stands still, may touch material so deep [m] without being told of."""
 
@@ -105,7 +110,7 @@ class Sweep:
     contact: bool = False
     _cutters: dict[int, Cutter] = field(default_factory=dict)
     _edges: dict[int, Edge] = field(default_factory=dict)
-    _turns: dict[tuple[int, bool, bool, int], cutting.Turn] = field(default_factory=dict)
+    _turns: dict[tuple[int, bool, int, int], Turn] = field(default_factory=dict)
 
     def run(self, ways: Ways, progress: Callable[[int], None] | None = None) -> Iterator[Cuts]:
         """Yield what is found on the cutting ways in order, and remove their material; see `Cuts`.
@@ -126,16 +131,22 @@ class Sweep:
             cutter = self._cutter(number)
             if ways.cutting[begin] and self.turning.rpm[ways.motion[begin]] > 0.0:
                 yield from self._cut(ways, begin, end, number)
-                found = 0.0
+                first = _runs(ways, begin, end)
+                last = np.zeros(len(first), dtype=bool)
+                last[-1] = end == len(near) or not (ways.joined[end] and near[end])
+                remove(self.stock, cutter, ways.begin[first], ways.end[[*(first[1:] - 1), end - 1]], last)
             else:
-                if begin > 0 and ways.joined[begin]:  # what its predecessor left for the next way
-                    remove(self.stock, cutter, ways.begin[begin], ways.begin[begin], last=True)
-                found = _TOUCHED
-            for way, stop in _runs(ways, begin, end) if not found else ((k, k + 1) for k in range(begin, end)):
-                follows = stop < len(ways.motion) and bool(ways.joined[stop]) and bool(near[stop])
-                depth = remove(self.stock, cutter, ways.begin[way], ways.end[stop - 1], last=bool(found) or not follows)
-                if found and depth > found:
-                    (self.stood if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
+                self._unwanted(ways, begin, end, cutter)
+
+    def _unwanted(self, ways: Ways, begin: int, end: int, cutter: Cutter) -> None:
+        """Note rapid moves, and a spindle that stands still, in material; remove it."""
+        whole = np.ones(1, dtype=bool)
+        if begin > 0 and ways.joined[begin]:  # what its predecessor left for the next way
+            remove(self.stock, cutter, ways.begin[[begin]], ways.begin[[begin]], whole)
+        for way in range(begin, end):
+            if depth_of(self.stock, cutter, ways.begin[way], ways.end[way]) > _TOUCHED:
+                (self.stood if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
+            remove(self.stock, cutter, ways.begin[[way]], ways.end[[way]], whole)
 
     def _near(self, ways: Ways, top: float) -> Bools:
         """Return which ways (L,) can meet the stock at all."""
@@ -203,28 +214,28 @@ class Sweep:
         t = ways.first[way] + share * (ways.last[way] - ways.first[way])
         motion = ways.motion[way]
         turn = self._turn(number, position, heading)
-        chunk = max(1, _ELEMENTS // turn.front.size)
+        chunk = max(1, _ELEMENTS // len(turn.phi))
         for start in range(0, len(way), chunk):
             rows = slice(start, start + chunk)
             yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows], ways.leave[begin])
 
-    def _turn(self, number: int, position: Array, heading: Array) -> cutting.Turn:
+    def _turn(self, number: int, position: Array, heading: Array) -> Turn:
         """Return the pieces of edge that can be in material at some positions, and the angles to look at."""
         cutter, pieces = self._cutter(number), self._edge(number)
         down = bool((heading[:, 2] < -1e-6).any())
         high = self._highest(position, cutter.radius)
         kept = int(np.searchsorted(pieces.low, high - float(position[:, 2].min()), side="left"))
         ends = down and bool((pieces.part == BOTTOM).any())
-        whole = down and (cutter.corner > 0.0 or ends)
         kept = max(kept, 1)
-        key = (number, whole, ends, kept)
+        steep = int(np.ceil(_SLOPES * float((-heading[:, 2]).max()) - 1e-6))
+        key = (number, ends, kept, steep)
         if key not in self._turns:
             used = (np.arange(len(pieces.low)) < kept) & (ends | (pieces.part != BOTTOM))
             if not used.any():
                 used[-1] = True
             kept_edge = some(pieces, used)
             step = self.stock.cell * (_FINE if (kept_edge.part == SIDE).all() else 1.0)
-            self._turns[key] = cutting.Turn.of(kept_edge, cutter, self.law, step, whole=whole)
+            self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(steep / _SLOPES, 1.0))
         return self._turns[key]
 
     def _highest(self, position: Array, radius: float) -> float:
@@ -236,7 +247,7 @@ class Sweep:
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
     def _loads(
-        self, turn: cutting.Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array, first: Array
+        self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array, first: Array
     ) -> Cuts:
         cutter = self._cutter(number)
         across = np.hypot(heading[:, 0], heading[:, 1])
@@ -273,18 +284,17 @@ class Sweep:
         )  # fmt: skip
 
     def _inside(
-        self, turn: cutting.Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
+        self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> Engaged:
-        ux, uy, hand = (one.astype(np.float32)[:, None, None] for one in axes)
-        radius = turn.edge.radius.astype(np.float32)
-        ahead = np.sin(turn.phi).astype(np.float32)[:, None] * radius
-        aside = np.cos(turn.phi).astype(np.float32)[:, None] * radius
-        x = position[:, 0].astype(np.float32)[:, None, None] + (ux * ahead - (uy * hand) * aside)
-        y = position[:, 1].astype(np.float32)[:, None, None] + (uy * ahead + (ux * hand) * aside)
-        return engaged(self.stock, turn.edge, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
+        ux, uy, hand = (one.astype(np.float32)[:, None] for one in axes)
+        ahead = np.sin(turn.phi).astype(np.float32) * turn.radius
+        aside = np.cos(turn.phi).astype(np.float32) * turn.radius
+        x = position[:, 0].astype(np.float32)[:, None] + (ux * ahead - (uy * hand) * aside)
+        y = position[:, 1].astype(np.float32)[:, None] + (uy * ahead + (ux * hand) * aside)
+        return engaged(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
 
     def _note_peaks(
-        self, turn: cutting.Turn, inside: Engaged, chip: Floats, cutter: Cutter, motion: Ints, wrench: Array
+        self, turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter, motion: Ints, wrench: Array
     ) -> None:
         """Keep the largest force and torque within a turn: where the mean force of each motion is largest."""
         size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
@@ -306,32 +316,28 @@ class Sweep:
         return self._edges[number]
 
 
-def _runs(ways: Ways, begin: int, end: int) -> Iterator[tuple[int, int]]:
-    """Yield ranges of ways that lie on one line: they are removed in one go."""
+def _runs(ways: Ways, begin: int, end: int) -> Ints:
+    """Return where ways begin that lie on one line with those after them: they are removed in one go."""
     chord = ways.end[begin:end] - ways.begin[begin:end]
     chord /= np.linalg.norm(chord, axis=1)[:, None]
     bends = np.abs(np.diff(chord, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
-    first = [begin, *(np.flatnonzero(bends) + begin + 1).tolist(), end]
-    yield from pairwise(first)
+    return np.concatenate([[begin], np.flatnonzero(bends) + begin + 1])
 
 
 def _dot(one: list[float], other: list[float]) -> float:
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
-def _engagement(turn: cutting.Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
+def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
     """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each."""
-    part = turn.edge
-    per_angle = cuts.sum(axis=2)
-    found = per_angle > 0.05 * per_angle.max(axis=1, keepdims=True)
-    found &= per_angle > 0.0
+    found = cuts > _LITTLE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
+    found[:, turn.side] &= cuts[:, turn.side] > _LITTLE * cuts[:, turn.side].max(axis=1, keepdims=True, initial=0.0)
     some_ = found.any(axis=1)
-    half = 0.5 * (turn.phi[1] - turn.phi[0])
-    enter = np.where(some_, turn.phi[found.argmax(axis=1)] - half, np.nan)
-    leave = np.where(some_, turn.phi[len(turn.phi) - 1 - found[:, ::-1].argmax(axis=1)] + half, np.nan)
-    height = np.where(np.isfinite(part.rise), part.rise, 1.0) / part.length
-    depth = (cuts @ height.astype(np.float32)).max(axis=1)
-    aside = np.cos(turn.phi)[:, None] * part.radius
-    inside = cuts > 0.05 * np.maximum(cuts.max(axis=1, keepdims=True), 1e-9)
-    widest = np.where(inside, aside, -np.inf).max(axis=(1, 2)) - np.where(inside, aside, np.inf).min(axis=(1, 2))
-    return enter, leave, depth.astype(float), np.where(some_, np.maximum(widest, 0.0), 0.0)
+    half, aside = 0.5 * turn.width, np.cos(turn.phi) * turn.radius
+    ends = [
+        (np.where(found, low, np.inf).min(axis=1), np.where(found, high, -np.inf).max(axis=1))
+        for low, high in ((turn.phi - half, turn.phi + half), (aside, aside))
+    ]
+    enter, leave = (np.where(some_, angle, np.nan) for angle in ends[0])
+    depth = cutting.times(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
+    return enter, leave, depth.astype(float), np.where(some_, ends[1][1] - ends[1][0], 0.0)

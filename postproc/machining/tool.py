@@ -12,7 +12,7 @@ from postproc.frames import Array
 BOTTOM, CORNER, SIDE = range(3)
 """Values of `Edge.part`: the end face of a flat or bull tool, the round of a ball or bull tool, the cylinder."""
 _RINGS = 3
-_MOST_SLICES = 24
+_MOST_SLICES = 160
 
 
 @dataclass(frozen=True, slots=True)

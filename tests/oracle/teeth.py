@@ -17,6 +17,7 @@ class Teeth:
     def __init__(self, radius, corner, teeth, linear=None, kienzle=None, discs=160):
         self.radius, self.corner, self.teeth = radius, corner, teeth
         self.linear, self.kienzle = linear, kienzle
+        self.rubbing = 1.0
         self.pieces = []  # (distance from the axis, height above the tip, length of edge, angle of its normal)
         if corner > 0:
             for k in range(discs):
@@ -32,15 +33,23 @@ class Teeth:
             self.pieces.append((self.radius, self.corner + (k + 0.5) * step, step, math.pi / 2))
         return self
 
-    def _force(self, chip, length):
+    def face(self, rubbing, rings=40):
+        """Add the end face, of whose rubbing a share counts: it cuts where the feed goes down."""
+        for k in range(rings):
+            width = (self.radius - self.corner) / rings
+            self.pieces.append(((k + 0.5) * width, 1e-6, width, 0.0))
+        self.rubbing = rubbing
+        return self
+
+    def _force(self, chip, length, kappa):
         """Return tangential, radial and axial force of pieces."""
         if self.kienzle is not None:
             kc, mc, ratio = self.kienzle
             tangential = np.where(chip > 0, kc * np.maximum(chip, 1e-12) ** (1 - mc), 0.0) * length
             return tangential, ratio * tangential, 0.0 * tangential
         ktc, kte, krc, kre, kac, kae = self.linear
-        cuts = chip > 0
-        return tuple(cuts * (k * chip + e) * length for k, e in ((ktc, kte), (krc, kre), (kac, kae)))
+        cuts, rub = chip > 0, np.where(kappa > 0, 1.0, self.rubbing)
+        return tuple(cuts * (k * chip + e * rub) * length for k, e in ((ktc, kte), (krc, kre), (kac, kae)))
 
     def mean(self, tip, direction, per_tooth, material, hand=1, steps=1440):
         """Return mean force (3,) in x along the feed, y to its left, z up, and mean torque [N·mm].
@@ -53,19 +62,21 @@ class Teeth:
         ahead = np.array([direction[0] / level, direction[1] / level, 0.0])
         left = np.array([-ahead[1], ahead[0], 0.0])
         distance, height, length, kappa = np.array(self.pieces).T
+        turned = 2 * math.pi * (np.arange(steps) + 0.5)[:, None] / steps
         total, torque = np.zeros(3), 0.0
-        for step in range(steps):
-            for tooth in range(self.teeth):
-                turned = 2 * math.pi * ((step + 0.5) / steps + tooth / self.teeth)
-                out = math.sin(turned) * ahead + hand * math.cos(turned) * left  # from the axis to the tooth
-                moves = math.cos(turned) * ahead - hand * math.sin(turned) * left  # where it goes
-                normal = np.sin(kappa)[:, None] * out - np.cos(kappa)[:, None] * np.array([0, 0, 1.0])
-                point = tip + distance[:, None] * out + height[:, None] * np.array([0, 0, 1.0])
-                chip = per_tooth * normal @ direction
-                cuts = (chip > 0) & material(point)
-                tangential, radial, axial = self._force(np.where(cuts, chip, 0.0), length)
-                upwards = np.cos(kappa)[:, None] * out + np.sin(kappa)[:, None] * np.array([0, 0, 1.0])
-                force = -tangential[:, None] * moves - radial[:, None] * normal + axial[:, None] * upwards
-                total += force.sum(axis=0) / steps
-                torque += (tangential * distance).sum() / steps
+        for tooth in range(self.teeth):
+            angle = turned + 2 * math.pi * tooth / self.teeth
+            out = np.sin(angle) * ahead + hand * np.cos(angle) * left  # from the axis to the tooth
+            moves = np.cos(angle) * ahead - hand * np.sin(angle) * left  # where it goes
+            out, moves, up = out[:, None], moves[:, None], np.array([0, 0, 1.0])
+            normal = np.sin(kappa)[:, None] * out - np.cos(kappa)[:, None] * up
+            point = tip + distance[:, None] * out + height[:, None] * up
+            chip = per_tooth * normal @ direction
+            cuts = chip > 0
+            cuts[cuts] = material(point[cuts])
+            tangential, radial, axial = self._force(np.where(cuts, chip, 0.0), length, kappa)
+            upwards = np.cos(kappa)[:, None] * out + np.sin(kappa)[:, None] * up
+            force = -tangential[..., None] * moves - radial[..., None] * normal + axial[..., None] * upwards
+            total += force.sum(axis=(0, 1)) / steps
+            torque += (tangential * distance).sum() / steps
         return np.array([total @ ahead, total @ left, total[2]]), torque
