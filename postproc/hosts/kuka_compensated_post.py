@@ -8,8 +8,11 @@ LinuxCNC, with seven digits, and handed to ``postproc convert``; nothing is comp
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import re
 import shlex
+import struct
 import sys
 from pathlib import Path
 from typing import Any, NoReturn
@@ -22,8 +25,9 @@ del sys.path[0]
 TOOLTIP = """
 KUKA KRL whose path stays true under cutting forces: postproc predicts how far the robot gives way at each pose and
 corrects the targets. Writes NAME.src, NAME.report.html, NAME.targets.csv and NAME.report.json, all or none.
-Needs a cell file (robot, base, tool): --cell CELL.toml. Forces: comments such as (FORCE FX=120 FY=-40 FZ=300) in
-Custom operations, or --forces FILE.csv by line of NAME.moves.txt.
+Needs a cell file (robot, base, tool): --cell CELL.toml. Forces: --material NAME, computed from stock, tools, speeds
+and feeds of the job (NAME.process.toml says what was taken); or --process FILE.toml; or comments such as
+(FORCE FX=120 FY=-40 FZ=300) in Custom operations; or --forces FILE.csv by line of NAME.moves.txt.
 """
 
 
@@ -35,6 +39,12 @@ class _Parser(argparse.ArgumentParser):
 _parser = _Parser(prog="kuka_compensated", add_help=False)
 _parser.add_argument("--cell", required=True, metavar="CELL.toml", help="cell file: robot, base, tool, tolerances")
 _parser.add_argument("--forces", metavar="FILE.csv", default="", help="cutting forces by line of NAME.moves.txt")
+_parser.add_argument(
+    "--material", metavar="NAME", default="", help="forces from stock and tools of the job: postproc forces --materials"
+)
+_parser.add_argument(
+    "--process", metavar="FILE.toml", default="", help="forces from material, tools and stock of a file"
+)
 _parser.add_argument("--out-dir", metavar="FOLDER", default="", help="where to write; default: where FreeCAD writes")
 _parser.add_argument("--name", default="", help="of the program; default: that of FreeCAD's output file")
 _parser.add_argument("--nominal", action="store_true", help="write the path as it is, to compare against")
@@ -73,11 +83,18 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
     blocks = _blocks(objects)
     document = FreeCAD.ActiveDocument
     folder, name = _where(options, filename, document, objects)
-    cell, forces = (_file(path, document) for path in (options.cell, options.forces))
-    flags = [("--cell", cell), *([("--forces", forces)] if forces else [])]
+    flags = [("--cell", _file(options.cell, document))]
+    if sum(bool(source) for source in (options.forces, options.process, options.material)) > 1:
+        raise HostError("Arguments of the post: --forces, --process and --material exclude each other.")
+    flags += [("--forces", _file(options.forces, document))] if options.forces else []
+    flags += [("--process", _file(options.process, document))] if options.process else []
+    beside: dict[str, bytes] = {}
+    if options.material:
+        beside = _process(_job(document, objects), name, options.material)
+        flags.append(("--process", f"{name}.process.toml"))
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
     flags += [("--nominal", "")] if options.nominal else []
-    done = convert(blocks, folder, name, "nc", flags)
+    done = convert(blocks, folder, name, "nc", flags, beside)
     for warning in done.warnings:
         FreeCAD.Console.PrintWarning(f"{warning}\n")
     program = done.files[0]
@@ -131,14 +148,92 @@ def _where(options: argparse.Namespace, filename: str, document: Any, objects: l
     return folder, name
 
 
-def _output_file(document: Any, objects: list[Any]) -> Path | None:
-    """Return the output file of the job that is posted, which FreeCAD from 1.0 on writes itself; None: it has none."""
+def _job(document: Any, objects: list[Any]) -> Any:
+    """Return the job that is posted, of which FreeCAD hands over the operations; None: none of the document."""
     posted = {getattr(item, "Name", None) for item in objects}
     for job in [] if document is None else document.Objects:
-        file = getattr(job, "PostProcessorOutputFile", "")
-        if file and "%" not in file and posted & {item.Name for item in job.Operations.Group}:
-            return Path(file)
+        if hasattr(job, "PostProcessorOutputFile") and posted & {item.Name for item in job.Operations.Group}:
+            return job
     return None
+
+
+def _output_file(document: Any, objects: list[Any]) -> Path | None:
+    """Return the output file of the job that is posted, which FreeCAD from 1.0 on writes itself; None: it has none."""
+    file = getattr(_job(document, objects), "PostProcessorOutputFile", "")
+    return Path(file) if file and "%" not in file else None
+
+
+_SHAPES = {"endmill": "flat", "ballend": "ball", "bullnose": "bull", "drill": "drill"}
+"""What FreeCAD calls its tools."""
+_ENOUGH = 4e6
+"""Cells of the map of the stock."""
+
+
+def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
+    """Return a process of what the job states, NAME.process.toml, and the mesh of its stock where that is no box."""
+    if job is None:
+        raise HostError("--material: the job of these operations is not found: post the job as a whole.")
+    controllers: dict[int, Any] = {}
+    for operation in job.Operations.Group:
+        held = getattr(operation, "ToolController", None) or getattr(
+            getattr(operation, "Base", None), "ToolController", None
+        )
+        if held is not None:
+            controllers[int(held.ToolNumber)] = held
+    text = [f"# {job.Label}: as the job states it", "[material]", f"name = {json.dumps(material)}", ""]
+    for number, controller in sorted(controllers.items()):
+        text += [f"[tools.{number}]  # {_comment(controller.Label)}", *_tool(controller), ""]
+    stock = getattr(getattr(job, "Stock", None), "Shape", None)
+    if stock is None or stock.isNull() or not stock.Volume > 0.0:
+        raise HostError(f"--material: {job.Label} has no stock: set it in the job's Setup tab.")
+    box = stock.BoundBox
+    text += [
+        "[stock]",
+        f"resolution_mm = {max(0.25, math.ceil(math.sqrt(box.XLength * box.YLength / _ENOUGH) * 20) / 20):g}",
+    ]
+    if abs(stock.Volume - box.XLength * box.YLength * box.ZLength) < 1e-6 * stock.Volume:
+        spans = ((box.XMin, box.XMax), (box.YMin, box.YMax), (box.ZMin, box.ZMax))
+        sides = ", ".join(f"{axis} = [{a:.6f}, {b:.6f}]" for axis, (a, b) in zip("XYZ", spans))
+        text.append(f"box = {{ {sides} }}")
+        return {f"{name}.process.toml": "\n".join([*text, ""]).encode()}
+    text.append(f'file = "{name}.stock.stl"')
+    return {f"{name}.process.toml": "\n".join([*text, ""]).encode(), f"{name}.stock.stl": _stl(stock)}
+
+
+def _tool(controller: Any) -> list[str]:
+    """Return the lines of [tools.n]: shape, diameter, flutes."""
+    tool, who = controller.Tool, f"--material: tool {int(controller.ToolNumber)}, {controller.Label}"
+    told = next((str(getattr(tool, key)) for key in ("ShapeName", "ShapeID", "ShapeType") if hasattr(tool, key)), "")
+    shape = _SHAPES.get(re.sub("[^a-z]", "", told.lower()))
+    if shape is None:
+        raise HostError(
+            f"{who}: forces of the shape {told!r} are not known, but of {', '.join(_SHAPES)}. Give --process FILE.toml."
+        )
+    diameter, flutes = _number(tool, "Diameter"), int(_number(tool, "Flutes"))
+    if diameter <= 0.0 or flutes < 1:
+        missing = "diameter" if diameter <= 0.0 else "number of flutes"
+        raise HostError(
+            f"{who} states no {missing}: set it in the tool (Flutes, Diameter), or give --process FILE.toml."
+        )
+    lines = [f'shape = "{shape}"', f"diameter_mm = {diameter:.6g}", f"flutes = {flutes}"]
+    if shape == "bull":
+        corner = _number(tool, "CornerRadius") or 0.5 * diameter - _number(tool, "FlatRadius")
+        lines.append(f"corner_radius_mm = {corner:.6g}")
+    return lines
+
+
+def _number(item: Any, key: str) -> float:
+    """Return a property as a number, lengths in mm; 0 where there is none."""
+    value = getattr(item, key, 0.0)
+    return float(getattr(value, "Value", value))
+
+
+def _stl(shape: Any) -> bytes:
+    """Return a shape as a binary STL in mm."""
+    points, facets = shape.tessellate(0.05)
+    rows = [struct.pack("<80xI", len(facets))]
+    rows += [struct.pack("<12x9fH", *(c for corner in facet for c in points[corner]), 0) for facet in facets]
+    return b"".join(rows)
 
 
 def _blocks(objects: list[Any]) -> list[Block]:

@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 
 import FreeCAD
+import Part
 from PathScripts import PathDrilling, PathJob, PathPocketShape, PathPost, PathProfile
 
 settings = json.loads(Path("settings.json").read_text())
@@ -50,6 +51,11 @@ def build():
 
 
 def post(job, run):
+    job.Tools.Group[0].Tool.Flutes = run.get("flutes", 2)
+    job.Tools.Group[0].Tool.ShapeName = run.get("tool", "endmill")
+    if run.get("stock") == "cylinder":
+        job.Stock.Proxy, cylinder = None, Part.makeCylinder(65, 22, FreeCAD.Vector(50, 30, -1))
+        job.Stock.Shape = cylinder
     for name in run.get("inactive", ()):
         FreeCAD.ActiveDocument.getObjectsByLabel(name)[0].Active = False
     job.PostProcessor, job.PostProcessorArgs = run["processor"], run["arguments"]

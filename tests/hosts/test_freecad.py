@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 
 from postproc.cli import main
@@ -30,9 +31,10 @@ def posted(tmp_path_factory):
     posts = folder / ".local" / "share" / "FreeCAD" / "Macro"
     posts.mkdir(parents=True)
     install_post("freecad", posts)
-    for name in ("out", "a", "b", "c", "d"):  # FreeCAD asks for a folder that is not there
+    for name in ("out", "cut", "round", "by", "a", "b", "c", "d"):  # FreeCAD asks for a folder that is not there
         (folder / name).mkdir()
     (folder / "taken").write_text("a file where a folder should be")
+    by_material = f"--cell {CELL} --material al_6082_t6_carbide"
     ours = {"processor": "kuka_compensated", "arguments": f"--cell {CELL}"}
     runs = {
         "linuxcnc": {"processor": "linuxcnc", "arguments": "--no-show-editor", "file": str(folder / "theirs.ngc")},
@@ -50,6 +52,25 @@ def posted(tmp_path_factory):
             "file": str(folder / "a" / "bad.src"),
         },
         "far": {**ours, "arguments": f"--cell {folder / 'far.toml'}", "file": str(folder / "c" / "bad.src")},
+        "no flutes": {**ours, "arguments": f"{by_material}", "file": str(folder / "a" / "bad.src"), "flutes": 0},
+        "v-bit": {**ours, "arguments": f"{by_material}", "file": str(folder / "b" / "bad.src"), "tool": "v-bit"},
+        "no material": {
+            **ours,
+            "arguments": f"--cell {CELL} --material cheese",
+            "file": str(folder / "c" / "bad.src"),
+        },
+        "two sources": {
+            **ours,
+            "arguments": f"{by_material} --process {folder / 'x.toml'}",
+            "file": str(folder / "d" / "bad.src"),
+        },
+        "material": {**ours, "arguments": by_material, "file": str(folder / "cut" / "bracket.src")},
+        "round": {**ours, "arguments": by_material, "file": str(folder / "round" / "bracket.src"), "stock": "cylinder"},
+        "process": {
+            **ours,
+            "arguments": f"--cell {CELL} --process {folder / 'cut' / 'bracket.process.toml'}",
+            "file": str(folder / "by" / "bracket.src"),
+        },
         "still": {**ours, "file": str(folder / "d" / "bad.src"), "inactive": ["Profile", "Pocket", "Drilling"]},
     }
     (folder / "far.toml").write_text(CELL.read_text().replace("X = 1500.0", "X = 3500.0"))
@@ -111,12 +132,46 @@ def test_options_reach_postproc(posted):
         ("no folder", "Choose another folder"),
         ("far", "operation "),
         ("still", "moves nothing"),
+        ("no flutes", "states no number of flutes"),
+        ("v-bit", "forces of the shape 'v-bit' are not known"),
+        ("no material", "no material 'cheese'"),
+        ("two sources", "exclude each other"),
     ],
 )
 def test_what_cannot_be_done_is_said_and_nothing_written(posted, run, says):
     folder, results = posted
     assert says in results[run]["error"], results[run]
     assert not list(folder.glob("?/*"))
+
+
+def test_forces_come_from_stock_tools_and_speeds_of_the_job(posted):
+    """The job: a cutter of 6 mm with 2 flutes, 12,000 turns and 1200 mm a minute; a box, 1 mm larger all round."""
+    folder, results = posted
+    assert "error" not in results["material"], results["material"]
+    told = (folder / "cut" / "bracket.process.toml").read_text()
+    for line in ('shape = "flat"', "diameter_mm = 6\n", "flutes = 2\n", 'name = "al_6082_t6_carbide"'):
+        assert line in told
+    assert "X = [-1.000000, 101.000000], Y = [-1.000000, 61.000000], Z = [-1.000000, 21.000000]" in told
+    (folder / "own.toml").write_text(told)
+    command = ["forces", str(folder / "cut" / "bracket.moves.nc"), "--cell", str(CELL), "--process"]
+    shutil.copy(folder / "cut" / "bracket.moves.txt", folder / "cut" / "bracket.moves.nc")
+    done = CliRunner().invoke(main, [*command, str(folder / "own.toml"), "-o", str(folder / "own.csv"), "--json"])
+    assert done.exit_code == 0, done.output
+    largest = max(float(row["Fx"]) ** 2 + float(row["Fy"]) ** 2 + float(row["Fz"]) ** 2 for row in _rows(
+        folder / "cut" / "bracket.targets.csv"
+    )) ** 0.5  # fmt: skip
+    assert largest == pytest.approx(json.loads(done.output)["tools"][0]["max_force_N"], rel=0.02)
+    assert [row["X_cmd"] for row in _rows(folder / "by" / "bracket.targets.csv")] == [
+        row["X_cmd"] for row in _rows(folder / "cut" / "bracket.targets.csv")
+    ]
+
+
+def test_stock_that_is_no_box_is_handed_over_as_a_mesh(posted):
+    folder, results = posted
+    assert "error" not in results["round"], results["round"]
+    mesh = trimesh.load(folder / "round" / "bracket.stock.stl")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(np.pi * 65**2 * 22, rel=1e-3)
 
 
 def test_a_fault_names_operation_and_command(posted):

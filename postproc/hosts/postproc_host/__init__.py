@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 _SETTING = Path(__file__).with_name("command.json")
 _MEND = (
@@ -44,7 +44,7 @@ class Block(NamedTuple):
 class Converted(NamedTuple):
     """What postproc made of a program.
 
-    :param files: written files, the program first, its moves last.
+    :param files: written files, the program first; last its moves and what it needed beside it.
     :param summary: content of its `report.json`.
     :param warnings: what the user should know, each in one line, with the host's places.
     """
@@ -73,7 +73,12 @@ def command() -> tuple[list[str], bool]:
 
 
 def convert(
-    blocks: Sequence[Block], folder: Path, name: str, extension: str, options: Sequence[tuple[str, str]]
+    blocks: Sequence[Block],
+    folder: Path,
+    name: str,
+    extension: str,
+    options: Sequence[tuple[str, str]],
+    beside: Mapping[str, bytes] | None = None,
 ) -> Converted:
     """Have a program converted.
 
@@ -83,7 +88,9 @@ def convert(
     :param folder: to write the results into; made if it is missing.
     :param name: of the written program.
     :param extension: by which postproc knows the format of the blocks.
-    :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by their path.
+    :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by their path, or
+        by their name where they are among `beside`.
+    :param beside: files that the program needs, by name; they are left in the folder with it.
     :raises HostError: nothing was written; says what stands against it, in the host's words.
     """
     text = "\n".join([block.text for block in blocks] + [""]).encode("utf-8")
@@ -91,11 +98,14 @@ def convert(
         program = Path(scratch) / f"{name}.{extension}"
         try:
             program.write_bytes(text)
+            for own, content in (beside or {}).items():
+                (Path(scratch) / own).write_bytes(content)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as cause:
             raise HostError(f"{folder}: cannot be written to: {cause.strerror}. Choose another folder.") from cause
         words = [str(program), "-o", str(folder)]
         for option, value in options:
+            value = str(Path(scratch) / value) if beside and value in beside else value
             words += [option, value] if value else [option]
         entry = _run(["convert", *words, "--json"])["programs"][0]
     issues = [(issue["level"], _told(issue, program, blocks)) for issue in entry["issues"]]
@@ -105,7 +115,10 @@ def convert(
     warnings = [text for level, text in issues if level == "warning"]
     moves = folder / f"{name}.moves.txt"
     moves.write_bytes(text)
-    return Converted([*(_from_linux(path) for path in entry["written"]), moves], entry, warnings)
+    for own, content in (beside or {}).items():
+        (folder / own).write_bytes(content)
+    left = [moves, *(folder / own for own in beside or ())]
+    return Converted([*(_from_linux(path) for path in entry["written"]), *left], entry, warnings)
 
 
 def _run(words: Sequence[str]) -> dict[str, Any]:
