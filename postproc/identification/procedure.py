@@ -21,6 +21,7 @@ from postproc.identification.enhanced import (
     fit_joints,
 )
 from postproc.identification.fit import Fit
+from postproc.identification.hysteresis import loops
 from postproc.identification.measurements import Measurements
 from postproc.identification.observability import NotObservable, not_observable
 from postproc.identification.placement import Placement, locate
@@ -130,7 +131,7 @@ def identify(
     seen_not = left_out_of(fit, data) if choice is None else choice.left_out
     off = discrepancy(data, fit, seen_not, explained=choice is None and not _unexplained(found.fit))
     distrust, more = judge(data, placement, fit, off, choice)
-    warnings += more
+    warnings += more + loops(prior, data, placement)
     fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     rest = (tuple(missing), choice, off, distrust, tuple(left_out), tuple(warnings))
     return Identification("enhanced", prior, data, placement, fit, found.levels, found.spring, *rest)

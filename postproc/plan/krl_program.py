@@ -13,7 +13,7 @@ _DECIMALS = 3
 
 
 def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
-    """Return the program: for each pose PTP, a halt to measure without load, one to measure with load.
+    """Return the program: for each pose PTP, a halt to measure without load, one for each of the two loads.
 
     :param name: of the program, as KRL allows it.
     """
@@ -34,9 +34,11 @@ def krl_program(result: PlanResult, cell: Cell, name: str) -> Document:
             lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
         lines += [
             f";configuration {row + 1}: load {_vector(force)} N, root axes, at the load point",
+            f";second load {_vector(result.second_load * force)} N",
             axis_motion(angles, _DECIMALS),
-            "HALT ;measure all points WITHOUT load, then put the load on",
-            "HALT ;measure all points WITH load, then take the load off",
+            "HALT ;measure all points WITHOUT load, then put the second, small load on",
+            "HALT ;measure all points WITH the second load, then put the whole load on",
+            "HALT ;measure all points WITH the whole load, then take it off",
         ]
     lines.append(axis_motion(cell.start.joints, _DECIMALS))
     return document(name, lines)

@@ -58,6 +58,7 @@ class PlanResult:
     :param represented: how far Σ w A₀ᵀA₀ of the test poses is from that of all cutting samples, relative.
     :param plan: the poses; angles and forces as written to the file.
     :param force: (n, 3) at the load point, root axes [N].
+    :param second_load: over the first, in the same direction; what to expect counts the first alone.
     :param accuracy: what to expect of the plan (with what was measured already).
     :param before: the same with what was measured already alone, or None.
     :param random: (R,) criterion of random plans [m²].
@@ -78,6 +79,7 @@ class PlanResult:
     represented: float
     plan: Plan
     force: Array
+    second_load: float
     accuracy: Accuracy
     before: Accuracy | None
     random: Array

@@ -87,8 +87,7 @@ def plan_measurements(
                 tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
             interrupted = True
-    remarks = (*left_uncertain(found, problem.joint2, blocked), *second_load(site, tests))
-    warnings = (*problem.warnings, *remarks)
+    warnings = (*problem.warnings, *left_uncertain(found, problem.joint2, blocked))
     wanted, got = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
     return PlanResult(
         options=options,
@@ -98,6 +97,7 @@ def plan_measurements(
         represented=float(np.abs(wanted - got).max() / np.abs(wanted).max()),
         plan=plan,
         force=force,
+        second_load=second_load(site, tests),
         accuracy=found,
         before=before,
         random=random,

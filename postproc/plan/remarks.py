@@ -19,10 +19,8 @@ NO_TORQUES = (
 )
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
 _VERTICAL = 0.02
-_FAR_LARGER = 2.5
-"""Weight over the force of the work beyond which a second load pays."""
-_LEAST_SHARE = 10.0
-"""Weight over the least second load that the noise allows."""
+_LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
+"""Second load over the weight: less is lost in the noise, more tells no other thing than the weight does."""
 
 
 def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
@@ -57,17 +55,14 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int
     return tuple(out)
 
 
-def second_load(site: Site, tests: TestPoses) -> tuple[str, ...]:
-    """Say that each pose should be measured under a load like that of the work too, where the weight is far larger."""
+def second_load(site: Site, tests: TestPoses) -> float:
+    """Return the second load of each pose over its first: as near to the force of the work as makes sense.
+
+    Gears that stiffen, knees and backlash show in how displacements under two loads differ, and near the force of the
+    work as the work feels them.
+    """
     work = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
-    weight = site.rig.force
-    if not 0.0 < work < weight / _FAR_LARGER:
-        return ()
-    return (
-        f"the weight pulls with {weight:.0f} N, the work with {work:.0f} N: measure each pose under a second load too, "
-        f"of some {max(work, weight / _LEAST_SHARE):.0f} N. Gears that stiffen, knees and backlash show near the force "
-        "of the work only",
-    )
+    return float(np.clip(work / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
 
 
 def left_uncertain(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:

@@ -36,6 +36,10 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         "configurations": len(result.plan),
         "q2_levels_deg": sorted(round(float(value), 3) for value in result.plan.q2 * DEG_PER_RAD),
         "seed": result.options.seed,
+        "second_load": {
+            "share": result.second_load,
+            "N": result.second_load * result.site.rig.force,
+        },
         "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": own},
         "expected": {
             "rms_mm": result.accuracy.rms * MM_PER_M,
@@ -98,6 +102,9 @@ def plan_lines(result: PlanResult) -> list[str]:
     levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
     lines = [
         f"{len(result.plan)} poses, A2 at {levels}°; {len(result.tests)} test poses from {result.tests.source}",
+        f"each under two loads: {result.site.rig.force:.0f} N as planned, and {result.second_load:.0%} of it, "
+        f"{result.second_load * result.site.rig.force:.0f} N, in the same direction: as near to the work "
+        "as readings tell",
         f"expected error after compensation: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
     ]

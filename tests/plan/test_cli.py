@@ -55,14 +55,14 @@ def test_the_csv_has_the_columns_units_and_number_of_the_contract(written):
     assert "-0.000" not in (written[0] / "plan.csv").read_text()
 
 
-def test_the_krl_program_visits_the_poses_of_the_csv_and_waits_twice_at_each(written):
+def test_the_krl_program_visits_the_poses_of_the_csv_and_waits_for_two_loads_at_each(written):
     document = decode("plan.src", (written[0] / "plan.src").read_bytes())
     forward = lambda q: tcp(setting.ROBOT.nominal, q[None], np.eye(4))[0][0]  # noqa: E731
     motions = krl.read_program([document], setting.CELL, forward, "plan").motions
     q, _ = setting.read_plan((written[0] / "plan.csv").read_text())
     start = setting.CELL.start_joints
     halts = [line for line in document.text.splitlines() if line.startswith("HALT ;measure")]
-    assert len(halts) == 2 * len(q)
+    assert len(halts) == 3 * len(q)
     lines = document.text.splitlines()
     before_halt = [number for number in motions.line if lines[number].startswith("HALT")]  # `line` counts from 1
     visited = motions.joints[np.isin(motions.line, before_halt)]
@@ -73,6 +73,10 @@ def test_the_krl_program_visits_the_poses_of_the_csv_and_waits_twice_at_each(wri
 
 def test_the_summary_says_what_to_expect(written):
     content = json.loads((written[0] / "plan.json").read_text())
+    second = content["second_load"]
+    assert 0.1 <= second["share"] <= 0.4
+    assert second["N"] == pytest.approx(second["share"] * 275 * 9.81, rel=1e-4)
+    assert f"{second['N']:.0f} N, in the same direction" in written[1].output
     low, high = content["expected"]["interval95_mm"]
     assert low < content["expected"]["rms_mm"] < high < content["uncompensated"]["rms_mm"]
     assert content["random"]["plans"] == 200

@@ -114,13 +114,14 @@ def test_a_hanging_weight_cannot_show_k1_and_the_plan_says_so_before_anyone_meas
     assert (result.force[:, :2] == 0).all()
 
 
-@pytest.mark.parametrize(("mass", "told"), [(275, True), (20, False)])
-def test_a_weight_far_heavier_than_the_work_asks_for_a_second_load_like_that(tmp_path, mass, told):
+@pytest.mark.parametrize("mass", [2000, 275, 150, 20])
+def test_the_second_load_is_as_near_to_the_work_as_makes_sense(tmp_path, mass):
     site = setting.site(tmp_path, BASIC + f"\n[rig]\nmass_kg = {mass}\n")
     tests = setting.job()
     work = np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1))
-    assert (site.rig.force > 2.5 * work) == told
-    assert bool(remarks.second_load(site, tests)) == told
+    second = remarks.second_load(site, tests) * mass * 9.81
+    # between a tenth of the weight, which noise does not hide, and two fifths of it
+    assert second == pytest.approx(min(max(work, 0.1 * mass * 9.81), 0.4 * mass * 9.81), rel=1e-3)
 
 
 def test_a_load_on_the_axis_of_a6_cannot_show_k6(tmp_path):
