@@ -29,11 +29,12 @@ def position_bound(
     force_spread: Array | None = None,
     in_series: Array | None = None,
 ) -> Array | None:
-    """Return the 95 % bound (N,) [m] on the error of the predicted deflection of the TCP, or None.
+    """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP, or None.
 
-    Three sources, added as covariances: `RobotModel.covariance` through the sensitivity of the TCP to each identified
-    parameter, at first order; the covariance of the wrench through the tangent compliance; and what the model was off
-    by on configurations it was not fitted to (`RobotModel.discrepancy`), in any direction.
+    Four sources, added as covariances: `RobotModel.covariance` through the sensitivity of the TCP to each identified
+    parameter, at first order; the covariance of the wrench through the tangent compliance; what the model was off by on
+    configurations it was not fitted to (`RobotModel.discrepancy`), in any direction; and, where the geometry was
+    calibrated, what that was off by there without load (`RobotModel.geometry_error`).
 
     :param q: (N, 6) joint angles [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
@@ -55,6 +56,7 @@ def position_bound(
             position += moved @ np.swapaxes(moved, 1, 2)
         if robot.discrepancy is not None:
             position += (robot.discrepancy.at(wrench) / _LENGTH_95)[:, None, None] ** 2 * np.eye(3)
+        position += (robot.geometry_error / _LENGTH_95) ** 2 * np.eye(3)
         return (length_bound(position),)
 
     beside = np.zeros((len(q), 6, 6)) if in_series is None else in_series

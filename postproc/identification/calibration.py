@@ -18,11 +18,11 @@ from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
 from postproc.identification import record
-from postproc.identification.fit import NORMAL_95
+from postproc.identification.fit import LENGTH_95, NORMAL_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
 from postproc.robot import LINK_AXES, Chain, RobotModel, assemble
-from postproc.robot.model_file import JOINTS, Displacement, Gravity, ModelFile
+from postproc.robot.model_file import JOINTS, Displacement, GeometryErrorEntry, Gravity, ModelFile
 
 _AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN = 1e-3, 2e-3
@@ -57,6 +57,7 @@ class Geometry:
     :param sag: True if the geometry is that of the weightless robot.
     :param rms: variant → (RMS of the fit, RMS on configurations left out) [m]; both per reading in space.
     :param chosen: the variant taken.
+    :param u95: what 95 % of the errors on configurations left out are below, noise taken out [m].
     :param not_observable: names of parameters whose interval the readings do not narrow.
     """
 
@@ -68,6 +69,7 @@ class Geometry:
     sag: bool
     rms: dict[str, tuple[float, float]]
     chosen: str
+    u95: float
     not_observable: tuple[str, ...]
 
     @property
@@ -148,7 +150,9 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             file=data.file,
             advice="Measure more configurations: 30 of three points are usual.",
         )
-    bare = msgspec.structs.replace(content, geometry={}, gravity=Gravity("calibrated", content.gravity.in_gears))
+    bare = msgspec.structs.replace(
+        content, geometry={}, geometry_error=None, gravity=Gravity("calibrated", content.gravity.in_gears)
+    )
     heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
     rms: dict[str, tuple[float, float]] = {}
     fits: dict[str, tuple[_Solution, Array]] = {}
@@ -179,17 +183,29 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     solution = fits[taken][0]
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
     usual = _prior(solution.parameters)
+    source, u95 = f"identified from {data.file}", _error_95(fits[taken][1], data)
+    found = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
         solution.parameters,
         solution.values,
         solution.covariance,
-        _with_geometry(solution.content, solution.parameters, solution.values, f"identified from {data.file}", half),
+        msgspec.structs.replace(found, geometry_error=GeometryErrorEntry(source=source, u95_mm=u95 * MM_PER_M)),
         solution.placement,
         "with sag" in taken,
         rms,
         taken,
+        u95,
         tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * NORMAL_95 * u),
     )
+
+
+def _error_95(held_out: Array, data: Measurements) -> float:
+    """Return what 95 % of the errors are below, of mean squares (C,) with noise [m²]: the most that they may be."""
+    count = data.means()[1][data.unloaded]
+    seen = count > 0.0
+    noise = 3.0 * data.sigma**2 * np.sum(seen / np.maximum(count, 1.0), axis=1) / np.maximum(seen.sum(axis=1), 1)
+    rest = held_out - noise
+    return float(LENGTH_95 * np.sqrt(max(0.0, rest.mean() + rest.std(ddof=1) / np.sqrt(len(rest)))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,4 +342,4 @@ def report_data(result: Geometry) -> record.Geometry:
         seen = parameter.name not in result.not_observable
         entries[parameter.name] = record.Parameter(float(value * factor), float(half * factor), unit, observable=seen)
     variants = {name: record.Variant(fit * MM_PER_M, held * MM_PER_M) for name, (fit, held) in result.rms.items()}
-    return record.Geometry(entries, result.sag, result.chosen, variants)
+    return record.Geometry(entries, result.sag, result.chosen, variants, result.u95 * MM_PER_M)

@@ -14,7 +14,7 @@ import numpy as np
 
 from postproc.frames import Array, norm
 from postproc.identification.displacements import unwhiten, visible, whitening
-from postproc.identification.fit import Fit
+from postproc.identification.fit import LENGTH_95, Fit
 from postproc.identification.measurements import Measurements
 from postproc.program import Ints
 
@@ -27,8 +27,6 @@ Where joint springs explain the readings (χ²), noise would pass for one much l
 """
 _WRONG, _AT_MOST = 2.0, 1.0
 """Standard errors beyond which, at any level, the model is clearly off; by so many more it may be at each, then."""
-LENGTH_95 = 1.6140
-"""95 % quantile of the length of normal vectors in space over their RMS length."""
 _CLEAR_SCATTER = 30
 """Degrees of freedom from which on the scatter of the repeats tells their noise better than what is stated."""
 

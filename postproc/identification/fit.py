@@ -16,6 +16,8 @@ from postproc.robot import Parameter, RobotModel, file_slopes
 
 NORMAL_95 = 1.959964
 """Half width of a 95 % interval of a normal distribution, in standard deviations."""
+LENGTH_95 = 1.6140
+"""95 % quantile of the length of normal vectors in space over their RMS length."""
 
 _ITERATIONS = 25
 _WORSE = 1.5

@@ -132,7 +132,6 @@ def geometry_folder(
         base=describe(found.placement),
         points=describe_points(found.placement, data.points),
         unloaded_rms_mm=found.placement.rms * MM_PER_M,
-        not_observable=[],
         outliers=left_out,
         warnings=[f"outlier: {name}" for name in left_out],
     )
@@ -173,4 +172,7 @@ def summary(data: record.Identified) -> str:
             lines.append(
                 f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{mark}"
             )
+        lines.append(
+            f"95 % of the errors of the geometry are below {data.geometry.u95_mm:.3f} mm; that is in the bound"
+        )
     return "\n".join(lines)

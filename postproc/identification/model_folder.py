@@ -63,6 +63,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         compensator=_compensator(result, prior, tables["compensator"], source, geometry_source),
         payload=prior.payload,
         geometry=prior.geometry,
+        geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
         covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
         discrepancy=DiscrepancyEntry(

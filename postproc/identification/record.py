@@ -136,6 +136,7 @@ class Geometry(Struct, frozen=True):
     sag: bool
     chosen: str
     variants: dict[str, Variant]
+    u95_mm: float
 
 
 class State(Struct, frozen=True):
@@ -163,7 +164,7 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     base: dict[str, float]
     points: dict[str, dict[str, float]]
     unloaded_rms_mm: float
-    not_observable: list[Missing]
+    not_observable: list[Missing] | None = None
     outliers: list[str]
     warnings: list[str]
     correlation: Correlation | None = None

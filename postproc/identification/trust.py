@@ -6,9 +6,9 @@ import numpy as np
 
 from postproc.frames import MM_PER_M, norm
 from postproc.identification.choice import Choice
-from postproc.identification.discrepancy import LENGTH_95, Discrepancy, levels
+from postproc.identification.discrepancy import Discrepancy, levels
 from postproc.identification.displacements import measured_displacements, visible
-from postproc.identification.fit import Fit
+from postproc.identification.fit import LENGTH_95, Fit
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.robot import Backlash

@@ -12,9 +12,10 @@ from postproc import robot as robots
 from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.identification import outliers, record
-from postproc.identification.discrepancy import LENGTH_95, levels, noise_of
+from postproc.identification.discrepancy import levels, noise_of
 from postproc.identification.displacements import measured_displacements, visible
 from postproc.identification.experiment import read_experiment
+from postproc.identification.fit import LENGTH_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.identification.plausibility import check_frames, check_points

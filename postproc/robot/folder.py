@@ -118,6 +118,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         sources=tuple(sourced_values(content, nominal)),
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
+        geometry_error=0.0 if content.geometry_error is None else content.geometry_error.u95_mm * M_PER_MM,
         measured=None if covered is None else Measured(np.array(covered.torque_Nm), covered.not_trusted),
         language=content.language,
     )

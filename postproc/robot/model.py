@@ -102,6 +102,7 @@ class RobotModel:
     :param carries_weight: they feel the torque at rest (weights, compensator) too, not the load alone.
     :param link_springs: springs of the links, in the order of their coordinates.
     :param discrepancy: by how much the model was off where it was not fitted, or None.
+    :param geometry_error: what 95 % of the errors of the geometry, without load, are below [m]; 0 where none is told.
     :param measured: what the measurements of an identified model covered, or None.
     :param language: dialect that its controller reads; empty where the model does not say.
     """
@@ -124,6 +125,7 @@ class RobotModel:
     carries_weight: bool = False
     link_springs: tuple[LinkSpring, ...] = ()
     discrepancy: Discrepancy | None = None
+    geometry_error: float = 0.0
     measured: Measured | None = None
     language: str = ""
 

@@ -152,6 +152,12 @@ class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
     u95_mm: list[NotNegative]
 
 
+class GeometryErrorEntry(Sourced, frozen=True, kw_only=True):
+    """How far the tool stood without load from where the calibrated geometry says, noise taken out: 95 % of |error|."""
+
+    u95_mm: NotNegative
+
+
 class MeasuredEntry(Sourced, frozen=True, kw_only=True):
     """What the measurements covered: the largest torque on A1…A6; `not_trusted`: why the model should not be used."""
 
@@ -181,4 +187,5 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     speeds: Sourced | None = None
     covariance: CovarianceTable | None = None
     discrepancy: DiscrepancyEntry | None = None
+    geometry_error: GeometryErrorEntry | None = None
     measured: MeasuredEntry | None = None

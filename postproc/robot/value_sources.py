@@ -54,6 +54,8 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         pairs = zip(off.u95_mm, off.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
         yield SourcedValue("discrepancy (95 %)", value, off.source, off.assumed)
+    if (apart := content.geometry_error) is not None:
+        yield SourcedValue("error of the geometry (95 %)", f"{apart.u95_mm:.2g} mm", apart.source, apart.assumed)
     if (covered := content.measured) is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in covered.torque_Nm)
         value = f"{covered.configurations} configurations, up to {torques} N·m on A1 … A6"

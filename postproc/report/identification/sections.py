@@ -62,14 +62,15 @@ def summary(told: Identified) -> Section | None:
 
 def to_know(told: Identified) -> Section:
     """Return what the readings do not show, and warnings."""
-    if not told.not_observable and not told.warnings:
+    not_seen = told.not_observable or []
+    if not not_seen and not told.warnings:
         text = "Every parameter shows in the readings; no reading was left out."
         return Section("to-know", "What to know", (Notes((Note(text, "good"),)),))
     missing = tuple(
         Note(f"{entry.name} is not observable: {entry.reason}. {entry.advice} The prior value stands in the model.")
-        for entry in told.not_observable
+        for entry in not_seen
     )
-    known = tuple(f"{entry.name} is not observable" for entry in told.not_observable)
+    known = tuple(f"{entry.name} is not observable" for entry in not_seen)
     others = tuple(Note(text, "warning") for text in told.warnings if not text.startswith(known or ("\0",)))
     return Section("to-know", "What to know", (Notes(missing + others, marked=True),))
 
