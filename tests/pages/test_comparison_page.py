@@ -33,3 +33,51 @@ def test_page_draws_its_plots_without_network_and_fits_the_screen(browser, compa
         lines = page.locator("#worst [data-source-line]")
         assert lines.first.get_attribute("data-source-line") == str(content["largest"][0]["nominal_line"])
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        _all_views_show_the_place_of_a_row(page)
+        if width > 1000:
+            _keys_and_clicks_choose_a_place(page)
+            page.emulate_media(media="print")
+            assert len(page.pdf(format="A4")) > 30_000
+            assert page.locator("#view3d img.only-print").evaluate("(image) => image.naturalWidth") > 300
+
+
+_SHOWN = """(line) => {
+  const plots = [...document.querySelectorAll('#along .plot')];
+  const dot = document.querySelector('#view3d .plot').data.at(-1).x[0];
+  return plots.length === 2 && plots.every((plot) => plot.layout.shapes.at(-1).x0 === line)
+    && Math.abs(dot - columns.places.X[selection.chosen]) < 1e-3
+    && columns.places.nominal_line[selection.chosen] === line
+    && document.querySelector('#place dd').textContent === String(line);
+}"""
+
+
+_POINT_OF_LINE_100 = """(() => {
+  const { data: [curve], _fullLayout: { xaxis, yaxis } } = document.querySelector('#along .plot');
+  return [xaxis._offset + xaxis.l2p(100), yaxis._offset + yaxis.l2p(curve.y[curve.x.indexOf(100)])];
+})()"""
+
+
+def _all_views_show_the_place_of_a_row(page):
+    row = page.locator("#worst tbody tr").nth(4)
+    row.click()
+    page.wait_for_function(_SHOWN, arg=int(row.get_attribute("data-source-line")), timeout=10_000)
+
+
+def _keys_and_clicks_choose_a_place(page):
+    plot = page.locator("#along .plot").first
+    plot.focus()
+    before = page.evaluate("selection.chosen")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowRight")
+    assert page.evaluate("selection.chosen") == before + 11
+    across, down = page.evaluate(_POINT_OF_LINE_100)
+    box = plot.bounding_box()
+    page.mouse.move(box["x"] + across, box["y"] + down)
+    page.wait_for_timeout(150)
+    page.mouse.down()
+    page.mouse.up()
+    page.wait_for_timeout(400)
+    assert page.evaluate("columns.places.nominal_line[selection.chosen]") == 100
+    page.evaluate("(() => { const e = document.querySelector('#histogram .plot');"
+                  "e.emit('plotly_click', {points: [{customdata: e.data[0].customdata.at(-1)}]}) })()")  # fmt: skip
+    assert page.evaluate("selection.chosen") == page.evaluate("facts.worst")

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 
 from postproc.comparison import Comparison
-from postproc.frames import MM_PER_M, Array, norm
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Ints
 from postproc.report.comparison.summary import ComparisonSummary
 from postproc.report.comparison.text import WORDS, counted
 from postproc.report.kit import (
     Axis,
     Cell,
+    Columns,
     Counts,
     Curve,
     Kind,
@@ -30,25 +32,38 @@ from postproc.report.kit import (
     Tile,
     Tiles,
     Verdict,
+    View,
 )
+from postproc.report.kit.plots import Colour
 from postproc.report.text import millimetres
 
 _DRAWN = 4_000
+_WORST = 20
 _BINS = 40
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 _ROWS = (("Maximum", "max_mm"), ("RMS", "rms_mm"), ("Mean", "mean_mm"), ("95th percentile", "p95_mm"))
 
 
+class Facts(msgspec.Struct, frozen=True):
+    """What the script of the page is told beside the columns: names of the programs, place of the largest offset."""
+
+    nominal: str
+    corrected: str
+    worst: int
+
+
 def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
     sections = [_verdict(content), _numbers(content)]
-    if len(found.pair):
-        sections += [_path(found), _along(found, content), _histogram(found), _operations(content), _worst(found)]
+    shown = _shown(found)
+    if len(shown):
+        sections += [_path(found, shown), _along(found, content, shown), _histogram(found, shown)]
+        sections += [_operations(found, content, shown), _worst_pairs(found, shown)]
     yield from Page(
         kind="Comparison",
         title=f"{content['corrected']} against {content['nominal']}",
         subtitle=f"{content['robot']} · {counted(content)}",
-        sections=(*sections, _issues(content)),
+        sections=(*sections, _issues(found, content, shown), *([_place()] if len(shown) else [])),
         footer=(
             Note(
                 "Offsets are from the nominal target to where the second program sends the same tool, in the nominal "
@@ -56,12 +71,18 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
                 "given. Statistics are over cutting targets that stand in both."
             ),
         ),
+        facts=_facts(found, content, shown) if len(shown) else None,
+        columns={"places": _columns(found, shown)} if len(shown) else {},
+        scripts=(("postproc.report.comparison", "place"),) if len(shown) else (),
     ).render()
 
 
 def _verdict(content: ComparisonSummary) -> Section:
     judged = content["verdict"]
-    first, *others = (text[:1].upper() + text[1:] + "." for text in judged["reasons"])
+    names = (content["nominal"], content["corrected"])
+    first, *others = (
+        (text if text.startswith(names) else text[:1].upper() + text[1:]) + "." for text in judged["reasons"]
+    )
     parts: list[Part] = [Verdict(judged["state"], WORDS[judged["state"]], first)]
     if others:
         kind: Kind = "error" if judged["state"] == "failed" else ""
@@ -86,15 +107,62 @@ def _numbers(content: ComparisonSummary) -> Section:
 
 
 def _shown(found: Comparison) -> Ints:
-    """Return which pairs are drawn: of every so many the one of the largest offset, so that the worst is among them."""
+    """Return which pairs (s,) are shown: of every so many the ones of the largest offset and cut, and the worst."""
+    if not len(found.pair):
+        return np.zeros(0, dtype=np.int64)
     each = -(-len(found.pair) // _DRAWN)
+    measures = [found.distance, *(() if found.cuts is None else (norm(found.cuts.nominal), norm(found.cuts.corrected)))]
+    rows = [_worst(found)]
+    for measure in measures:
+        size = np.where(found.rapid, -1.0, measure)
+        padded = np.append(size, np.full(-len(size) % each, -2.0)).reshape(-1, each)
+        rows.append(np.arange(len(padded)) * each + padded.argmax(axis=1))
+    return np.unique(np.concatenate(rows))
+
+
+def _worst(found: Comparison) -> Ints:
     size = np.where(found.rapid, -1.0, found.distance)
-    padded = np.append(size, np.full(-len(size) % each, -2.0)).reshape(-1, each)
-    return np.asarray(np.arange(len(padded)) * each + padded.argmax(axis=1))
+    order = np.argsort(-size, kind="stable")[:_WORST]
+    return np.asarray(order[size[order] >= 0.0])
 
 
-def _path(found: Comparison) -> Section:
-    rows = _shown(found)
+def _place_of(found: Comparison, shown: Ints, nominal_line: int | None) -> int | None:
+    """Return the place on a line of the nominal program, or the next one behind it."""
+    if nominal_line is None or not len(shown):
+        return None
+    return min(int(np.searchsorted(found.nominal_line[shown], nominal_line)), len(shown) - 1)
+
+
+def _facts(found: Comparison, content: ComparisonSummary, shown: Ints) -> Facts:
+    size = np.where(found.rapid, -1.0, found.distance)[shown]
+    return Facts(content["nominal"], content["corrected"], int(np.argmax(size)))
+
+
+def _columns(found: Comparison, shown: Ints) -> Columns:
+    columns = {
+        "nominal_line": found.nominal_line[shown],
+        "corrected_line": found.corrected_line[shown],
+        "rapid": found.rapid[shown],
+        "offset": found.distance[shown] * MM_PER_M,
+        "turned": found.rotation[shown] * DEG_PER_RAD,
+        "nominal_speed": found.speeds[shown, 0] * MM_PER_M,
+        "corrected_speed": found.speeds[shown, 1] * MM_PER_M,
+        **dict(zip(("oX", "oY", "oZ"), found.offset[shown].T * MM_PER_M, strict=True)),
+        **dict(zip("XYZABC", xyzabc_from_pose(found.target[shown]).T, strict=True)),
+    }
+    if found.cuts is not None:
+        columns["force"] = norm(found.cuts.wrench[shown, :3])
+        columns["nominal_cuts"] = norm(found.cuts.nominal[shown]) * MM_PER_M
+        columns["corrected_cuts"] = norm(found.cuts.corrected[shown]) * MM_PER_M
+    return Columns.of(columns)
+
+
+def _place() -> Section:
+    label = "Details of the chosen pair: lines, pose, offset, speeds, force, what each program cuts"
+    return Section("place", "Place", (View("place", label),), "side")
+
+
+def _path(found: Comparison, rows: Ints) -> Section:
     nominal, offset = found.target[rows, :3, 3], found.offset[rows]
     extent = float(np.ptp(nominal, axis=0).max())
     largest = float(norm(offset).max())
@@ -105,32 +173,36 @@ def _path(found: Comparison) -> Section:
         _line(nominal + factor * offset, f"corrected, offsets {factor:g} times", "after"),
     ]
     plot = Plot(
-        label="Both paths in space; offsets of the corrected one are exaggerated.",
+        label="Both paths in space; offsets of the corrected one are exaggerated. Arrow keys turn, N and P step.",
+        unit="mm",
         traces=[*traces],
         height=480,
-        note=f"Pairs joined by straight lines, {len(rows)} of {len(found.pair)}; the largest offsets are among them.",
+        note=f"Pairs joined by straight lines, {len(rows)} of {len(found.pair)}; the largest offsets are among them. "
+        "Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place.",
     )
     return Section("view3d", f"Both paths, offsets {factor:g} times larger", (plot,))
 
 
 def _line(points: Array, name: str, colour: str) -> Lines:
-    x, y, z = points.T.tolist()
-    return Lines(x, y, z, name, "before" if colour == "before" else "after")
+    x, y, z = (points * MM_PER_M).T.tolist()
+    return Lines(x, y, z, name, "before" if colour == "before" else "after", places=[*range(len(points))])
 
 
-def _along(found: Comparison, content: ComparisonSummary) -> Section:
-    rows = _shown(found)
+def _along(found: Comparison, content: ComparisonSummary, rows: Ints) -> Section:
+    places = [*range(len(rows))]
     line = found.nominal_line[rows].astype(float).tolist()
     offset = (found.offset[rows] * MM_PER_M).T.tolist()
-    names = (("X", "correction"), ("Y", "force"), ("Z", "ink"))
-    curves = [Curve(line, values, name, colour) for values, (name, colour) in zip(offset, names, strict=True)]  # type: ignore[arg-type]
+    names: tuple[tuple[str, Colour], ...] = (("X", "correction"), ("Y", "force"), ("Z", "ink"))
+    curves = [
+        Curve(line, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
+    ]
     x = Axis(title="line of the nominal program")
     parts: list[Part] = [
         Plot(label="Offset in X, Y, Z along the program", traces=[*curves], x=x, y=Axis(title="offset, mm"))
     ]
     if found.cuts is not None:
         cuts = [
-            Curve(line, (norm(off[rows]) * MM_PER_M).tolist(), name, colour)  # type: ignore[arg-type]
+            Curve(line, (norm(off[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
             for off, name, colour in (
                 (found.cuts.nominal, "nominal", "before"),
                 (found.cuts.corrected, "corrected", "after"),
@@ -149,9 +221,13 @@ def _along(found: Comparison, content: ComparisonSummary) -> Section:
     return Section("along", "Along the program", tuple(parts))
 
 
-def _histogram(found: Comparison) -> Section:
+def _histogram(found: Comparison, shown: Ints) -> Section:
     counts, edges = np.histogram(found.distance[~found.rapid] * MM_PER_M, bins=_BINS)
-    bars = Counts(edges.tolist(), counts.tolist(), "offset")
+    size = np.where(found.rapid, -1.0, found.distance)[shown] * MM_PER_M
+    order = np.argsort(size)
+    last = np.searchsorted(size[order], edges[1:], side="right") - 1  # the largest that is shown in each bar
+    places = [int(order[k]) if k >= 0 and size[order[k]] >= low else None for k, low in zip(last, edges, strict=False)]
+    bars = Counts(edges.tolist(), counts.tolist(), "offset", places)
     plot = Plot(
         label="Histogram of the offset at cutting targets",
         traces=[bars],
@@ -161,7 +237,7 @@ def _histogram(found: Comparison) -> Section:
     return Section("histogram", "Distribution of the offset", (plot,), "half")
 
 
-def _operations(content: ComparisonSummary) -> Section:
+def _operations(found: Comparison, content: ComparisonSummary, shown: Ints) -> Section:
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content["cut"] is not None else []
     rows = []
@@ -175,29 +251,28 @@ def _operations(content: ComparisonSummary) -> Section:
             millimetres(operation["offset"]["max_mm"]),
             *([millimetres(cut[key]["max_mm"]) for key in ("nominal", "corrected")] if cut is not None else []),
         ]
-        rows.append(Row(tuple(cells), source_line=operation["nominal_line"]))
+        line = operation["nominal_line"]
+        rows.append(Row(tuple(cells), _place_of(found, shown, line), line))
     table = Table(tuple(head), tuple(rows), "Operations, largest values", sortable=True, note="Largest values.")
     return Section("operations", "Operations and tools", (table,), "half")
 
 
-def _worst(found: Comparison) -> Section:
-    size = np.where(found.rapid, -1.0, found.distance)
-    order = np.argsort(-size, kind="stable")[:20]
+def _worst_pairs(found: Comparison, shown: Ints) -> Section:
     head = ["Nominal line", "Corrected line", "Offset, mm", "X, mm", "Y, mm", "Z, mm", "Turned, °"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if found.cuts is not None else []
     cuts = () if found.cuts is None else (found.cuts.nominal, found.cuts.corrected)
     rows = []
-    for row in order[size[order] >= 0.0].tolist():
+    for row in _worst(found).tolist():
         cells = [str(found.nominal_line[row]), str(found.corrected_line[row])]
         cells.append(millimetres(float(found.distance[row]) * MM_PER_M))
         cells += [f"{value:.4f}" for value in found.offset[row] * MM_PER_M + 0.0]
         cells.append(f"{np.degrees(found.rotation[row]):.4f}")
         cells += [millimetres(float(norm(off[row])) * MM_PER_M) for off in cuts]
-        rows.append(Row(tuple(cells), source_line=int(found.nominal_line[row])))
+        rows.append(Row(tuple(cells), int(np.searchsorted(shown, row)), int(found.nominal_line[row])))
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))
 
 
-def _issues(content: ComparisonSummary) -> Section:
+def _issues(found: Comparison, content: ComparisonSummary, shown: Ints) -> Section:
     if not content["issues"]:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(
@@ -208,7 +283,8 @@ def _issues(content: ComparisonSummary) -> Section:
                 "-" if issue["source_line"] is None else str(issue["source_line"]),
                 str(issue["count"]),
             ),
-            source_line=issue["source_line"],
+            _place_of(found, shown, issue["source_line"]),
+            issue["source_line"],
         )
         for issue in content["issues"]
     )

@@ -21,7 +21,10 @@ class Axis(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Curve(msgspec.Struct, frozen=True, tag="curve"):
-    """A line through points."""
+    """A line through points.
+
+    :param places: row of the page's columns that each point is; then a click chooses it, and the chosen one is marked.
+    """
 
     x: Numbers
     y: Numbers
@@ -29,6 +32,7 @@ class Curve(msgspec.Struct, frozen=True, tag="curve"):
     colour: Colour
     dots: bool = False
     dashed: bool = False
+    places: list[int] | None = None
 
 
 class Points(msgspec.Struct, frozen=True, tag="points"):
@@ -64,11 +68,12 @@ class Bars(msgspec.Struct, frozen=True, tag="bars"):
 
 
 class Counts(msgspec.Struct, frozen=True, tag="counts"):
-    """How many lie between edges: standing bars without gaps."""
+    """How many lie between edges: standing bars without gaps. `places`: the one that a click on each bar chooses."""
 
     edges: Numbers
     counts: list[int]
     name: str
+    places: list[int | None] | None = None
 
 
 class Matrix(msgspec.Struct, frozen=True, tag="matrix"):
@@ -79,7 +84,7 @@ class Matrix(msgspec.Struct, frozen=True, tag="matrix"):
 
 
 class Lines(msgspec.Struct, frozen=True, tag="lines"):
-    """A line in space [m]; pieces are parted by NaN."""
+    """A line in space, in the unit of its plot; pieces are parted by NaN. `places`: see `Curve`."""
 
     x: Numbers
     y: Numbers
@@ -88,6 +93,7 @@ class Lines(msgspec.Struct, frozen=True, tag="lines"):
     colour: Colour
     width: float = 3.0
     dots: bool = False
+    places: list[int] | None = None
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -106,6 +112,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     """A plot.
 
     :param label: what it shows, for those who do not see it.
+    :param unit: of the axes of a plot in space.
     :param steps: for each step of a slider, which of the traces are shown; a name for each in `step_names`.
     """
 
@@ -116,9 +123,15 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     y: Axis = Axis()
     marks: list[Mark] = []
     height: int = 320
+    unit: str = "m"
     note: str = ""
     steps: list[list[int]] | None = None
     step_names: list[str] | None = None
+
+    @property
+    def linked(self) -> bool:
+        """Whether a click on it chooses a place."""
+        return any(getattr(trace, "places", None) is not None for trace in self.traces)
 
     @property
     def encoded(self) -> str:

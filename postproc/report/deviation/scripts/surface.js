@@ -31,7 +31,11 @@
     return theme.layout({ height: 520, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: 1,
       scene: { aspectmode: "data", uirevision: 1, dragmode: "turntable", xaxis: axis("X, mm"), yaxis: axis("Y, mm"), zaxis: axis("Z, mm") } });
   }
-  const draw = () => Plotly.react(view, traces(), layout(), theme.config);
+  const draw = () => {
+    const drawn = Plotly.react(view, traces(), layout(), theme.config);
+    space.photograph(view);
+    return drawn;
+  };
   document.getElementById("surface-controls").innerHTML = `<label>Colour <select id="surface-colour">${Object.entries(titles)
     .map(([name, title]) => `<option value="${name}">${title}</option>`).join("")}</select></label>`;
   document.getElementById("surface-colour").addEventListener("change", (event) => {
@@ -51,7 +55,9 @@
       under = null;
       selection.point(null);
     });
-    view.addEventListener("click", () => { if (under !== null) selection.choose(under); }, true);
+    space.clicked(view, () => { if (under !== null) selection.choose(under); });
+    space.hear(view);
+    view.on("plotly_relayout", () => space.photograph(view));
     theme.onChange(draw);
   }));
 })();

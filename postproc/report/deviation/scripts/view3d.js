@@ -172,7 +172,7 @@
   }
 
   const eye = { x: -1.1, y: -1.5, z: 1.1 };
-  let camera = { eye: { ...eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
+  const camera = { eye: { ...eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
   function layout() {
     const axis = (title) => theme.axis({ title: { text: title }, backgroundcolor: "rgba(0,0,0,0)", showspikes: false,
       color: theme.colour("soft"), automargin: undefined });
@@ -181,50 +181,16 @@
       scene: { aspectmode: "data", camera, xaxis: axis(`X ${of}, mm`), yaxis: axis(`Y ${of}, mm`), zaxis: axis(`Z ${of}, mm`),
         dragmode: "turntable", uirevision: 1, annotations: names() } });
   }
-  const picture = Object.assign(new Image(), { alt: "The path in space, coloured by a value", className: "only-print" });
-  let wanted = 0;
-  // A picture stands in for the canvas on paper: browsers do not print what the graphics card drew.
-  function photograph() {
-    clearTimeout(wanted);
-    wanted = setTimeout(() => stage.later(expose), 1500);
-  }
-  function expose() {
-    const canvas = view.querySelector(".gl-container canvas");
-    if (!canvas) return;
-    view._fullLayout.scene._scene.glplot.redraw(); // what it drew is gone when it has been shown
-    picture.src = canvas.toDataURL();
-    canvas.after(picture);
-  }
   function draw() {
     const drawn = Plotly.react(view, traces(), layout(), theme.config);
-    if (theme.printing) expose(); // there is no later
-    return drawn.then(photograph);
+    space.photograph(view);
+    return drawn;
   }
 
-  // Turning by degrees about the upright axis and in height, and coming nearer by a factor.
-  function look({ turn = 0, rise = 0, nearer = 1, to = null }) {
-    camera = view._fullLayout.scene.camera;
-    let { x, y, z } = to ?? camera.eye;
-    const radius = Math.hypot(x, y, z) / nearer;
-    const azimuth = Math.atan2(y, x) + (turn * Math.PI) / 180;
-    const height = Math.min(Math.max(Math.atan2(z, Math.hypot(x, y)) + (rise * Math.PI) / 180, -1.55), 1.55);
-    camera = { ...camera, eye: { x: radius * Math.cos(height) * Math.cos(azimuth),
-      y: radius * Math.cos(height) * Math.sin(azimuth), z: radius * Math.sin(height) } };
-    return Plotly.relayout(view, { "scene.camera": camera }).then(photograph);
-  }
-  const keys = {
-    ArrowLeft: () => look({ turn: -10 }), ArrowRight: () => look({ turn: 10 }),
-    ArrowUp: () => look({ rise: 10 }), ArrowDown: () => look({ rise: -10 }),
-    "+": () => look({ nearer: 1.2 }), "-": () => look({ nearer: 1 / 1.2 }),
+  space.hear(view, {
     n: () => selection.choose(places.step(selection.chosen, 1)),
     p: () => selection.choose(places.step(selection.chosen, -1)),
     w: () => selection.choose(facts.worst.before),
-  };
-  view.addEventListener("keydown", (event) => {
-    const act = keys[event.key] ?? keys[event.key.toLowerCase()];
-    if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    act();
   });
 
   // Controls.
@@ -258,7 +224,7 @@
     draw();
   });
   for (const button of controls.querySelectorAll("button"))
-    button.addEventListener("click", () => look({ to: sides[button.textContent] }));
+    button.addEventListener("click", () => space.look(view, { to: sides[button.textContent] }));
 
   view.style.height = "min(70vh, 640px)";
   stage.add(view, () => draw().then(() => {
@@ -272,20 +238,15 @@
         under = null;
         selection.point(null);
       });
-      view.on("plotly_relayout", photograph);
+      view.on("plotly_relayout", () => space.photograph(view));
       theme.onChange(draw);
       ready = true;
     }).catch(({ message }) => {
       view.textContent = `This browser cannot draw in three dimensions (${message}). The plots below show the same numbers.`;
     }));
 
-  // A click is a press that did not turn the path. (The library tells of one only if it lasts until it has drawn again.)
   let under = null;
-  let pressed = null;
-  view.addEventListener("pointerdown", ({ clientX, clientY }) => { pressed = [clientX, clientY]; }, true);
-  view.addEventListener("click", ({ clientX, clientY }) => {
-    if (under !== null && pressed && Math.hypot(clientX - pressed[0], clientY - pressed[1]) < 4) selection.choose(under);
-  }, true);
+  space.clicked(view, () => { if (under !== null) selection.choose(under); });
 
   let ready = false;
   let asked = false;

@@ -2,6 +2,8 @@
 
 from itertools import groupby
 
+import numpy as np
+
 from postproc.errors import Issue
 from postproc.report.deviation.content import Deviation
 from postproc.report.kit import Cell, Kind, Note, Notes, Row, Section, Table
@@ -23,11 +25,18 @@ def section(told: Deviation) -> Section:
                 Cell(_ranges(issue), sort=issue.source_line),
                 str(issue.count),
             ),
-            source_line=issue.source_line,
+            _place(told, issue),
+            issue.source_line,
         )
         for issue in issues
     )
     return Section("issues", "Issues", (Table(("Level", "What", "Lines", "Places"), rows, "Issues", texts=(1, 2)),))
+
+
+def _place(told: Deviation, issue: Issue) -> int | None:
+    """Return the place of the first target on the line of an issue, or None."""
+    rows = np.flatnonzero(told.result.source_line == issue.source_line)
+    return told.places.of(int(rows[0])) if len(rows) else None
 
 
 def _ranges(issue: Issue) -> str:

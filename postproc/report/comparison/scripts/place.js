@@ -1,0 +1,50 @@
+"use strict";
+// Details of the chosen pair of targets, and ways to go to others.
+(() => {
+  const view = document.getElementById("place-view");
+  if (!view) return;
+  const at = columns.places;
+  const count = at.offset.length;
+  view.setAttribute("aria-live", "polite");
+  view.removeAttribute("tabindex");
+  const number = (value, decimals) => (Number.isFinite(value) ? value.toFixed(decimals) : "–");
+  const list = (i, names, decimals) => names.map((name) => number(at[name][i], decimals)).join(", ");
+
+  function rows(i) {
+    return [
+      [`Line of ${facts.nominal}`, at.nominal_line[i]],
+      [`Line of ${facts.corrected}`, at.corrected_line[i]],
+      ["Nominal X, Y, Z", `${list(i, ["X", "Y", "Z"], 3)} mm`],
+      ["Nominal A, B, C", `${list(i, ["A", "B", "C"], 3)}°`],
+      ["Offset", `${number(at.offset[i], 4)} mm${at.rapid[i] ? " (rapid)" : ""}`],
+      ["– X, Y, Z", `${list(i, ["oX", "oY", "oZ"], 4)} mm`],
+      ["Turned by", `${number(at.turned[i], 4)}°`],
+      ["Speeds", `${number(at.nominal_speed[i], 1)}, ${number(at.corrected_speed[i], 1)} mm/s`],
+      ...(at.force ? [["Force", `${number(at.force[i], 1)} N`], ["Nominal cuts", `${number(at.nominal_cuts[i], 4)} mm`],
+        ["Corrected cuts", `${number(at.corrected_cuts[i], 4)} mm`]] : []),
+    ];
+  }
+
+  const step = (by) => Math.min(Math.max((selection.chosen ?? 0) + by, 0), count - 1);
+  const details = Object.assign(document.createElement("dl"), { className: "facts" });
+  view.append(details);
+  document.getElementById("place-controls").innerHTML = `<button type="button" data-go="-1" aria-label="Previous place">◀</button>
+    <button type="button" data-go="1" aria-label="Next place">▶</button><button type="button" data-go="worst">largest</button>
+    <label>line <input type="number" id="place-line" min="1" style="width:6em"></label>`;
+  for (const button of document.querySelectorAll("#place-controls [data-go]"))
+    button.addEventListener("click", () => selection.choose(button.dataset.go === "worst" ? facts.worst : step(Number(button.dataset.go))));
+  document.getElementById("place-line").addEventListener("change", (event) => {
+    const found = at.nominal_line.indexOf(Number(event.target.value));
+    event.target.setCustomValidity(found < 0 ? "No pair that is shown is on this line" : "");
+    event.target.reportValidity();
+    if (found >= 0) selection.choose(found);
+  });
+  selection.subscribe((place) => {
+    details.replaceChildren(...(place === null ? [] : rows(place).map(([name, text]) => {
+      const row = document.createElement("div");
+      row.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: text }));
+      return row;
+    })));
+  });
+  selection.choose(facts.worst);
+})();
