@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import traceback
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +32,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
     :raises KeyboardInterrupt: nothing was written.
     """
     try:
-        with interrupts.heard(), _no_collection():
+        with interrupts.heard():
             name = None if job.keeps_text else job.stem
             program = read_program(job.program, robot, cell, job.dialect, name)
             result, stock = _result(job, settings, cell, robot, program)
@@ -75,18 +73,6 @@ def read_program(
         return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)
     except InputError as cause:
         raise cause.with_file(path.name, str(path)) from cause
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Pause the search for unreachable cycles: 10⁵ lines make many small objects at once, and no cycles."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()
 
 
 def _result(
