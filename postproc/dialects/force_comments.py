@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from postproc import decimals
-from postproc.decimals import Bytes, fixed
+from postproc.decimals import Bytes, Number, Part
 from postproc.frames import Array
 from postproc.program import FORCE_FRAMES, PTP, Bools, ForceNote, Ints, TargetForces
 
@@ -45,7 +45,7 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     return out
 
 
-def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> list[Bytes | bytes]:
+def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> list[Part]:
     """Return the parts of the comments of some targets (n,); nothing where they are not `shown` (n,).
 
     :param comment: what comments begin with.
@@ -53,11 +53,11 @@ def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> l
     wrench, frame = rounded(forces)[rows] if len(rows) else np.zeros((0, 6)), forces.frame[rows]
     acts = shown & wrench.any(axis=1)
     turns = acts & wrench[:, 3:].any(axis=1)
-    parts: list[Bytes | bytes] = [where(comment + b"FORCE OFF", shown & ~acts), where(comment + b"FORCE", acts)]
+    parts: list[Part] = [where(comment + b"FORCE OFF", shown & ~acts), where(comment + b"FORCE", acts)]
     for name, values, places, given in zip(
         _NAMES, wrench.T, _DECIMALS.tolist(), (acts,) * 3 + (turns,) * 3, strict=True
     ):
-        parts += [where(b" " + name + b"=", given), fixed(np.where(given, values, np.nan), places)]
+        parts += [where(b" " + name + b"=", given), Number.of(np.where(given, values, np.nan), places)]
     for code, label in enumerate(FORCE_FRAMES):
         if code != _BASE:
             parts.append(where(f" FRAME={label}".encode(), acts & (frame == code)))

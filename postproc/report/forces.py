@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc import decimals
 from postproc.correction import Result
+from postproc.decimals import Bytes, Number, rows_of_csv
 from postproc.forces import Knots
 from postproc.frames import Array
 from postproc.program import FORCE_FRAMES, PTP, Ints
@@ -30,19 +30,18 @@ def forces_csv(result: Result) -> bytes | None:
     first, last = _shared(knots, values)
     line = result.output_line[knots.motion].astype(float)
     names = np.array([list(name.ljust(4).encode()) for name in FORCE_FRAMES], dtype=np.uint8)
-    columns = [decimals.fixed(line[rows], 0) for rows in (first, last)]
-    columns += [decimals.fixed(values[first, index], int(places)) for index, places in enumerate(_DECIMALS)]
+    columns: list[Number | Bytes] = [Number.of(line[rows], 0) for rows in (first, last)]
+    columns += [Number.of(values[first, index], int(places)) for index, places in enumerate(_DECIMALS)]
     columns.append(np.where(names == ord(" "), 0, names).astype(np.uint8)[knots.frame[first]])
     header = list(COLUMNS)
     if not knots.ramped.all():
         header.append("t")
-        columns.append(decimals.fixed(np.where(knots.ramped[first], np.nan, knots.t[first]), _PLACE))
+        columns.append(Number.of(np.where(knots.ramped[first], np.nan, knots.t[first]), _PLACE))
     for index, name in enumerate(_SIGMAS):
         if values[:, 6 + index].any():
             header.append(name)
-            columns.append(decimals.fixed(values[first, 6 + index], int(_DECIMALS[index])))
-    parts: list[decimals.Bytes | bytes] = [piece for column in columns for piece in (column, b",")]
-    return (",".join(header) + "\n").encode() + decimals.lines([*parts[:-1], b"\n"])
+            columns.append(Number.of(values[first, 6 + index], int(_DECIMALS[index])))
+    return (",".join(header) + "\n").encode() + rows_of_csv(columns)
 
 
 def _shared(knots: Knots, values: Array) -> tuple[Ints, Ints]:

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from postproc import decimals
 from postproc.chunks import chunks
 from postproc.correction import Result
-from postproc.decimals import Bytes
+from postproc.decimals import Number, rows_of_csv
 from postproc.dialects import registry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import WRENCH, Bools, Ints
@@ -59,22 +58,20 @@ def _rows(
     (output_line, source_line, t, rapid), (nominal, printed, places, wrench) = origin, command
     deflection, *distances = deviation
     distances.append(np.full(len(t), np.nan) if bound is None else bound)
-    columns: list[Bytes] = [
-        decimals.fixed(output_line.astype(float), 0),
-        decimals.fixed(source_line.astype(float), 0),
-        decimals.fixed(t, _PLACE),
-        decimals.fixed(rapid.astype(float), 0),
+    columns: list[Number] = [
+        Number.of(output_line.astype(float), 0),
+        Number.of(source_line.astype(float), 0),
+        Number.of(t, _PLACE),
+        Number.of(rapid.astype(float), 0),
         *_block(xyzabc_from_pose(nominal), _NOMINAL),
         *_block(printed, places),
         *_block(wrench, _WRENCH_DECIMALS),
         *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
-        *(decimals.fixed(values * MM_PER_M, _LENGTH) for values in distances),
+        *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
         *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),
     ]
-    parts: list[Bytes | bytes] = [piece for column in columns for piece in (column, b",")]
-    parts[-1] = b"\n"
-    return decimals.lines(parts)
+    return rows_of_csv(columns)
 
 
-def _block(values: Array, places: tuple[int, ...]) -> list[Bytes]:
-    return [decimals.fixed(values[:, index], count) for index, count in enumerate(places)]
+def _block(values: Array, places: tuple[int, ...]) -> list[Number]:
+    return [Number.of(values[:, index], count) for index, count in enumerate(places)]

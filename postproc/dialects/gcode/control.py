@@ -19,7 +19,8 @@ from postproc.dialects.gcode.parameters import ARGUMENTS, Key, Parameters, key_o
 from postproc.dialects.gcode.words import MARK, Source
 from postproc.program import Document, Ints, distinct
 
-_CONTROLLING = re.compile(rb"[#\[]|M0*9[89](?![\d.])|\n[\x01/]*(?:N\d+)?[\x01/]*O(?!\d+\x01*\n)")
+_CALLS = re.compile(rb"M0*9[89](?![\d.])")
+_O_WORD = re.compile(rb"\n[\x01/]*(?:N\d+)?[\x01/]*O(?!\d+\x01*\n)")
 _NOTABLE = re.compile(rb"[#\[O%]|M0*(?:2|30|98|99)(?![\d.])")
 _HEAD = re.compile(r"(?:/[1-9]?)?(?:N\d+)?O(?=[\d#\[<])")
 _LABEL = re.compile(r"<([^<>#]+)>|(\d+)")
@@ -47,7 +48,10 @@ _OPENED_BY = {
 
 def is_controlled(source: Source) -> bool:
     """Return whether the lines of a program are executed in another order than they stand, or hold expressions."""
-    return _CONTROLLING.search(source.code) is not None
+    code = source.code
+    if b"#" in code or b"[" in code or _CALLS.search(code) is not None:
+        return True
+    return b"O" in code and _O_WORD.search(code) is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.chunks import chunks
-from postproc.decimals import Bytes, fixed, lines
+from postproc.decimals import Number, Part, lines
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
 from postproc.dialects.new_program import NewProgram, Words, check_name, number
@@ -191,7 +191,7 @@ class _Writer:
         target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
         target += [b",", *_columns(self.configuration[k].astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
         end = [b"[", *_columns(self.targets.pose[k, :3, 3] * MM_PER_M, _MILLIMETRES), *target]
-        via: list[Bytes | bytes] = []
+        via: list[Part] = []
         if kind == CIRC:
             via = [b"[", *_columns(self.targets.via[k] * MM_PER_M, _MILLIMETRES), *target, b","]
         stops = self.zone[k] == 0
@@ -201,24 +201,24 @@ class _Writer:
                 *via,
                 *end,
                 b",speed_",
-                fixed(self.speed[k].astype(np.float64), 0),
+                Number.of(self.speed[k].astype(np.float64), 0),
                 where(b",fine", stops),
                 where(b",zone_", ~stops),
-                fixed(np.where(stops, np.nan, self.zone[k]), 0),
+                Number.of(np.where(stops, np.nan, self.zone[k]), 0),
                 b",tool_",
-                fixed(motions.tool[motion].astype(np.float64), 0),
+                Number.of(motions.tool[motion].astype(np.float64), 0),
                 b"\\WObj:=wobj_",
-                fixed(motions.base[motion].astype(np.float64), 0),
+                Number.of(motions.base[motion].astype(np.float64), 0),
                 b";\r\n",
             ]
         )
 
 
-def _columns(values: Array, decimals: int) -> list[Bytes | bytes]:
+def _columns(values: Array, decimals: int) -> list[Part]:
     """Return the parts of ``[…,…]`` for (n, c) numbers."""
-    parts: list[Bytes | bytes] = []
+    parts: list[Part] = []
     for column in values.T:
-        parts += [b"," if parts else b"[", fixed(column, decimals)]
+        parts += [b"," if parts else b"[", Number.of(column, decimals)]
     return [*parts, b"]"]
 
 

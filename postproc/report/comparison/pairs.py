@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from postproc import decimals
 from postproc.chunks import chunks
 from postproc.comparison import Comparison
-from postproc.decimals import Bytes
+from postproc.decimals import Number, rows_of_csv
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
@@ -70,11 +69,8 @@ def pairs_csv(found: Comparison) -> Iterator[bytes]:
     names = np.frombuffer(names[state[order]].tobytes().ljust(1), dtype=np.uint8)[: len(order) * len(_STATES[3])]
     names = names.reshape(len(order), len(_STATES[3]))
     for part in chunks(len(order)):
-        columns: list[Bytes] = [
-            names[part],
-            *(decimals.fixed(values[part], 0) for values in (*lines, rapid)),
-            *(decimals.fixed(numbers[part, index], places) for index, places in enumerate(_PLACES)),
+        columns = [
+            *(Number.of(values[part], 0) for values in (*lines, rapid)),
+            *(Number.of(numbers[part, index], places) for index, places in enumerate(_PLACES)),
         ]
-        parts: list[Bytes | bytes] = [piece for column in columns for piece in (column, b",")]
-        parts[-1] = b"\n"
-        yield decimals.lines(parts)
+        yield rows_of_csv([names[part], *columns])

@@ -15,7 +15,7 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.chunks import chunks
-from postproc.decimals import Bytes, fixed, lines
+from postproc.decimals import Number, Part, lines
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
 from postproc.dialects.krl.language.names import fault_of, valid
@@ -153,7 +153,7 @@ class _Emitter:
         """Return the lines of some targets of a kind."""
         numbers = xyzabc_from_pose(self.targets.pose[k])
         end = _aggregate(numbers)
-        tail: list[Bytes | bytes] = [where(b" C_DIS", approximated)]
+        tail: list[Part] = [where(b" C_DIS", approximated)]
         if self.carried is not None and self.noted[k].any():
             tail += [where(b" ", self.noted[k]), *force_comments.columns(b";", self.carried, k, self.noted[k])]
         tail.append(b"\r\n")
@@ -167,18 +167,18 @@ class _Emitter:
         return lines([b"LIN ", *end, *tail])
 
 
-def _aggregate(numbers: Array) -> list[Bytes | bytes]:
+def _aggregate(numbers: Array) -> list[Part]:
     """Return the parts of ``{X …,Y …}`` for (n, 3) or (n, 6) numbers."""
-    parts: list[Bytes | bytes] = []
+    parts: list[Part] = []
     for name, values, decimals in zip(CARTESIAN, numbers.T, DECIMALS.tolist(), strict=False):
-        parts += [f"{',' if parts else '{'}{name} ".encode(), fixed(values, decimals)]
+        parts += [f"{',' if parts else '{'}{name} ".encode(), Number.of(values, decimals)]
     return [*parts, b"}"]
 
 
-def _bits(prefix: bytes, values: Ints) -> list[Bytes]:
+def _bits(prefix: bytes, values: Ints) -> list[Part]:
     """Return S or T where they are given."""
     given = values >= 0
-    return [where(prefix, given), fixed(np.where(given, values, np.nan), 0)]
+    return [where(prefix, given), Number.of(np.where(given, values, np.nan), 0)]
 
 
 def _frame(pose: Array) -> str:
