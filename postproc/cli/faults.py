@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 
 import click
 
@@ -18,6 +17,8 @@ def told(message: str, traceback: str) -> str:
     if click.get_current_context().find_root().params.get("debug"):
         click.echo(traceback, err=True, nl=False)
         return f"{message}. {advice}"
+    import tempfile  # needed where something went wrong
+
     with contextlib.suppress(OSError):
         handle, path = tempfile.mkstemp(prefix="postproc-fault-", suffix=".log")
         with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:

@@ -16,7 +16,6 @@ from postproc import interrupts
 from postproc.errors import PostprocError
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import FAILED, Outcome, Settings
-from postproc.jobs.pool import work_alone
 
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
@@ -107,6 +106,8 @@ def _security(cluster: Cluster) -> Any:
 
 
 def _outcomes(client: Any, jobs: Sequence[Job], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
+    from postproc.jobs.pool import work_alone  # what runs processes is imported where there are some
+
     done: SimpleQueue[Any] = SimpleQueue()
     settings = replace(settings, cell=settings.cell.resolve())
     waiting: dict[Any, Job] = {}

@@ -12,7 +12,6 @@ from postproc.jobs.cluster import Cluster, convert_on_cluster
 from postproc.jobs.conversion import convert_one
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import Outcome, Settings
-from postproc.jobs.pool import Pool
 from postproc.jobs.setup import load_setup
 
 
@@ -59,6 +58,8 @@ def _outcomes(
         return
     waiting = deque(jobs)
     if workers > 1 and len(jobs) > 1:
+        from postproc.jobs.pool import Pool  # what runs processes is imported where there are some
+
         yield from Pool(waiting, settings).outcomes(min(workers, len(jobs)))
     while waiting and not interrupts.came():
         yield convert(waiting.popleft())

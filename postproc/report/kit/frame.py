@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -76,10 +75,14 @@ class Page:
 
 def library() -> bytes:
     """Return the script of plotly from the installed package; its Python side, which is large, is not imported."""
-    spec = find_spec("plotly")
+    return (_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
+
+
+def _folder(package: str) -> Path:
+    spec = find_spec(package)
     if spec is None or spec.origin is None:
-        raise ModuleNotFoundError("plotly is not installed: pip install plotly")
-    return (Path(spec.origin).parent / "package_data" / "plotly.min.js").read_bytes()
+        raise ModuleNotFoundError(f"{package} is not installed: pip install {package}")
+    return Path(spec.origin).parent
 
 
 def _holds(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
@@ -88,7 +91,7 @@ def _holds(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
 
 @cache
 def _text(package: str, name: str) -> str:
-    return (files(package) / name).read_text(encoding="utf-8")
+    return (_folder(package) / name).read_text(encoding="utf-8")
 
 
 @cache
