@@ -20,13 +20,13 @@ _PATH = click.Path(path_type=Path)
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.pass_context
 def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
-    """Compare CORRECTED with NOMINAL: offsets of their targets, and what each would cut.
+    """Compare CORRECTED with NOMINAL, target by target.
 
-    NOMINAL is G-code or a robot program, CORRECTED a robot program: of postproc, of another program, or edited by hand.
-    What each would cut is told where forces are known: from --forces, from comments in NOMINAL, or from those in
-    CORRECTED. Tells whether CORRECTED is as postproc wrote it, and if it was made from NOMINAL, cell, robot model and
-    forces as they are, which of its lines were changed. For part.src this writes part.compare.report.json,
-    part.compare.pairs.csv and part.compare.report.html.
+    It tells offsets of the targets, and what each would cut. NOMINAL is G-code or a robot program, CORRECTED a robot
+    program: of postproc, of another program, or edited by hand. What each would cut is told where forces are known:
+    from --forces, from comments in NOMINAL, or from those in CORRECTED. Tells whether CORRECTED is as postproc wrote
+    it, and if it was made from NOMINAL, cell, robot model and forces as they are, which of its lines were changed. For
+    part.src this writes part.compare.report.json, part.compare.pairs.csv and part.compare.report.html.
 
     The exit code is 3 when a tolerance is exceeded, or when CORRECTED was changed since postproc wrote it.
 

@@ -166,10 +166,11 @@ def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | Non
 @_shared
 @click.pass_context
 def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> None:
-    """Predict how far the tool leaves the path of PROGRAM as it stands; nothing is corrected.
+    """Predict how far the tool leaves the path of PROGRAM.
 
-    For part.nc this writes part.predict.report.json, part.predict.targets.csv and part.predict.report.html. With
-    --process, force and deflection are iterated: the tool cuts where it gives way to.
+    The program is taken as it stands, nothing is corrected. For part.nc this writes part.predict.report.json,
+    part.predict.targets.csv and part.predict.report.html. With --process, force and deflection are iterated: the tool
+    cuts where it gives way to.
 
     \b
     Examples:

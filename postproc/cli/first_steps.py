@@ -154,9 +154,9 @@ def _terminal() -> bool:
 @click.argument("folder", type=_PATH, default="samples")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there and differ.")
 def samples(folder: Path, overwrite: bool) -> None:
-    """Write the samples into a folder: programs, forces, cells, and the study of the paper.
+    """Write the samples into a folder.
 
-    FOLDER is made if it is not there; samples by default.
+    Programs, forces, cells, and the study of the paper. FOLDER is made if it is not there; samples by default.
 
     \b
     Example:

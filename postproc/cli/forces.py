@@ -26,10 +26,10 @@ _PATH = click.Path(path_type=Path)
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.option("-o", "--output", type=_PATH, help="CSV file to write; a .json of that name beside it.")
 def forces(as_json: bool, materials: bool, **request: Any) -> None:
-    """Compute the cutting forces of PROGRAM from tool, material and stock.
+    """Compute the cutting forces of PROGRAM from its process.
 
-    The tool is swept through the stock; where it is in material, its teeth make the mean force over a turn. The CSV
-    holds it along each move, with standard deviations, for `convert --forces`.
+    The process is tool, material and stock. The tool is swept through the stock; where it is in material, its teeth
+    make the mean force over a turn. The CSV holds it along each move, with standard deviations, for `convert --forces`.
 
     \b
     Examples:

@@ -18,7 +18,9 @@ _overwrite = click.option(
 
 @click.group()
 def identify() -> None:
-    """Identify the robot from measurements; the results go into a model folder that `convert` takes.
+    """Identify the robot from measurements.
+
+    The results go into a model folder that `convert` takes.
 
     \b
     Examples:
@@ -34,7 +36,7 @@ def identify() -> None:
 @_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print what is written as JSON.")
 def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> None:
-    """Geometry of the gravity compensator: L, a_x, a_y with 95 % intervals.
+    """Geometry of the gravity compensator: L, a_x, a_y.
 
     MARKERS is a CSV file with columns q2,marker,repeat,X,Y,Z: deg, mm, in any frame of the tracker. Marker P1 sits on
     link 2 where the spring is attached, P01, P02, … on the spring, best on opposite sides of its axis.
@@ -83,13 +85,12 @@ def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> 
 @_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def elastostatics(as_json: bool, **request: Any) -> None:
-    """Compliances of joints, compensator, links and gears, with 95 % intervals.
+    """Compliances of joints, compensator, links and gears.
 
-    MEASUREMENTS is a CSV file of the positions of reference points on the tool, without load (load 0) and loaded, in
-    several configurations; the frame of the measuring device is free. Writes a model folder for `robot = …` of a cell,
-    with identification.json and report.html in it. What the readings do not determine keeps the robot's prior value
-    and is reported together with what to measure instead.
-    Eq. (8) to (10) of the paper.
+    All have 95 % intervals. MEASUREMENTS is a CSV file of the positions of reference points on the tool, without load
+    (load 0) and loaded, in several configurations; the frame of the measuring device is free. Writes a model folder for
+    `robot = …` of a cell, with identification.json and report.html in it. What the readings do not determine keeps the
+    robot's prior value and is reported together with what to measure instead. Eq. (8) to (10) of the paper.
 
     \b
     Example:
@@ -110,11 +111,12 @@ def elastostatics(as_json: bool, **request: Any) -> None:
 @_overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def geometry(output: Path, as_json: bool, **request: Any) -> None:
-    """Geometry from readings without load: offsets, lengths, tilts, with sag under own weight.
+    """Geometry from readings without load.
 
-    MEASUREMENTS is the CSV file of `identify elastostatics`; loaded readings in it are not used. The model folder
-    written carries the calibrated geometry, and `convert` then corrects for it too. Whether sag is told from
-    geometry, and whether the geometry is changed at all, is decided on configurations left out.
+    That is offsets, lengths and tilts, with sag under own weight. MEASUREMENTS is the CSV file of `identify
+    elastostatics`; loaded readings in it are not used. The model folder written carries the calibrated geometry, and
+    `convert` then corrects for it too. Whether sag is told from geometry, and whether the geometry is changed at all,
+    is decided on configurations left out.
 
     \b
     Example:
@@ -131,14 +133,14 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
 @click.pass_context
 def validate(ctx: click.Context, model: Path, measurements: Path, experiment: Path) -> None:
-    """Hold a model against readings it was not identified from: does its bound keep what it promises?
+    """Hold a model against readings that it was not fitted to.
 
-    MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same robot in other configurations or
-    under other loads; states that the model was identified from are left out. MODEL_DIR may be the name of a robot that
-    comes along. Prints, for each level of loads, the displacements measured, what the model leaves of them, the noise
-    in that, its 95 % bound, the factor (> where what is left can not be told from noise), and the share of
-    displacements whose error is inside the bound. Exit codes: 0 the model holds; 1 the readings can not be used; 3 the
-    model does not hold, or states no bound that could.
+    Does its bound keep what it promises? MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same
+    robot in other configurations or under other loads; states that the model was identified from are left out.
+    MODEL_DIR may be the name of a robot that comes along. Prints, for each level of loads, the displacements measured,
+    what the model leaves of them, the noise in that, its 95 % bound, the factor (> where what is left can not be told
+    from noise), and the share of displacements whose error is inside the bound. Exit codes: 0 the model holds; 1 the
+    readings can not be used; 3 the model does not hold, or states no bound that could.
 
     \b
     Example:

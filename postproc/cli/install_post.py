@@ -12,10 +12,10 @@ import click
 @click.option("--dir", "folder", type=click.Path(path_type=Path), help="Folder of posts; default: the usual one.")
 @click.option("--remove", is_flag=True, help="Remove the post instead.")
 def install_post(host: str, folder: Path | None, remove: bool) -> None:
-    """Put the post for HOST where HOST looks for posts, and tell where.
+    """Put a post where FreeCAD or RoboDK looks for it.
 
-    The post runs the postproc that installed it, whatever Python the host brings. Installed from WSL into a folder of
-    Windows, it runs it by way of wsl.
+    It tells where. The post runs the postproc that installed it, whatever Python the host brings. Installed from WSL
+    into a folder of Windows, it runs it by way of wsl.
 
     \b
     Examples:

@@ -49,7 +49,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json beside it.")
 def plan(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **request: Any) -> None:
-    """Choose poses and loads whose measurement identifies the robot best for the work at hand.
+    """Choose poses and loads to identify the robot by.
 
     The plan makes the error that remains after compensation smallest where the PROGRAMs mill, under their forces. For
     plan.csv this writes plan.csv (config,A1…A6,Fx,Fy,Fz: deg; N, root axes, at the load point; in the order of least

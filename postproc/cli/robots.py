@@ -31,7 +31,7 @@ class _Robots(click.Group):
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 @click.pass_context
 def robots(ctx: click.Context, /, as_json: bool) -> None:
-    """List the robot models, show one with the source of each value, or add one.
+    """List the robot models, show one, or add one.
 
     NAME is the name of a shipped robot or the path of a model folder.
 
@@ -90,7 +90,7 @@ def show(name: str, as_json: bool) -> None:
 @click.option("-o", "--output", type=_PATH, metavar="DIR", help="Model folder to write; default: NAME.")
 @click.option("--overwrite", is_flag=True, help="Replace a model that is there.")
 def add(urdf: Path, name: str | None, output: Path | None, overwrite: bool) -> None:
-    """Make a model folder from the URDF of a KUKA arm, as ROS-Industrial writes them.
+    """Make a model folder from the URDF of a KUKA arm.
 
     Joints may have any names and signs (joint_1, joint_a1 …): they become A1 to A6 with KUKA's signs. `base` or
     base_link is the root, tool0 or flange the flange. Geometry, limits, speeds and masses are taken over; compliances

@@ -193,11 +193,16 @@ max_correction_mm = 8.0          # a larger correction is an error
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS; 0: exact stops
+corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
 # spindle_on = ["$ANOUT[1]={{S}}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {{S}}: speed in rpm
 # spindle_off = ["$OUT[1]=FALSE"]
 # coolant_on = ["$OUT[2]=TRUE"]
 # coolant_off = ["$OUT[2]=FALSE"]
 # tool_change = ["; tool {{T}} by hand", "HALT"]
+
+# [machine]                      # what G28, G30 and G53 mean, by which most CAM systems retract; else errors
+# clearance_Z = 200.0            # Z of $BASE: G53 Z… retracts to it, G28 goes there first
+# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there
 
 # [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
 # X = 0.0

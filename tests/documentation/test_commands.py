@@ -30,7 +30,8 @@ def test_formats_md_shows_the_help_of_every_command():
 
 @pytest.mark.parametrize("ctx", CONTEXTS, ids=PATHS)
 def test_command_has_help_and_an_example_of_itself(ctx):
-    assert not ctx.command.get_short_help_str(100).endswith("..."), "the first sentence is too long for a list"
+    told = "the first sentence is too long for a list of 80 columns"
+    assert ctx.parent is None or not ctx.command.get_short_help_str(61).endswith("..."), told
     examples = [" ".join(["postproc", *arguments]) for arguments in pages.commands(ctx.get_help())]
     assert any(example.startswith(ctx.command_path) for example in examples)
     assert "\\b" not in ctx.get_help(), r"a raw docstring: click does not see \b"
