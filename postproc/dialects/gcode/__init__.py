@@ -12,17 +12,17 @@ X, Y, Z are the tool tip in the program frame: `$BASE`, moved by the work offset
 
 Rapid moves before X, Y and Z have all been programmed are held back: nothing is known of the axes they leave open, and
 where the robot happens to stand is no answer (it may be below the part). ``G0 X20 Y20`` and then ``G0 Z5`` become one
-motion to X20 Y20 Z5, on the line of the second.
+motion to X20 Y20 Z5, on the line of the second. So is a G1 that goes up to the highest Z of the program.
 
 Where this reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening
 one, a missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number,
 more than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W)
-where it does nothing, M98 and CALL to files with other names than LinuxCNC's, and G15, G50.1, G69. Where it accepts
-less: a cutting or relative move or a change of the work offset before X, Y and Z have been programmed (rs274 begins at
-zero; a robot stands anywhere; only a G1 with all three may come first), parameters that nothing in the program has set,
-coordinates behind a closing ``%``, signs like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and
-more, a program that moves nothing, and every code that `codes` refuses. Each of these is a test. In G18 and G19 rs274
-confuses the axes of G84.
+where it does nothing, M98 and CALL to files with other names than LinuxCNC's, G15, G40.1, G50, G50.1 and G69, G5.1 Q,
+G187 and the like, ``:1001``. Where it accepts less: a cutting or relative move or a change of the work offset before X,
+Y and Z have been programmed (rs274 begins at zero; a robot stands anywhere; only a G1 with all three may come first, or
+one up to the highest Z), parameters that nothing in the program has set, coordinates behind a closing ``%``, signs like
+``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program that moves nothing, and every
+code that `codes` refuses. Each of these is a test. In G18 and G19 rs274 confuses the axes of G84.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
     notes, events = _told(run, path, modes, comments)
     line = run.main[path.row]
     line.flags.writeable = False
-    issues = (*_issues(path, modes), *modes.issues, *_after_the_end(run, modes.rows))
+    issues = (*_issues(path, modes), *modes.issues)
     return Program(
         name=name,
         dialect="gcode",
@@ -131,7 +131,10 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         events=events,
         swivel=path.swivel,
         still=distinct(run.main[path.still]),
-        issues=tuple(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
+        issues=(
+            *(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
+            *_after_the_end(run, modes.rows),
+        ),
     )
 
 
@@ -152,7 +155,8 @@ def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     if kind is not None:
         at, other = kind
         n, line = list(places)[at]
-        problem = f"this is not plain G-code, but a {other.name} program"
+        article = "an" if other.name[0] in "AO" else "a"
+        problem = f"this is not plain G-code, but {article} {other.name} program"
         return [ProgramError(problem, file=names[n], line=line, text=texts[at], advice=other.advice)]
     return [
         ProgramError(fault.problem, file=names[n], line=line, text=text, advice=fault.advice)
@@ -162,11 +166,13 @@ def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
 
 def _after_the_end(run: Executed, rows: int) -> Iterator[Issue]:
     """Tell of code after the end of the program, which is not executed (rs274 does not even read it)."""
-    source = run.source
+    source, lines = run.source, list(run.behind)
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
-        codes = [row for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
-        message = f"There is code after the end of the program (line {rows}): it is not executed."
-        yield Issue("warning", "after-end", message, codes[0] + 1, count=len(codes))
+        lines = [row + 1 for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
+    if len(lines):
+        end = int(run.main[rows - 1])
+        message = f"There is code after the end of the program (line {end}): it is not executed."
+        yield Issue("warning", "after-end", message, lines[0], count=len(lines))
 
 
 def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
@@ -224,7 +230,7 @@ def _issues(path: Path, modes: Modes) -> Iterator[Issue]:
     for row, level, kind, message in path.told:
         yield Issue(level, kind, message, row + 1)
     if len(path.held_back):
-        message = "Rapid moves before X, Y and Z are all known are held back until the position is complete."
+        message = "Moves before X, Y and Z are all known are held back until the position is complete."
         lines = tuple((path.held_back + 1).tolist())
         yield Issue("info", "start-position", message, lines[0], count=len(lines), lines=lines)
     nowhere = np.setdiff1d(path.still, path.held_back, assume_unique=True)

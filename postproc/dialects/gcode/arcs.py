@@ -162,7 +162,7 @@ def _faults(
         "arc with an offset across its plane",
         "G17 takes I and J, G18 I and K, G19 J and K.",
     )
-    check(by_radius & ~has_radius, "arc without I, J, K or R")
+    check(by_radius & ~has_radius, "arc without I, J, K or R", "If a straight move is meant, write G0 or G1.")
     check(~by_radius & has_radius, "arc with R and with I, J or K", "Give one or the other.")
     check(
         ~by_radius & words.absolute & (np.isnan(o1) | np.isnan(o2)),

@@ -15,11 +15,17 @@ from typing import NamedTuple
 from postproc.dialects.gcode.words import LIMIT, MARK
 
 _WORD = re.compile(rf"{MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
-_PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?O\d+{MARK}*")
+_PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?[O:]\d+{MARK}*")
 
 
 _MOST_WORDS = 100
 """A block of more words than all letters and modal groups could make is no block."""
+_CHARACTERS = {
+    "/": "Write / first in its block.",
+    "@": "Polar coordinates are not read: let the CAM system write X and Y.",
+    "^": "Polar coordinates are not read: let the CAM system write X and Y.",
+    "$": "Only one spindle is read: leave $ and its number out.",
+}
 _O_ADVICE = "An O number stands alone in its line."
 
 
@@ -107,7 +113,7 @@ def _not_a_word(rest: str) -> tuple[str, str | None]:
         return f"{character} without a number", "Write words like X1.5." if following == "=" else None
     if character == "?":
         return "a question mark, or a character that is not ASCII, outside comments", None
-    return f"unexpected character {character!r}", None
+    return f"unexpected character {character!r}", _CHARACTERS.get(character)
 
 
 def _conflict(own: Sequence[tuple[str, str]]) -> str:

@@ -34,12 +34,22 @@ GROUP_OF = {code: group for group, codes in GROUPS.items() for code in codes}
 
 STOP, END, SPINDLE, CHANGE, COOLANT = (0.0, 1.0), (2.0, 30.0), (3.0, 4.0, 5.0), 6.0, (7.0, 8.0, 9.0)
 
-_IGNORED_G = (15.0, 40.0, 49.0, 50.1, 69.0, 97.0)
-"""Codes that only cancel what is refused here anyway (polar coordinates, radius compensation, length offset, mirror,
-rotation), or select what always holds (spindle in rpm)."""
+SCALE_OFF = 50.0
+_IGNORED_G = (13.1, 15.0, 40.0, 40.1, 49.0, SCALE_OFF, 50.1, 69.0, 97.0)
+"""Codes that only cancel what is refused here anyway (polar coordinates and interpolation, radius compensation, knives,
+length offset, scale, mirror, rotation), or select what always holds (spindle in rpm)."""
+
+SMOOTHING = {5.0: "P", 5.1: "QR", 8.0: "P", 187.0: "PE"}
+"""Modes of look-ahead and smoothing, with the words that they have (splines of the same name have others)."""
 
 _IGNORED_M = (48.0, 49.0)
 """Override switches of the operator's panel."""
+
+OVERRIDES = (50.0, 51.0, 52.0, 53.0)
+"""Such of LinuxCNC, with P0 or P1; without P they are of another control."""
+
+READING = (61.0, 70.0, 71.0, 72.0, 73.0, 97.0, 98.0, 99.0)
+"""M codes that change how the lines behind them are read: `[m_codes]` cannot say that they do nothing."""
 
 OTHER_AXES = "ABCUVW"
 """Axes that a three-axis mill may have beside X, Y, Z, and a robot has not."""
@@ -55,7 +65,10 @@ _COMPENSATION = (
 _CYCLE = "This cycle needs an oriented or a reversed spindle: let the CAM system write it out as G0 and G1."
 _FIVE_AXIS = "Give the rotary axes in the cell, [rotary], for a program with tool-centre-point control."
 _LATHE = "Lathe modes are not read."
-_OUTPUT = "Outputs are not read: remove the block and switch from the KRL program."
+_OUTPUT = (
+    "Outputs are not read: switch from the KRL program, and remove the block or say in the cell that it does nothing: "
+    "[m_codes] M64 = []."
+)
 _PLACES = "Stored positions and offsets are not read: put work offsets into the cell, [work_offsets]."
 _PROBE = "Probing and threading moves depend on the machine: remove them."
 _SPLINE = "Splines and smoothing modes are not read: let the CAM system write G1, G2 and G3."
@@ -69,7 +82,8 @@ _ADVICE_G = {
     **dict.fromkeys((5.0, 5.1, 5.2, 5.3), _SPLINE),
     **dict.fromkeys((7.0, 8.0), _LATHE),
     **dict.fromkeys((28.1, 30.1), _PLACES),
-    **dict.fromkeys((16.0, 50.0, 51.0, 51.1, 68.0, 68.2), _TURNED),
+    SCALE_OFF: "It is read where it ends a scale, without other words; those of lathes are not.",
+    **dict.fromkeys((16.0, 51.0, 51.1, 68.0, 68.2), _TURNED),
     **dict.fromkeys((17.1, 18.1, 19.1), "Planes of U, V, W are not read."),
     **dict.fromkeys((31.0, 33.0, 33.1, 38.2, 38.3, 38.4, 38.5), _PROBE),
     **dict.fromkeys((41.0, 42.0, 41.1, 42.1), _COMPENSATION),
@@ -86,6 +100,9 @@ _ADVICE_M = {
     60.0: "There is no pallet: use M0 to stop.",
     61.0: "Write T and M6.",
     **dict.fromkeys((float(code) for code in range(62, 69)), _OUTPUT),
+    **dict.fromkeys(
+        (70.0, 71.0, 72.0, 73.0), "Modes that are stored and restored are not read: write them out (G90 …)."
+    ),
     97.0: "Call subprograms by M98.",
 }
 

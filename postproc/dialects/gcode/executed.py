@@ -24,6 +24,8 @@ class Executed:
     :param line: (L,) its 1-based line there.
     :param main: (L,) its line in the program itself: for one of another file, that of the call.
     :param faults: why it could not be executed (further), in rows of `source`.
+    :param behind: lines of the program behind its end that hold coordinates and are never executed; `source` may have
+        others.
     """
 
     source: Source
@@ -32,6 +34,7 @@ class Executed:
     line: Ints
     main: Ints
     faults: tuple[Fault, ...] = ()
+    behind: tuple[int, ...] = ()
 
 
 class Piece(NamedTuple):
@@ -44,10 +47,11 @@ class Piece(NamedTuple):
     text: str | None = None
 
 
-def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault]) -> Executed:
+def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> Executed:
     """Return pieces, in the order in which they are executed, as one program.
 
     :param units: the files that they are of.
+    :param end: row of the first of them at which the program ends.
     """
     code = b"\n" + b"".join(_bytes(units, pieces))
     unit, first, last, main = np.array([piece[:4] for piece in pieces], dtype=np.int64).reshape(-1, 4).T
@@ -58,7 +62,9 @@ def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequenc
     ends = np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n"))
     source, line = Source(code, ends, comments, rows + 1), row + 1
     documents = tuple(unit.document for unit in units)
-    return Executed(source, documents, document, line, np.where(main < 0, line, main + 1), tuple(faults))
+    behind = np.setdiff1d(units[0].source.coordinates(end), row[document == 0]) + 1
+    main = np.where(main < 0, line, main + 1)
+    return Executed(source, documents, document, line, main, tuple(faults), tuple(behind.tolist()))
 
 
 def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:

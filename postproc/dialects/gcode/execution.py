@@ -74,6 +74,7 @@ class _EndError(Exception):
 
 class _Run:
     def __init__(self, unit: Unit) -> None:
+        self.end = len(unit.source)
         self.library = Library(unit)
         self.units = self.library.units
         self.unit, self.row, self.main = 0, 0, -1
@@ -93,7 +94,7 @@ class _Run:
                 self._step()
         except _EndError:
             pass
-        return put_together(self.units, self.pieces, list(self.wrong.values()))
+        return put_together(self.units, self.pieces, list(self.wrong.values()), self.end)
 
     def _step(self) -> None:
         unit, row = self.units[self.unit], self.row
@@ -168,6 +169,7 @@ class _Run:
                 self._return_number(row, number)
             return
         self._take(row, row + 1, text)
+        self.end = row if self.unit == 0 else self.main
         raise _EndError
 
     def _call_number(self, row: int, number: dict[str, float]) -> None:

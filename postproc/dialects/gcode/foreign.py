@@ -22,6 +22,36 @@ class Foreign(NamedTuple):
 
 FOREIGN = (
     Foreign(
+        "Heidenhain DIN/ISO",
+        re.compile(r"\s*(%\S+\s+G7[01]\s*\*|N?\d*\s*[GXYZTM].*\*\s*$)", re.IGNORECASE),
+        f"{_POST}, or for KUKA KRL, instead of Heidenhain.",
+    ),
+    Foreign(
+        "lathe",
+        re.compile(r".*(?<![A-Z])(G7[0-6]\s*[PQUW]\s*[\d.#\[]|G50\s*S\s*\d|G92\s*S\s*\d)", re.IGNORECASE),
+        "It turns and does not mill.",
+    ),
+    Foreign(
+        "Okuma",
+        re.compile(r"\s*(\$\w+\.MIN|(N\d+\s*)?G15\s*H\d)", re.IGNORECASE),
+        f"{_POST}, instead of Okuma.",
+    ),
+    Foreign(
+        "ShopBot",
+        re.compile(r"\s*('|(SA|J[2-5XYZ]|M[2-5XYZ]|CN|VS|JS|MS|TR)\s*(,|$))", re.IGNORECASE),
+        f"{_POST}, or for KUKA KRL, instead of ShopBot.",
+    ),
+    Foreign(
+        "plotter (HP-GL) or isel",
+        re.compile(r"\s*(IN$|SP\d+;|P[UD](-?\d|;)|IMF_PBL|(N\d+\s+)?(MOVE|FAST)(ABS|REL))", re.IGNORECASE),
+        f"{_POST}, or for KUKA KRL, instead.",
+    ),
+    Foreign(
+        "Fanuc custom macro (B)",
+        re.compile(r"\s*(N\d+\s*)?(WHILE\s*\[|IF\s*\[|GOTO\s*[\d#\[]|END\s*\d|ENDWHILE|ENDIF)", re.IGNORECASE),
+        "Let the CAM system write its loops out, or write them with O words (o1 while [#1 LT 5] … o1 endwhile).",
+    ),
+    Foreign(
         "Heidenhain Klartext",
         re.compile(
             r"\s*(\d+\s+)?(BEGIN PGM|END PGM|BLK FORM|TOOL (CALL|DEF)|CYCL (DEF|CALL)|CALL (PGM|LBL)|LBL \d|PLANE )"
@@ -50,7 +80,7 @@ FOREIGN = (
     Foreign(
         "slicer (3-D printing)",
         re.compile(
-            r".*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])M(82|83|10[4679]|140|190)(?!\d))",
+            r".*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])(M(82|83|10[4679]|140)(?!\d)|M190\s*[SR]))",
             re.IGNORECASE,
         ),
         f"It extrudes and does not cut. {_POST}, from a milling program.",
@@ -60,11 +90,17 @@ FOREIGN = (
         re.compile(
             r".*(?<![A-Z])(CYCLE\d{2,4}|POCKET[1-4]|SLOT[12]|HOLES[12]|MCALL|SUPA|TRAORI|TRAFOOF|A?TRANS|A?ROT|A?MIRROR"
             r"|A?SCALE|STOPRE|EXTCALL|WORKPIECE|COMP(ON|OF|CAD|CURV|SURF)|FFW(ON|OF)|ORI(WKS|MKS|AXES|VECT)|CFC|CFTCP|CFIN"
-            r"|CUT[23]D|BRISK|SOFT|GROUP_(BEGIN|END)|REPEATB?|DEF (REAL|INT|STRING|BOOL)|G(70|71|153|500|505)(?![\d.])"
+            r"|CUT[23]D|BRISK|SOFT|GROUP_(BEGIN|END)|REPEATB?|DEF (REAL|INT|STRING|BOOL)|G(153|500|505)(?![\d.])"
             r"|MSG(?![A-Z])|(CR|AP|RP|TURN|R\d+|[ABC]3|[IJK]1)\s*=|[XYZIJKABC]\s*=\s*(R\d|[AID]C(?![A-Z]))|T\s*=\s*\"|%_N_)",
             re.IGNORECASE,
         ),
         f"{_POST}, or for KUKA KRL, instead of Siemens (Sinumerik 840D, 828D).",
+    ),
+    Foreign(
+        "Siemens Sinumerik",
+        re.compile(r".*(?<![A-Z])G7[01](?![\d.])", re.IGNORECASE),
+        f"{_POST}, or for KUKA KRL, instead of Siemens (Sinumerik 840D, 828D). If nothing but G70 or G71 is special, "
+        "write G20 or G21.",
     ),
 )
 """Programs that this reader meets and does not read."""

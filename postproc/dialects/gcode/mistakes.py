@@ -67,18 +67,34 @@ def _check_unknown(rows: Rows, moves: Moves, doubt: _Doubt, check: Callable[...,
     axes = np.asarray(~np.isnan(rows.xyz).all(axis=1))
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may stand anywhere before."
-    for first, complete in moves.unknown if len(line) else ():
+    never = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
+    if never:
+        advice += f" {' and '.join(never)} {'is' if len(never) == 1 else 'are'} never programmed."
+    for first, complete in moves.unknown:
+        if first >= len(line):
+            continue
         within = (line >= first) & (line <= complete)
         early = axes & within & ~doubt.position
         problem = "incremental move before the position is known"
         check(early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
-        cutting = early & (straight & (begin < complete) | rows.drilling) & ~doubt.motion  # one with all needs none
+        above = begin == complete or _is_above(rows, first, complete)  # one with all needs none
+        cutting = early & (straight & (not above) | rows.drilling) & ~doubt.motion
         check(cutting, "cutting move before the position is known", advice, first=True)
         turning = rows.moving & arc & within & ~doubt.motion & ~doubt.position
         check(turning, "arc before the position is known", advice, first=True)
         elsewhere = early & (moves.offset != moves.offset[begin])
         check(elsewhere, "change of the work offset before the position is known", advice, first=True)
+
+
+def _is_above(rows: Rows, first: int, complete: int) -> bool:
+    """Return whether the last Z before line `complete` is the highest of the program: X and Y are sought above it all.
+
+    Programs for hobby controls go up by G1, and then to where they begin.
+    """
+    z = rows.xyz[first:complete, 2]
+    z = z[~np.isnan(z)]
+    return bool(len(z)) and not rows.incremental.any() and bool(z[-1] >= np.nanmax(rows.xyz[:, 2]))
 
 
 class _Doubt:

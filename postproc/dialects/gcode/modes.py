@@ -133,6 +133,7 @@ class _Reader:
         self.blends: list[tuple[int, float]] = []
         self.roundings: list[tuple[int, float]] = []
         self.dwells: list[int] = []
+        self.smooth: set[int] = set()
         self.issues: list[Issue] = []
         self.places, self.switching = Places(cell), Switching(cell, self.issues, self._tip)
         self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.places.rotary]
@@ -162,7 +163,15 @@ class _Reader:
         m = [value for letter, value in words if letter == "M"]
         values = {letter: value for letter, value in words if letter not in "GM"}
         refused: BlockError | None = None
-        for step in (self._modes, self._places, self._dwell, self._blending, self._switching, self._coordinates):
+        for step in (
+            self._smoothing,
+            self._modes,
+            self._places,
+            self._dwell,
+            self._blending,
+            self._switching,
+            self._coordinates,
+        ):
             try:
                 step(row, g, m, values)
             except BlockError as cause:  # what is understood of the block is taken over: the next blocks build on it
@@ -193,7 +202,7 @@ class _Reader:
     def _tell(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
-    def _modes(self, row: int, g: Sequence[float], *_: object) -> None:
+    def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
         refused: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
@@ -209,9 +218,13 @@ class _Reader:
                 if code == 84.0 and self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
                     advice = "Give spindle_ccw in [gcode] of the cell: the KRL lines that turn the spindle backwards."
                     raise BlockError("G84 needs a spindle that is reversed at the bottom", advice)
-            elif self._tip(row, f"G{code:g}") or self._said_before(code):
+            elif (
+                self._tip(row, f"G{code:g}")
+                or self._said_before(code)
+                or (row in self.smooth and code in codes.SMOOTHING)
+            ):
                 pass
-            elif code not in codes.ACCEPTED_G:
+            elif code not in codes.ACCEPTED_G or (code == codes.SCALE_OFF and set(values) & set("XYZIJKPS")):
                 refused = refused or codes.refusal("G", code)
         if refused is not None:
             raise BlockError(*refused)
@@ -221,6 +234,18 @@ class _Reader:
 
     def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
         self.switching.read(row, m, values)
+
+    def _smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
+        """Read over modes of look-ahead: how exactly corners are cut the cell says."""
+        for code in g:
+            own = codes.SMOOTHING.get(code)
+            if own is None or not set(values) <= set(own):
+                continue
+            if values or code == 187.0:
+                self.smooth.add(row)
+                values.clear()
+                message = f"G{code:g} is read over: how exactly corners are cut says [gcode] corner_tolerance_mm."
+                self._tell("info", "smoothing", message, row, f"G{code:g}")
 
     def _said_before(self, code: float) -> bool:
         """Return whether G70 or G71, which Vectric's posts write behind G20 or G21, say nothing else."""

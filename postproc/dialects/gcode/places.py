@@ -99,7 +99,10 @@ class Places:
             advice = "G53 goes to where [machine] says, with G0: write the move in coordinates of the part."
             raise BlockError(f"{name} with G{motion:g}", advice)
         if not axes and code == codes.MACHINE:
-            raise BlockError("G53 without X, Y or Z", None)
+            advice = (
+                "It does nothing on most controls: remove it. Where it holds for the lines behind it, write it there."
+            )
+            raise BlockError("G53 without X, Y or Z", advice)
         if machine.home is None and set(axes) != {2}:
             advice = "[machine] clearance_Z says where Z goes only: give home, or let the CAM system retract in Z."
             raise BlockError(f"{name} with axes other than Z", advice)

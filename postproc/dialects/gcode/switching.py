@@ -78,9 +78,14 @@ class Switching:
         for code in m:
             if self.is_known(row, f"M{code:g}"):
                 continue
-            own = self.cell.m_codes.get(f"M{code:g}")
+            own = None if code in codes.READING else self.cell.m_codes.get(f"M{code:g}")
+            if own is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
+                continue
             if own is None and code not in codes.ACCEPTED_M:
                 raise BlockError(*codes.refusal("M", code))
+            if own == []:  # nothing, with its words
+                values.pop("P", None)
+                values.pop("Q", None)
             if own:
                 self.events.append(RowEvent(row, False, "m_code", code))
 

@@ -77,10 +77,15 @@ class Source:
         """Return the packed code of line `row` + 1."""
         return self.code[self.ends[row] + 1 : self.ends[row + 1]].decode("ascii")
 
+    def coordinates(self, row: int) -> Ints:
+        """Return the rows behind a line that hold coordinates."""
+        found = [match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))]
+        return np.unique(np.searchsorted(self.ends, np.array(found, dtype=np.int64)) - 1)
+
     def goes_on(self, row: int) -> bool:
         """Return whether coordinates stand behind a line that begins with %, which would end the program there."""
         ends = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())[:1] == b"%"
-        return ends and _COORDINATE.search(self.code, self.ends[row + 1]) is not None
+        return ends and _COORDINATE.search(self.code, int(self.ends[row + 1])) is not None
 
 
 def split(document: Document, line_starts: Ints) -> Source:
