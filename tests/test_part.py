@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from tests.html_page import read_page
 
 CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")
 PASSES = "".join(f"G1 X{60 if k % 2 == 0 else 0} Y{4 * k}\nY{4 * k + 4}\n" for k in range(10))
-PROGRAM = f"G21 G90\nT1 M6\nG0 X0 Y0 Z5\n(FORCE FX=100 FZ=150)\nG1 Z0 F600\n{PASSES}G0 Z20\n"
+PROGRAM = f"G21 G90\nT1 M6\nS8000 M3\nG0 X0 Y0 Z5\n(FORCE FX=100 FZ=150)\nG1 Z0 F600\n{PASSES}G0 Z20\n"
 PROCESS = """[material]
 name = "al_7075_t6_carbide"
 [tools.1]
@@ -38,8 +39,8 @@ def folder(tmp_path, monkeypatch):
     box.export("part.stl")
 
 
-def _run(command, *arguments, code=0):
-    done = CliRunner().invoke(main, [command, *arguments, "--cell", CELL, "-o", "out"])
+def _run(command, *arguments, code=0, folder=True):
+    done = CliRunner().invoke(main, [command, *arguments, "--cell", CELL, *(["-o", "out"] if folder else [])])
     assert done.exit_code == code, done.output
     return done
 
@@ -133,6 +134,21 @@ def test_a_part_that_cannot_be_looked_at_is_an_error_and_nothing_is_written(argu
     Path("other.nc").write_text(PROGRAM)
     assert message in _run("convert", *arguments, code=code).output
     assert not Path("out").exists() or not list(Path("out").iterdir())
+
+
+def test_the_cut_of_a_process_is_shown_along_the_path():
+    Path("part.nc").write_text(PROGRAM.replace("G1 Z0", "G1 Z-2"))
+    _run("convert", "part.nc", "--process", "process.toml")
+    _run("forces", "part.nc", "--process", "process.toml", "-o", "forces.csv", folder=False)
+    (tool,) = json.loads(Path("forces.json").read_text())["tools"]
+    read = read_page(Path("out/part.report.html").read_bytes())
+    text = read.text("cut")
+    assert f"Depth of cut, up to {tool['max_depth_mm']:.2f} mm" in text
+    assert f"Width of cut, up to {tool['max_width_mm']:.2f} mm" in text
+    assert f"Removed, up to {tool['max_removal_mm3_per_s'] * 0.06:.1f} cm³/min" in text
+    stock = trimesh.load("out/part.stock.glb", force="mesh")
+    assert len(read.columns("stock_faces")["i"]) == len(stock.faces)
+    assert read.columns("stock_points")["z"].min() == pytest.approx(-5.0, abs=1e-3)
 
 
 def test_facets_are_divided_and_cover_the_same_area():

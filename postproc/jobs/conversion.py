@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from postproc import correction, files, forces, interrupts, report
 from postproc.cell import Cell
@@ -22,6 +23,9 @@ from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
 
+if TYPE_CHECKING:
+    from postproc.machining import ProcessForces
+
 
 def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     """Convert or predict one program and write its files, all or none.
@@ -35,9 +39,9 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
         with interrupts.heard():
             name = None if job.keeps_text else job.stem
             program = read_program(job.program, robot, cell, job.dialect, name)
-            result, stock = _result(job, settings, cell, robot, program)
+            result, process = _result(job, settings, cell, robot, program)
             if not result.failed:
-                content, contents = _contents(job, settings, cell, result, stock)
+                content, contents = _contents(job, settings, cell, result, process)
                 old = outputs.obsolete(job, [*contents], settings.mode, overwrite=settings.overwrite)
     except Exception as cause:
         if isinstance(cause, SubprogramError) and not job.named:
@@ -77,9 +81,9 @@ def read_program(
 
 def _result(
     job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program
-) -> tuple[Result, bytes | None]:
-    """Return the result, and what a process leaves of its stock."""
-    mode, linearize, stock = settings.mode, settings.linearize_arcs, None
+) -> tuple[Result, ProcessForces | None]:
+    """Return the result, and what a process makes of the program."""
+    mode, linearize, found = settings.mode, settings.linearize_arcs, None
     if job.process is None:
         source = None if job.forces is None else forces.read(job.forces)
         result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize, to=job.to)
@@ -91,7 +95,7 @@ def _result(
             result, process = process_forces.predicted(program, robot, cell, process)
         else:
             result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
-        stock = None if result.failed else process_forces.stock(process)
+        found = process.found
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)
@@ -100,11 +104,11 @@ def _result(
         written = f"{job.stem}{job.writer.extension}"
         note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
-    return result, stock
+    return result, found
 
 
 def _contents(
-    job: Job, settings: Settings, cell: Cell, result: Result, stock: bytes | None
+    job: Job, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None
 ) -> tuple[Summary, dict[str, bytes | Iterable[bytes]]]:
     """Return the summary, and what to write: file name → content."""
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
@@ -125,9 +129,11 @@ def _contents(
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
         for ending, made in (("ply", ply), ("glb", glb)):
             contents[f"{stem}surface.{ending}"] = made(surface, cell.tolerance)
-    contents[f"{stem}report.html"] = report.page(result, tolerance, surface)
-    if stock is not None:
-        contents[f"{stem}stock.glb"] = stock
+    contents[f"{stem}report.html"] = report.page(result, tolerance, surface, process)
+    if process is not None:
+        from postproc.jobs import process_forces
+
+        contents[f"{stem}stock.glb"] = process_forces.stock(process)
     read = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
     outputs.protect(read, job.output, contents)  # files of subprograms too
     outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)

@@ -12,7 +12,7 @@ from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, Array, norm
-from postproc.machining import ProcessSource, Shift
+from postproc.machining import ProcessForces, ProcessSource, Shift
 from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.robot import RobotModel
@@ -34,9 +34,9 @@ def read(path: Path, cell: Cell) -> ProcessSource:
     return ProcessSource(machining.load(path), cell.tool.axis, cell.output.force_ramp_mm * M_PER_MM)
 
 
-def stock(source: ProcessSource) -> bytes | None:
-    """Return what is left of the stock, as GLB; None where it was not cut."""
-    return None if source.found is None else bytes(as_trimesh(*source.found.mesh()).export(file_type="glb"))
+def stock(found: ProcessForces) -> bytes:
+    """Return what is left of the stock, as GLB."""
+    return bytes(as_trimesh(*found.mesh()).export(file_type="glb"))
 
 
 def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSource) -> tuple[Result, ProcessSource]:

@@ -9,6 +9,7 @@ from postproc.correction import Result
 from postproc.report.deviation.content import Deviation
 from postproc.report.deviation.sections import (
     along,
+    cut,
     histogram,
     issues,
     joints,
@@ -26,6 +27,7 @@ from postproc.report.kit import Note, Page, Section
 from postproc.report.text import targets
 
 if TYPE_CHECKING:
+    from postproc.machining import ProcessForces
     from postproc.report.surface import Surface
 
 SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
@@ -34,6 +36,7 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     view3d.section,
     surface_section.section,
     along.section,
+    cut.section,
     histogram.section,
     operations.section,
     worst.section,
@@ -56,14 +59,20 @@ _HOW = {
 }
 
 
-def page(result: Result, tolerance: float | None = None, surface: Surface | None = None) -> Iterator[bytes]:
+def page(
+    result: Result,
+    tolerance: float | None = None,
+    surface: Surface | None = None,
+    process: ProcessForces | None = None,
+) -> Iterator[bytes]:
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
     :param result: of one program.
     :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
     :param surface: of the part, see `postproc.report.surface`; None = not looked at.
+    :param process: what a process made of the program; None = forces are from elsewhere.
     """
-    told = Deviation(result, tolerance, surface)
+    told = Deviation(result, tolerance, surface, process)
     sections = tuple(found for make in SECTIONS if (found := make(told)) is not None)
     views = len(result) > 0
     content = told.content
@@ -84,4 +93,4 @@ def page(result: Result, tolerance: float | None = None, surface: Surface | None
     ).render()
 
 
-_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "surface", "place")
+_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "surface", "stock", "place")

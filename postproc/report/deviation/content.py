@@ -11,6 +11,7 @@ import numpy as np
 
 from postproc.correction import Result
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.program import Ints
 from postproc.report.deviation.operations import Operation, operations
 from postproc.report.deviation.places import Places, places
 from postproc.report.kit import Columns
@@ -18,9 +19,11 @@ from postproc.report.summary import Summary, nothing_to_correct, summary
 from postproc.report.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
+    from postproc.machining import ProcessForces
     from postproc.report.surface import Surface
 
 _BINS = 60
+_MOST_FACES = 200_000
 
 
 class Histogram(msgspec.Struct, frozen=True):
@@ -65,11 +68,13 @@ class Deviation:
     :param result: of one program.
     :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
     :param surface: of the part, or None.
+    :param process: what a process made of the program, where the forces are from one.
     """
 
     result: Result
     tolerance: float | None
     surface: Surface | None = None
+    process: ProcessForces | None = None
 
     @cached_property
     def content(self) -> Summary:
@@ -101,9 +106,21 @@ class Deviation:
         """The operations of the program."""
         return operations(self.result)
 
+    @cached_property
+    def stock(self) -> tuple[Array, Ints] | None:
+        """What is left of the stock: vertices (V, 3) [m] and faces (F, 3); None where a page cannot hold it."""
+        if self.process is None:
+            return None
+        points, faces = self.process.mesh()
+        return (points, faces) if 0 < len(faces) <= _MOST_FACES else None
+
     def columns(self) -> dict[str, Columns]:
         """Return the numbers of the page."""
         out = {"places": self.places.columns, "drawn": self.places.drawn}
+        if self.stock is not None:
+            points, faces = self.stock
+            out["stock_points"] = Columns.of(dict(zip("xyz", points.T * MM_PER_M, strict=True)))
+            out["stock_faces"] = Columns.of(dict(zip("ijk", faces.T, strict=True)))
         if self.surface is not None:
             corners = self.surface.corners.reshape(-1, 3) * MM_PER_M
             out["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))

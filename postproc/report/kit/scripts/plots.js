@@ -41,7 +41,7 @@ const plots = (() => {
   // Where the chosen place is: on the first trace that has places.
   function chosen(plot) {
     const trace = plot.traces.find(({ type, places }) => places && type !== "counts");
-    const index = trace && selection.place !== null ? trace.places.indexOf(selection.place) : -1;
+    const index = trace && selection.place !== null ? trace.places.findIndex((place) => place >= selection.place) : -1;
     return index < 0 ? null : { x: trace.x[index], y: trace.y[index], z: trace.z?.[index] };
   }
   function cursor(plot) {
