@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -33,6 +33,11 @@ class AlongMotions:
     frame: Ints
     sigma: Array
     steady: Bools
+
+    @classmethod
+    def joined(cls, parts: list[AlongMotions]) -> AlongMotions:
+        """Return wrenches along motions of several parts, in order."""
+        return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
 
 
 def without_steps(

@@ -21,11 +21,14 @@ from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.thinning import thinned
 from postproc.machining.ways import Shift, Ways, spindle, ways
-from postproc.program import Program
+from postproc.program import Bools, Program
 from postproc.toolpath import Segments
 
-_TILT = np.radians(0.5)
+_SAME = np.cos(np.radians(0.5))
+"""Cosine of the angle between directions of the tool that are one."""
 _INCH = 25.4
+_HOLLOW = 0.02
+"""Of the volume of a stock: more than this share too much in its map is told."""
 _DEEP = 4.0
 """Depths of cut beyond so many diameters are told: no cutter does that."""
 _BATCH = 200_000
@@ -85,38 +88,58 @@ def estimate(
     :param shift: displacement of the tip, see `Shift`.
     :param progress: called with the number of straight ways done, and of all.
     :raises ForceError: what is not in the process, a stock that cannot be used, no contact at all, a spindle that
-        stands still while it cuts, a tool that changes its direction.
+        stands still while it cuts, a tool that changes its direction while it cuts.
     """
     law = process.law()
     turning = running(program, process)
-    frame = _frame(program, axis)
     cell = process.stock.resolution_mm * M_PER_MM
-    material, told = _stock(process, frame, cell, stock)
-    steps = ways(program, path, turning, frame, cell, shift)
-    _check_speed(program, steps, turning)
-    before = material.volume()
+    setups = _setups(program, axis)
+    material, told = _stock(process, setups[0].frame, cell, stock)
+    start, removed = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
-    sweep = Sweep(material, process, turning, program.motions.feed, law)
-    cuts = _thinned(sweep, steps, None if progress is None else lambda done: progress(done, len(steps.motion)))
-    if shift is not None:  # where a tip stands that comes back from its deflection is no matter of a rapid move
-        sweep.collided.clear()
-    told += list(_told(program, sweep, law, cuts, turning, process))
-    if not sweep.contact:
-        raise _no_contact(program, steps, bounds, process, stock)
-    stations = cuts.motion, cuts.t, cuts.wrench
+    every = ways(program, path, turning, setups[0].frame, cell, shift)
+    _check_speed(program, every, turning)
+    total = len(every.motion)
+    done, parts, sweeps, along = 0, [], [], []
+    for number, setup in enumerate(setups):
+        if number:
+            removed += start - material.volume()
+            left = material.volume()
+            material = _turned(material, setups[number - 1].frame, setup.frame, cell)
+            start = material.volume()
+            told += _hollows(start, left)
+        steps = ways(program, path, turning, setup.frame, cell, shift).of(setup.motions)
+        sweep = Sweep(material, process, turning, program.motions.feed, law)
+        cuts = _thinned(sweep, steps, _told_by(progress, done, total))
+        done += len(steps.motion)
+        sweeps.append(sweep)
+        parts.append(cuts)
+        stations = cuts.motion, cuts.t, cuts.wrench
+        along.append(without_steps(program, path, stations, setup.frame, ramp, law.sigma, base_axes=base_axes))
+    if not any(sweep.contact for sweep in sweeps):
+        raise _no_contact(program, every, bounds, process, stock)
+    cuts = Cuts.joined(parts)
+    # where a tip stands that comes back from its deflection is no matter of a rapid move
+    collided = set[int]() if shift is not None else set[int]().union(*(sweep.collided for sweep in sweeps))
+    stood = set[int]().union(*(sweep.stood for sweep in sweeps))
+    told += _told(program, (collided, stood), law, cuts, turning, process)
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
-        along=without_steps(program, path, stations, frame, ramp, law.sigma, base_axes=base_axes),
+        along=AlongMotions.joined(along),
         cuts=cuts,
-        peak=sweep.peak,
+        peak=np.max([sweep.peak for sweep in sweeps], axis=0),
         power=power,
         turning=turning,
         stock=material,
-        map_in_base=frame,
-        removed=before - material.volume(),
+        map_in_base=setups[-1].frame,
+        removed=removed + start - material.volume(),
         issues=tuple(told),
     )
+
+
+def _told_by(progress: Callable[[int, int], None] | None, before: int, total: int) -> Callable[[int], None] | None:
+    return None if progress is None else lambda done: progress(before + done, total)
 
 
 def _thinned(sweep: Sweep, steps: Ways, progress: Callable[[int], None] | None) -> Cuts:
@@ -137,33 +160,72 @@ def _thinned(sweep: Sweep, steps: Ways, progress: Callable[[int], None] | None) 
     return Cuts.joined([*done, joined.take(thinned(joined.motion, joined.wrench))])
 
 
-def _frame(program: Program, axis: str) -> Array:
-    """Return the frame of the map in `$BASE`: z from the tip to the spindle.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setup:
+    """Motions during which the tool keeps its direction.
 
-    :raises ForceError: the tool changes its direction between cutting moves.
+    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.
+    :param motions: (M,) True for those motions.
     """
-    towards = spindle(program, axis)
-    cutting = np.flatnonzero(~program.motions.rapid)
-    if len(cutting) == 0:
+
+    frame: Array
+    motions: Bools
+
+
+def _setups(program: Program, axis: str) -> list[_Setup]:
+    """Return what is cut in one direction of the tool each, in order.
+
+    Motions that turn the tool without cutting belong to none.
+
+    :raises ForceError: the tool changes its direction while it cuts, or from one cutting move to the next.
+    """
+    towards, cuts = spindle(program, axis), ~program.motions.rapid
+    if not cuts.any():
         raise ForceError("no cutting move in this program", file=program.documents[0].name)
-    first = towards[cutting[0]]
-    tilt = np.arccos(np.clip(towards[cutting] @ first, -1.0, 1.0))
-    if tilt.max() > _TILT:
-        line = int(program.motions.line[cutting[int(np.argmax(tilt > _TILT))]])
-        raise ForceError(
-            f"the tool changes its direction by {np.degrees(tilt.max()):.1f}°",
-            file=program.documents[0].name,
-            line=line,
-            advice="Forces are computed for one direction of the tool: split the program where it turns, and take the "
-            "stock that the first part leaves (--stock-out) for the second (--stock).",
-        )
+    turned = np.ones(len(towards))
+    turned[1:] = np.einsum("ni,ni->n", towards[1:], towards[:-1])
+    still = turned > _SAME
+    first = towards[int(np.argmax(cuts))]
+    if (towards[cuts] @ first > _SAME).all():
+        return [_Setup(_frame(first), np.ones(len(towards), dtype=bool))]
+    setups, rows, now, fresh = [], np.zeros(len(towards), dtype=bool), first, True
+    for motion in range(len(towards)):
+        same = bool(towards[motion] @ now > _SAME)
+        if cuts[motion] and not (still[motion] and (same or fresh)):
+            before = towards[motion - 1] if same or not still[motion] else now
+            raise ForceError(
+                "the tool changes its direction while it cuts, by "
+                f"{np.degrees(np.arccos(np.clip(towards[motion] @ before, -1.0, 1.0))):.1f}°",
+                file=program.documents[0].name,
+                line=int(program.motions.line[motion]),
+                advice="Forces are computed for one direction of the tool at a time: it may change in rapid moves. "
+                "Give forces for such moves by [operations] or as a CSV file.",
+            )
+        if cuts[motion] and not same:
+            setups.append(_Setup(_frame(now), rows))
+            rows, now = np.zeros(len(towards), dtype=bool), towards[motion]
+            same = True
+        rows[motion] = same and still[motion]
+        fresh = not cuts[motion]
+    return [*setups, _Setup(_frame(now), rows)]
+
+
+def _frame(towards: Array) -> Array:
+    """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle."""
     frame = np.eye(4)
-    if first[2] < 1.0 - 1e-9:
-        x = np.array([1.0, 0.0, 0.0]) if abs(first[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        y = np.cross(first, x)
+    if towards[2] < 1.0 - 1e-9:
+        x = np.array([1.0, 0.0, 0.0]) if abs(towards[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        y = np.cross(towards, x)
         y /= np.linalg.norm(y)
-        frame[:3, :3] = np.stack([np.cross(y, first), y, first], axis=-1)
+        frame[:3, :3] = np.stack([np.cross(y, towards), y, towards], axis=-1)
     return frame
+
+
+def _turned(material: Stock, before: Array, frame: Array, cell: float) -> Stock:
+    """Return what is left of a stock as a map for another direction of the tool."""
+    vertices, faces = stocks.mesh_of(material)
+    to_map = inverse(frame) @ before
+    return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell)
 
 
 def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> tuple[Stock, list[Issue]]:
@@ -192,14 +254,19 @@ def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> t
         vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
         faces, volume = np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3
     material = stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell, name)
-    hollow = material.volume() / max(volume, 1e-18) - 1.0
-    if hollow > 0.02:
-        message = (
-            "the stock has hollows or undercuts, seen along the tool: they are taken for material "
-            f"({100 * hollow:.0f} % more than the mesh holds)"
-        )
-        return material, [Issue("warning", "hollow-stock", message)]
-    return material, []
+    return material, _hollows(material.volume(), volume)
+
+
+def _hollows(mapped: float, volume: float) -> list[Issue]:
+    """Tell where the map of a stock holds more than the stock: (volumes in m³)."""
+    hollow = mapped / max(volume, 1e-18) - 1.0
+    if hollow <= _HOLLOW:
+        return []
+    message = (
+        "the stock has hollows or undercuts, seen along the tool: they are taken for material "
+        f"({100 * hollow:.0f} % more than the mesh holds)"
+    )
+    return [Issue("warning", "hollow-stock", message)]
 
 
 def _mesh(path: Path) -> Any:
@@ -244,24 +311,26 @@ def _check_speed(program: Program, steps: Ways, turning: Running) -> None:
 
 
 def _told(
-    program: Program, sweep: Sweep, law: CuttingLaw, cuts: Cuts, turning: Running, process: Process
+    program: Program, met: tuple[set[int], set[int]], law: CuttingLaw, cuts: Cuts, turning: Running, process: Process
 ) -> list[Issue]:
     """Return what the user should know.
 
+    :param met: motions that met material: rapid ones, and those during which the spindle stands still.
     :raises ForceError: the spindle stands still on cutting moves that meet material.
     """
     lines, name = program.motions.line, program.documents[0].name
-    if sweep.stood:
+    collided, stood = met
+    if stood:
         advice = "Start the spindle (M3 S…) before it cuts, or lift the tool."
         raise together(
             ForceError(
                 "the tool is moved through material while the spindle stands still", file=name, line=line, advice=advice
             )
-            for line in sorted({int(lines[motion]) for motion in sweep.stood})[: MOST + 1]
+            for line in sorted({int(lines[motion]) for motion in stood})[: MOST + 1]
         )
     told = []
-    if sweep.collided:
-        hit = sorted({int(lines[motion]) for motion in sweep.collided})
+    if collided:
+        hit = sorted({int(lines[motion]) for motion in collided})
         message = (
             f"a rapid move goes through material (line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''})"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -39,6 +39,12 @@ class Ways:
     arrive: Array
     cutting: Bools
     joined: Bools
+
+    def of(self, motions: Bools) -> Ways:
+        """Return the ways of some of M motions (M,); what is joined to others is not."""
+        rows = np.flatnonzero(motions[self.motion])
+        out = Ways(*(getattr(self, column.name)[rows] for column in fields(self)))
+        return replace(out, joined=out.joined & (np.diff(rows, prepend=-2) == 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
