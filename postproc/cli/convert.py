@@ -47,7 +47,9 @@ def _shared(command: _Command) -> _Command:
         ),
         click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
         click.option(
-            "--forces", type=_PATH, help="CSV file of cutting forces, or a folder with NAME.csv for each program."
+            "--forces",
+            type=_PATH,
+            help="File of cutting forces (CSV, or what a package adds), or a folder with NAME.csv … for each program.",
         ),
         click.option(
             "--process", type=_PATH, help="Material, tools and stock, from which the forces are computed: process.toml."

@@ -31,7 +31,11 @@ _PATH = click.Path(path_type=Path)
     help="What will be milled: files, folders, patterns.",
 )
 @click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
-@click.option("--forces", type=_PATH, help="CSV file of cutting forces, or a folder with NAME.csv for each program.")
+@click.option(
+    "--forces",
+    type=_PATH,
+    help="File of cutting forces (CSV, or what a package adds), or a folder with NAME.csv … for each program.",
+)
 @click.option(
     "--poses", type=_PATH, help="Test poses by hand instead: CSV A1…A6,Fx,Fy,Fz[,weight] (deg; N, root axes)."
 )

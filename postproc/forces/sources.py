@@ -19,6 +19,13 @@ GROUP = "postproc.forces"
 """Entry points by which other packages add readers: each is named by its extension, as in ``".xlsx"``."""
 
 
+def extensions() -> list[str]:
+    """Return the extensions of the files that are read, lower case: our own first, then those that packages add."""
+    from importlib.metadata import entry_points
+
+    return [*READERS, *sorted({entry.name.lower() for entry in entry_points(group=GROUP)} - set(READERS))]
+
+
 def read(path: Path) -> ForceSource:
     """Read a file of forces with the reader for its extension.
 

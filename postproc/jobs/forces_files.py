@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,7 @@ class ForcesRequest:
 class ForcesFiles:
     """Forces as they were written: the summary, what the user should know, and the files."""
 
-    summary: dict[str, Any]
+    summary: process_forces.ForcesSummary
     issues: tuple[Issue, ...]
     written: tuple[Path, ...]
 
@@ -86,8 +85,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
             progress=progress,
         )
     knots = _joined(program, process, found)
-    content: dict[str, Any] = {} if found is None else process_forces.summary(program, found)
-    content["by_operation"] = int(np.isnan(knots[1]).sum())
+    content = process_forces.summary(program, found, int(np.isnan(knots[1]).sum()))
     contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, *knots)}
     if request.stock_out is not None:
         if found is None:

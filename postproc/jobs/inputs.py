@@ -10,6 +10,7 @@ from pathlib import Path
 from postproc.dialects import registry
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, ProgramError
+from postproc.forces.sources import extensions
 from postproc.jobs.job import Job
 from postproc.program import Document
 
@@ -124,14 +125,28 @@ def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pat
             )
         return dict.fromkeys(programs, forces)
     known = {file.name.lower(): file for file in sorted(forces.iterdir()) if file.is_file()}
-    found = {
-        program: known.get(f"{program.stem}.forces.csv".lower(), known.get(f"{program.stem}.csv".lower()))
-        for program in programs
-    }
+    ends = extensions()
+    found = {program: _own(program, known, ends) for program in programs}
     if not any(found.values()):
         raise ForceError(
             "no force file for any of the programs in this folder",
             file=str(forces),
-            advice=f"Looked for {programs[0].stem}.csv, {programs[0].stem}.forces.csv and so on.",
+            advice=f"Looked for {programs[0].stem} and {programs[0].stem}.forces with {', '.join(ends)}, and so on.",
         )
     return found
+
+
+def _own(program: Path, known: dict[str, Path], ends: Sequence[str]) -> Path | None:
+    """Return the force file of a program among those of a folder: NAME.forces.csv before NAME.csv."""
+    stem = program.stem.lower()
+    found = []
+    for end in ends:
+        own = known.get(f"{stem}.forces{end}", known.get(f"{stem}{end}"))
+        found += [own] if own is not None and own.resolve() != program.resolve() else []
+    if len(found) > 1:
+        raise ForceError(
+            f"two force files for {program.name}: {' and '.join(file.name for file in found)}",
+            file=str(found[0].parent),
+            advice="Leave one of them there.",
+        )
+    return found[0] if found else None

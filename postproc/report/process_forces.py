@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
@@ -21,6 +21,35 @@ COLUMNS = (
 """Columns of forces.csv, in order."""
 _ROWS = 4096
 _MM3 = 1e9
+
+
+class ToolSummary(TypedDict):
+    """What one tool does at most; `max_force_line` is where."""
+
+    tool: str
+    max_force_N: float
+    max_force_line: int
+    peak_force_N: float
+    max_torque_Nm: float
+    peak_torque_Nm: float
+    max_power_W: float
+    max_depth_mm: float
+    max_width_mm: float
+    max_removal_mm3_per_s: float
+
+
+class ForcesSummary(TypedDict):
+    """Content of forces.json, but for issues and files; without material and stock `by_operation` alone.
+
+    `by_operation` counts the moves whose force is from the table of operations.
+    """
+
+    by_operation: int
+    program: NotRequired[str]
+    places: NotRequired[int]
+    removed_mm3: NotRequired[float]
+    left_mm3: NotRequired[float]
+    tools: NotRequired[list[ToolSummary]]
 
 
 def forces_csv(program: Program, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array) -> Iterator[bytes]:
@@ -61,10 +90,16 @@ def _one_motion_a_line(program: Program, motion: Ints, wrench: Array) -> Ints:
     return np.flatnonzero(keep)
 
 
-def summary(program: Program, found: ProcessForces) -> dict[str, Any]:
-    """Return what forces.json says of forces computed from material and stock."""
+def summary(program: Program, found: ProcessForces | None, by_operation: int) -> ForcesSummary:
+    """Return what forces.json says.
+
+    :param found: forces computed from material and stock; None: there are none.
+    :param by_operation: moves whose force is from the table of operations.
+    """
+    if found is None:
+        return {"by_operation": by_operation}
     m, cuts = program.motions, found.cuts
-    tools = []
+    tools: list[ToolSummary] = []
     for place in np.unique(found.turning.tool[cuts.motion]).tolist():
         rows = found.turning.tool[cuts.motion] == place
         motions = np.unique(cuts.motion[rows])
@@ -90,10 +125,11 @@ def summary(program: Program, found: ProcessForces) -> dict[str, Any]:
         "removed_mm3": round(found.removed * _MM3, 1),
         "left_mm3": round(found.stock.volume() * _MM3, 1),
         "tools": tools,
+        "by_operation": by_operation,
     }
 
 
-def finished(content: dict[str, Any], issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
+def finished(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
     """Return forces.json."""
     told = [
         {"level": i.level, "kind": i.kind, "message": i.message, "source_line": i.source_line, "count": i.count}
@@ -103,7 +139,7 @@ def finished(content: dict[str, Any], issues: Sequence[Issue], entries: list[Fil
     return (json.dumps(whole, indent=2, ensure_ascii=False) + "\n").encode()
 
 
-def as_text(content: dict[str, Any]) -> str:
+def as_text(content: ForcesSummary) -> str:
     """Return the summary as lines to print."""
     lines = []
     for tool in content.get("tools", []):

@@ -13,6 +13,7 @@ from postproc import forces, toolpath
 from postproc.errors import ForceError
 from postproc.forces import sources
 from postproc.forces.knots import BASE, FEED, Knots
+from postproc.jobs import find_jobs
 from tests.programs import program
 
 MOVES = [("PTP", 0, 0, 0), ("LIN", 100, 0, 0), ("LIN", 100, 50, 0)]
@@ -85,6 +86,19 @@ def test_a_file_is_read_by_the_package_that_names_its_extension(tmp_path, monkey
     monkeypatch.setitem(sys.modules, "made_up_reader", module)
     added(monkeypatch, **{".Dyn": "made_up_reader:read", ".other": "no_such_module:read"})
     assert forces.read(tmp_path / "measured.DYN").name == "rising"
+
+
+def test_a_folder_of_forces_holds_files_of_every_kind_that_is_read(tmp_path, monkeypatch):
+    added(monkeypatch, **{".Dyn": "made_up_reader:read"})
+    given = tmp_path / "forces"
+    given.mkdir()
+    for name in ("a.nc", "b.nc", "forces/A.dyn", "forces/b.forces.csv", "forces/b.csv"):
+        (tmp_path / name).write_text("")
+    programs = [str(tmp_path / name) for name in ("a.nc", "b.nc")]
+    assert [job.forces.name for job in find_jobs(programs, forces=given)] == ["A.dyn", "b.forces.csv"]
+    (given / "a.csv").write_text("")
+    with pytest.raises(ForceError, match=r"two force files for a\.nc: a\.csv and A\.dyn"):
+        find_jobs(programs, forces=given)
 
 
 def test_a_broken_reader_explains_itself_and_stops_nothing_else(tmp_path, monkeypatch):
