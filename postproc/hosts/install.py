@@ -72,7 +72,7 @@ def _folder(host: Host, folder: Path | None) -> Path:
     if first.parent.is_dir() and not first.anchor.startswith("C:"):
         return first
     places = ", ".join(host.folders)
-    raise InputError(f"{host.title} is in none of its usual places ({places}): name its folder of posts with --dir.")
+    raise InputError(f"{host.title} is in none of its usual places ({places}): name its folder of posts with --dir")
 
 
 def install_post(name: str, folder: Path | None = None) -> list[Path]:
