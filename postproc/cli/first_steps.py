@@ -82,6 +82,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
       postproc init --robodk milling.rdk
     """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs import load_robot
     from postproc.jobs.cell_file import CellRequest, write_cell
 
     station = None if robodk is None else _station(robodk, given)
@@ -89,7 +90,9 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
     remarks = write_cell(CellRequest(output=cell, **asked))
     if station is not None:
         remarks = (*remarks, *_of_station(station, asked["robot"]))
-    click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {cell}")
+    language = load_robot(asked["robot"]).language
+    to = f" --to {language}" if language not in ("", "krl") else ""
+    click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {cell}{to}")
     for remark in remarks:
         click.echo(f"warning: {remark}", err=True)
 

@@ -72,7 +72,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
-    text = _text(place, robot.title, cell, turn, config)
+    text = _text(place, robot, cell, turn, config)
     files.write_whole(folder, {request.output.name: text.encode()})
     load(request.output)
     return remarks
@@ -164,7 +164,25 @@ def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]
     return 0.0, ("out of reach: the origin of $BASE, with the tool standing on it. Check [base], [tool] and [start].",)
 
 
-def _text(robot: str, title: str, cell: Cell, turn: float, config: str | None) -> str:
+_LINES = {
+    "krl": """\
+# spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {S}: speed in rpm
+# spindle_off = ["$OUT[1]=FALSE"]
+# coolant_on = ["$OUT[2]=TRUE"]
+# coolant_off = ["$OUT[2]=FALSE"]
+# tool_change = ["; tool {T} by hand", "HALT"]""",
+    "rapid": """\
+# spindle_on = ["SetAO aoSpindle,{S};", "SetDO doSpindle,1;"]    # RAPID for M3; {S}: speed in rpm
+# spindle_off = ["SetDO doSpindle,0;"]
+# coolant_on = ["SetDO doCoolant,1;"]
+# coolant_off = ["SetDO doCoolant,0;"]
+# tool_change = ["! tool {T} by hand", "Stop;"]""",
+}
+"""Examples of lines by the language of the robot's controller."""
+
+
+def _text(place: str, robot: RobotModel, cell: Cell, turn: float, config: str | None) -> str:
+    language = robot.language if robot.language in _LINES else "krl"
     config_line = (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
@@ -172,7 +190,7 @@ def _text(robot: str, title: str, cell: Cell, turn: float, config: str | None) -
     )
     return f"""\
 # Cell file of postproc: mm, degrees, N. Every key is described in FORMATS.md; what stands behind # is optional.
-robot = {_quoted(robot)}    # {title}
+robot = {_quoted(place)}    # {robot.title}
 {config_line}
 
 [base]                           # $BASE in the robot root: where the part lies
@@ -189,16 +207,12 @@ joints = [{", ".join(map(_number, cell.start.joints))}]    # A1 to A6 where prog
 tolerance_mm = 0.01              # what the predicted path may leave the nominal one by
 max_correction_mm = 8.0          # a larger correction is an error
 
-[gcode]                          # how G-code becomes KRL
+[gcode]                          # how G-code becomes {language.upper()}
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
-approximation_mm = 0.5           # $APO.CDIS; 0: exact stops
+approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
 corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
-# spindle_on = ["$ANOUT[1]={{S}}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {{S}}: speed in rpm
-# spindle_off = ["$OUT[1]=FALSE"]
-# coolant_on = ["$OUT[2]=TRUE"]
-# coolant_off = ["$OUT[2]=FALSE"]
-# tool_change = ["; tool {{T}} by hand", "HALT"]
+{_LINES[language]}
 
 # [machine]                      # what G28, G30 and G53 mean, by which most CAM systems retract; else errors
 # clearance_Z = 200.0            # Z of $BASE: G53 Z… retracts to it, G28 goes there first

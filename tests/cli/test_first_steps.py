@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -59,6 +60,29 @@ def test_the_cell_of_the_samples_made_by_options_converts_a_sample():
     assert run("init", "--robot", "kuka_kr270", *FRAMES).exit_code == 0
     done = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "cell.toml", "-o", "out")
     assert done.exit_code == 0, done.output
+
+
+def test_a_cell_for_an_arm_that_reads_rapid_has_lines_of_rapid_and_says_how_to_convert():
+    done = run("init", "--robot", "abb_irb6700_200_260", *FRAMES)
+    assert done.exit_code == 0, done.output
+    assert "--cell cell.toml --to rapid" in done.output
+    text = Path("cell.toml").read_text()
+    assert "how G-code becomes RAPID" in text
+    Path("cell.toml").write_text(re.sub(r"^# (\w+ = \[\".*)$", r"\1", text, flags=re.M))
+    assert cells.load("cell.toml").gcode.tool_change == ["! tool {T} by hand", "Stop;"]
+    made = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "cell.toml", "--to", "rapid", "-o", "out")
+    assert made.exit_code == 0, made.output
+
+
+@pytest.mark.parametrize("robot_name", ["kuka_kr270", "abb_irb6700_200_260"])
+def test_every_line_that_is_commented_out_in_a_cell_can_be_used(robot_name):
+    assert run("init", "--robot", robot_name, *FRAMES).exit_code == 0
+    text = Path("cell.toml").read_text()
+    used = re.sub(r"^# (?!config_dat)(\[?\w[\w.]*(?:\]| = ).*)$", r"\1", text, flags=re.M)
+    Path("cell.toml").write_text(used)
+    cell = cells.load("cell.toml")
+    assert cell.machine.clearance_Z == 200.0
+    assert cell.gcode.spindle_on != []
 
 
 @pytest.mark.parametrize("axis", ["+Z", "-Z", "+X"])
