@@ -136,6 +136,15 @@ class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     initmov: Literal["cell", "bas"] | None = None
 
 
+class ExternalAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A linear axis that carries the robot.
+
+    :param direction: in the robot root, where the robot goes for positive values.
+    """
+
+    direction: tuple[Length, Length, Length]
+
+
 class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of a `cell.toml`, in the units of the file."""
 
@@ -157,6 +166,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     tool_data: dict[str, Tool] = {}
     config_dat: str | None = None
     part: Frame | None = None
+    external_axes: dict[str, ExternalAxis] = {}
 
 
 class Cell(CellFile, frozen=True):
@@ -168,6 +178,12 @@ class Cell(CellFile, frozen=True):
     def start_joints(self) -> Array:
         """A1…A6 at the start of the program, (6,) [rad]."""
         return np.array(self.start.joints) * RAD_PER_DEG
+
+    @property
+    def carriage(self) -> Array | None:
+        """Direction of E1 in the robot root, a unit vector (3,), if it carries the robot."""
+        axis = self.external_axes.get("E1")
+        return None if axis is None else np.array(axis.direction) / np.linalg.norm(axis.direction)
 
     @property
     def tolerance(self) -> float:
@@ -224,6 +240,12 @@ def load(path: str | Path) -> Cell:
     for key in cell.m_codes:
         if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
             raise CellError(f"[m_codes] {key}", file=str(path), advice="Valid names: M10, M111 …")
+    for key, axis in cell.external_axes.items():
+        if key != "E1":
+            raise CellError(f"[external_axes.{key}]", file=str(path), advice="Only E1 may carry the robot.")
+        if not any(axis.direction):
+            advice = "Give where the robot goes for positive values in the robot root, e.g. [0, 1, 0]."
+            raise CellError(f"[external_axes.{key}] direction is zero", file=str(path), advice=advice)
     if cell.rotary is not None:
         _check_rotary(cell.rotary, str(path))
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}

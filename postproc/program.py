@@ -162,6 +162,33 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
     return np.asarray((moved[:, 0] * across + moved[:, 1] * last) * widened)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Carriage:
+    """Where the linear axis E1 that carries the robot stands along M motions: it moves evenly with them.
+
+    :param begin: (M,) E1 at the start of each motion [m]; `end` (M,) at its end.
+    :param direction: (3,) unit vector in the robot root: where the robot goes for positive E1.
+    """
+
+    begin: Array
+    end: Array
+    direction: Array
+
+    @property
+    def travel(self) -> Array:
+        """(M,) how far it moves along each motion [m]."""
+        return np.asarray(np.abs(self.end - self.begin))
+
+    def at(self, motion: Ints, t: Array | float = 1.0) -> Array:
+        """Return E1 (n,) [m] at places (motion, t)."""
+        begin = self.begin[motion]
+        return np.asarray(begin + t * (self.end[motion] - begin))
+
+    def offset(self, motion: Ints, t: Array | float = 1.0) -> Array:
+        """Return where the robot root stands (n, 3) [m] at places (motion, t), seen from where it stands at E1 = 0."""
+        return np.asarray(self.at(motion, t)[:, None] * self.direction)
+
+
 def tilted(direction: Array) -> Array:
     """Return the rotations (n, 3, 3) that turn z into unit vectors (n, 3) by the shortest way; not into −z.
 
@@ -343,13 +370,14 @@ class Program:
     :param dialect: name of the format it was read from: ``"gcode"``, ``"krl"``, see `dialects.registry`.
     :param documents: the main file first (`.src`, `.nc`), then `.dat` where there is one.
     :param motions: what moves, in order.
-    :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, row `motions.base[i]` for motion i [m].
+    :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, where that stands at E1 = 0, row `motions.base[i]` for motion i [m].
     :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
     :param notes: force comments in order of their lines.
     :param events: what a program does besides moving, in order; of KRL comments alone (it keeps its text instead).
     :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
     :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.
+    :param carriage: the linear axis that carries the robot; None: there is none.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
@@ -364,6 +392,7 @@ class Program:
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
     swivel: Swivel | None = None
+    carriage: Carriage | None = None
     layout: Layout | None = field(default=None, repr=False)
 
     @property

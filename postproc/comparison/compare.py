@@ -93,7 +93,7 @@ class _Side:
         pose = m.target[rows]
         step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin[rows]), self.path.length[rows])
         pose[:, :3, 3] += offset
-        return Track(toolpath.pose_in_root(self.program, rows, pose)[:, :3, 3], step, m.kind[rows] == PTP)
+        return Track(toolpath.pose_in_root(self.program, rows, pose, None)[:, :3, 3], step, m.kind[rows] == PTP)
 
     def wrench(self, place: RobotInCell, source: ForceSource | None, motion: Ints) -> Array:
         """Return the wrenches (n, 6) at the ends of motions, root axes."""
@@ -130,8 +130,8 @@ def _paired(one: _Side, other: _Side, partner: Ints, place: RobotInCell) -> Comp
 
 def _offsets(one: _Side, other: _Side, pair: Ints, place: RobotInCell) -> tuple[Array, Array]:
     """Return where the second program sends the nominal tool (P, 4, 4), nominal `$BASE`, and the twists (P, 6)."""
-    flange = toolpath.flange_from_tcp(other.program, pair[:, 1], other.program.motions.target[pair[:, 1]])
-    pose = toolpath.pose_in_base(one.program, pair[:, 0], flange @ toolpath.tool_of(one.program, pair[:, 0]))
+    flange = toolpath.flange_from_tcp(other.program, pair[:, 1], other.program.motions.target[pair[:, 1]], None)
+    pose = toolpath.pose_in_base(one.program, pair[:, 0], flange @ toolpath.tool_of(one.program, pair[:, 0]), None)
     return pose, twist_between(one.program.motions.target[pair[:, 0]], pose)
 
 
@@ -179,8 +179,8 @@ def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, 
     motion = pair[behind, 0]
     length = np.maximum(one.path.length[motion], 1e-12)
     target = other.program.motions.target[rows[between]]
-    flange = toolpath.flange_from_tcp(other.program, rows[between], target)
-    spot = toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion))[:, :3, 3]
+    flange = toolpath.flange_from_tcp(other.program, rows[between], target, None)
+    spot = toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion), None)[:, :3, 3]
     aside = np.full(len(spot), np.inf)
     in_proportion = (here - first) / np.maximum(last - first, 1e-12)
     # a detour, where the other program has one, is on one side of it only

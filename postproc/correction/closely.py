@@ -100,7 +100,7 @@ def lines(path: PathUnderLoad, q: Array, speed: Array) -> Stretches:
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))
-    way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.length, segments.turn))
+    way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.way, segments.turn))
     long = (path.program.motions.kind[sample.motion] == LIN) & ((way > _LONG) | (turn > _TURNS))
     rows = np.flatnonzero(long)
     close = rows[_close(path, q, speed, rows, way[rows], turn[rows])]
@@ -144,7 +144,7 @@ def look(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, a
         begin, end = stretches.begin[which], stretches.end[which]
         motion, t = stretches.motion[which], begin + (end - begin) * (index / (count[which] - 1))
         close = toolpath.at(program, path.motions.segments, motion, t)
-        flange = toolpath.flange_from_tcp(program, motion, close.pose)
+        flange = toolpath.flange_from_tcp(program, motion, close.pose, t)
         exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
         bad = np.asarray(np.isnan(exact).any(axis=1))
         if bad.any():

@@ -39,7 +39,7 @@ def corrected(path: PathUnderLoad) -> Compensation:
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), places[list(cause.rows)]) from None
         q[places], theta[places] = found.q, found.theta
-        pose[places] = toolpath.pose_in_base(path.program, path.sample.motion[row], found.pose)
+        pose[places] = toolpath.pose_in_base(path.program, path.sample.motion[row], found.pose, path.sample.t[row])
         return q, pose, theta
 
     try:

@@ -12,7 +12,7 @@ from postproc.correction.targets import Chosen
 from postproc.dialects import registry
 from postproc.errors import Issue, PostprocError, ProgramError
 from postproc.frames import Array, largest, twist_between
-from postproc.program import Ints, Program, Targets, Written
+from postproc.program import Bools, Ints, Program, Targets, Written
 from postproc.toolpath import Segments
 from postproc.under_load import PathUnderLoad
 
@@ -68,6 +68,16 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     return ReadBack(written, toolpath.segments(written, setting.start_flange), row, numbers)
 
 
+def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:
+    """Return which targets (K,) have the robot carried elsewhere than they were to have."""
+    if program.carriage is None:
+        return np.full(len(targets), written.carriage is not None)
+    if written.carriage is None:
+        return np.ones(len(targets), dtype=np.bool_)
+    wanted = program.carriage.at(targets.motion, targets.t)
+    return np.asarray(np.abs(written.carriage.at(row) - wanted) > _PRINTED)
+
+
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
     """Return an issue if the text does not say what it was to say."""
     m, nominal = written.motions, program.motions
@@ -84,6 +94,7 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     ):
         differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
         wrong |= differ[used, wanted]
+    wrong |= _carried_elsewhere(program, targets, written, row)
     if wrong.any():
         first = int(np.argmax(wrong))
         line = int(program.motions.line[targets.motion[first]])

@@ -142,12 +142,12 @@ def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack
     def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
-        flange = toolpath.flange_from_tcp(written, on, toolpath.at(written, back.segments, on, share).pose)
+        flange = toolpath.flange_from_tcp(written, on, toolpath.at(written, back.segments, on, share).pose, share)
         q = kinematics.on_branch(setting.robot, flange, path.joints.branch[sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
         tip = setting.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
-        return (toolpath.points_in_base(written, on, tip) - nominal.pose[:, :3, 3],)
+        return (toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3],)
 
     try:
         (off,) = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
@@ -172,7 +172,7 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     uneven = np.zeros(len(targets))
     uneven[curved] = _unevenness(path, chosen, back, curved, correction[curved])
     steep = (changed > _STEEP) | (uneven > _UNEVEN * path.setting.tolerance)
-    length, turn = back.segments.length[back.row], back.segments.turn[back.row]
+    length, turn = back.segments.way[back.row], back.segments.turn[back.row]
     number = np.ones(len(targets), dtype=np.int64)
     number[curved] = 2
     wide = (length > _LONG) | (turn > _TURNED)

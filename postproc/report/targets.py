@@ -23,6 +23,8 @@ COLUMNS = (
     *JOINTS,
 )  # fmt: skip
 """Columns of the file, in order."""
+CARRIAGE = "E1"
+"""One more where the robot is carried by a linear axis: where that stands [mm]."""
 
 _NOMINAL = (6, 6, 6, 6, 6, 6)
 _WRENCH_DECIMALS = (3, 3, 3, 4, 4, 4)
@@ -36,7 +38,8 @@ def targets_csv(result: Result) -> Iterator[bytes]:
     """
     m = result.program.motions
     places = registry.by_name(result.program.dialect).command_decimals
-    yield (",".join(COLUMNS) + "\n").encode()
+    carriage = result.program.carriage
+    yield (",".join(COLUMNS if carriage is None else (*COLUMNS, CARRIAGE)) + "\n").encode()
     for part in chunks(len(result)):
         motion = result.motion[part]
         yield _rows(
@@ -45,6 +48,7 @@ def targets_csv(result: Result) -> Iterator[bytes]:
             (result.deflection[part], norm(result.deviation_before[part]), norm(result.deviation_after[part])),
             None if result.bound is None else result.bound[part],
             result.q[part],
+            None if carriage is None else carriage.at(motion, result.t[part]),
         )
 
 
@@ -54,6 +58,7 @@ def _rows(
     deviation: tuple[Array, Array, Array],
     bound: Array | None,
     q: Array,
+    carriage: Array | None,
 ) -> bytes:
     (output_line, source_line, t, rapid), (nominal, printed, places, wrench) = origin, command
     deflection, *distances = deviation
@@ -69,6 +74,7 @@ def _rows(
         *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
         *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
         *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),
+        *([] if carriage is None else [Number.of(carriage * MM_PER_M, _LENGTH)]),
     ]
     return rows_of_csv(columns)
 

@@ -22,6 +22,7 @@ class Segments:
     :param start: tool frames where the motions start.
     :param begin: (M, 3) positions there [m].
     :param length: (M,) path length of the TCP; 0 for PTP, of a piece of a spline the chord.
+    :param way: (M,) `length`, or how far the robot is carried meanwhile if that is farther [m].
     :param turn: (M,) angle between the orientations at start and end [rad].
     :param arcs: the geometry of the arcs among them.
     """
@@ -29,6 +30,7 @@ class Segments:
     start: Starts
     begin: Array
     length: Array
+    way: Array
     turn: Array
     arcs: Arcs
 
@@ -104,6 +106,9 @@ class Toolpath:
 def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:
     """Return where motions start: `end` returns their ends (n, 4, 4); the robot stands at a flange (4, 4) first."""
     m = program.motions
+    if program.carriage is not None:
+        start_flange_in_root = start_flange_in_root.copy()
+        start_flange_in_root[:3, 3] += program.carriage.begin[0] * program.carriage.direction
     return Starts.of((m.base, m.tool, program.bases, program.tools), end, start_flange_in_root)
 
 
@@ -126,7 +131,8 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     arcs = _arcs(program, begin)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
-    return Segments(start, begin, length, turn, arcs)
+    way = length if program.carriage is None else np.maximum(length, program.carriage.travel)
+    return Segments(start, begin, length, way, turn, arcs)
 
 
 def _arcs(program: Program, begin: Array) -> Arcs:

@@ -149,7 +149,7 @@ def pieces(
     share = end - begin
     angle, radius = arcs.sweep[arc] * share, norm(arcs.radial)[arc]
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    samples = share * np.maximum(path.length[motion] / step, path.turn[motion] / _TURN)
+    samples = share * np.maximum(path.way[motion] / step, path.turn[motion] / _TURN)
     if linearize_arcs:
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
     least = np.maximum(1, np.ceil(angle / _LARGEST - 1e-9).astype(np.int64))
@@ -202,7 +202,7 @@ def places(
     """
     m = program.motions
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    count = np.ceil(np.maximum(path.length / step, path.turn / _TURN) - 1e-9)
+    count = np.ceil(np.maximum(path.way / step, path.turn / _TURN) - 1e-9)
     count = np.maximum(count, swivel_pieces(program, path, tolerance))
     count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)

@@ -7,6 +7,9 @@ import numpy as np
 from postproc.frames import Array, inverse
 from postproc.program import Ints, Program
 
+Place = Array | float | None
+"""Where on their motions, in (0, 1], (n,) or all of them: where a carriage has brought the robot; None: it is at 0."""
+
 
 def tool_of(program: Program, motion: Ints) -> Array:
     """Return `$TOOL` in the flange frame for motions (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
@@ -22,20 +25,30 @@ def base_of(program: Program, motion: Ints) -> Array:
     return np.asarray(program.bases[program.motions.base[motion]])
 
 
-def pose_in_root(program: Program, motion: Ints, pose_in_base: Array) -> Array:
-    """Return poses (n, 4, 4) in the root of poses in `$BASE` of their motions."""
-    return np.asarray(base_of(program, motion) @ pose_in_base)
+def pose_in_root(program: Program, motion: Ints, pose_in_base: Array, t: Place = 1.0) -> Array:
+    """Return poses (n, 4, 4) in the root of poses in `$BASE` of their motions, at places t on them."""
+    return _moved(program, motion, t, base_of(program, motion) @ pose_in_base, -1.0)
 
 
-def pose_in_base(program: Program, motion: Ints, pose_in_root: Array) -> Array:
-    """Return poses (n, 4, 4) in `$BASE` of their motions of poses in the root."""
-    return np.asarray(inverse(base_of(program, motion)) @ pose_in_root)
+def pose_in_base(program: Program, motion: Ints, pose_in_root: Array, t: Place = 1.0) -> Array:
+    """Return poses (n, 4, 4) in `$BASE` of their motions of poses in the root, at places t on them."""
+    return np.asarray(inverse(base_of(program, motion)) @ _moved(program, motion, t, pose_in_root, 1.0))
 
 
-def points_in_base(program: Program, motion: Ints, point_in_root: Array) -> Array:
-    """Return points (n, 3) in `$BASE` of their motions of points in the root [m]."""
+def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Place = 1.0) -> Array:
+    """Return points (n, 3) in `$BASE` of their motions of points in the root [m], at places t on them."""
     base = base_of(program, motion)
+    if program.carriage is not None and t is not None:
+        point_in_root = point_in_root + program.carriage.offset(motion, t)
     return np.asarray(np.einsum("...i,...ij->...j", point_in_root - base[..., :3, 3], base[..., :3, :3]))
+
+
+def _moved(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
+    """Return poses (n, 4, 4) as seen from the robot where its carriage has brought it (`sign` −1), or back (1)."""
+    if program.carriage is not None and t is not None:
+        pose = pose.copy()
+        pose[..., :3, 3] += sign * program.carriage.offset(motion, t)
+    return np.asarray(pose)
 
 
 def wrench_in_root(program: Program, motion: Ints, wrench_in_base: Array) -> Array:
@@ -50,20 +63,26 @@ def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> A
     return np.asarray(np.einsum("...ij,...hjm->...him", base_of(program, motion)[..., :3, :3], columns_in_base))
 
 
-def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array) -> Array:
-    """Return flange poses in the robot root (N, 4, 4) for tool frames in `$BASE` of the given motions."""
+def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: Place = 1.0) -> Array:
+    """Return flange poses in the root (N, 4, 4) for tool frames in `$BASE` of motions (N,), at places t on them."""
     moved = program.motions
     if len(program.bases) == len(program.tools) == 1:
-        return np.asarray(program.bases[0] @ pose_tcp_in_base @ inverse(program.tools[0]))
-    return np.asarray(program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]])
+        pose = program.bases[0] @ pose_tcp_in_base @ inverse(program.tools[0])
+    else:
+        pose = program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]]
+    return _moved(program, motion, t, pose, -1.0)
 
 
-def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array) -> Array:
-    """Return where a point (3,) of the flange frame stands in the robot root (N, 3) [m]; poses as `flange_from_tcp`."""
+def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array, t: Place = 1.0) -> Array:
+    """Return where a point (3,) of the flange frame stands in the root (N, 3) [m]; the rest as `flange_from_tcp`."""
     m = program.motions
     in_tool = inverse(program.tools) @ np.append(point, 1.0)
     if len(program.bases) == len(program.tools) == 1:
         in_base = np.einsum("nij,j->ni", pose_tcp_in_base, in_tool[0])
-        return np.asarray(np.einsum("ij,nj->ni", program.bases[0, :3], in_base))
-    placed = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
-    return np.asarray((program.bases[m.base[motion], :3] @ placed)[..., 0])
+        out = np.einsum("ij,nj->ni", program.bases[0, :3], in_base)
+    else:
+        placed = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
+        out = (program.bases[m.base[motion], :3] @ placed)[..., 0]
+    if program.carriage is not None and t is not None:
+        out = out - program.carriage.offset(motion, t)
+    return np.asarray(out)

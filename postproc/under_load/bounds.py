@@ -73,7 +73,7 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
     wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
     for share in (0.25, 0.5, 0.75):
         spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose
-        bad[wide] |= ~(_away(program, arcs[wide], spot) <= reach)
+        bad[wide] |= ~(_away(program, arcs[wide], spot, share) <= reach)
     message = (
         f"out of reach: the arc swings farther than the {reach * MM_PER_M:.0f} mm that the flange gets from the "
         "robot's root. Check its centre or radius, and its plane."
@@ -88,9 +88,9 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
         raise ImpossiblePathError(Issue("error", "path-length", message, source_line=int(m.line[0])))
 
 
-def _away(program: Program, motion: Ints, pose: Array) -> Array:
+def _away(program: Program, motion: Ints, pose: Array, t: float = 1.0) -> Array:
     """Return how far from the robot's root the flange stands (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
-    return norm(toolpath.flange_points(program, motion, pose, np.zeros(3)))
+    return norm(toolpath.flange_points(program, motion, pose, np.zeros(3), t))
 
 
 @lru_cache(maxsize=1)

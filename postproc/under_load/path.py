@@ -57,7 +57,7 @@ class PathUnderLoad:
             arcs,
             sample,
             wrench,
-            toolpath.pose_in_root(program, motion, sample.pose),
+            toolpath.pose_in_root(program, motion, sample.pose, t),
             toolpath.wrench_in_root(program, motion, wrench),
             _joints(program, setting, sample),
         )
@@ -88,7 +88,7 @@ class PathUnderLoad:
         tip, share = self.setting.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
         rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
         share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
-        return toolpath.points_in_base(self.program, motion, tip), share
+        return toolpath.points_in_base(self.program, motion, tip, self.sample.t[rows]), share
 
     @property
     def setting(self) -> RobotInCell:
@@ -102,7 +102,7 @@ def _joints(program: Program, setting: RobotInCell, sample: Toolpath) -> JointPa
     ptp = motion[free]
 
     def flange(rows: Ints) -> Array:
-        return toolpath.flange_from_tcp(program, motion[rows], sample.pose[rows])
+        return toolpath.flange_from_tcp(program, motion[rows], sample.pose[rows], sample.t[rows])
 
     start = setting.cell.start_joints
     try:

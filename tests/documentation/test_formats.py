@@ -24,7 +24,7 @@ from postproc.machining.process import ProcessFile
 from postproc.plan import milling
 from postproc.program import parse_force_note
 from postproc.report.comparison import PAIR_COLUMNS
-from postproc.report.targets import COLUMNS
+from postproc.report.targets import CARRIAGE, COLUMNS
 from postproc.robot import ModelFile
 from tests.documentation import pages, schema
 from tests.documentation.pages import ROOT, block, described
@@ -133,7 +133,7 @@ def test_lines_shown_of_a_written_program_stand_in_one(readme, title, file):
 
 
 def test_columns_of_the_targets_and_of_pairs_are_those_described():
-    assert described("part.targets.csv") == list(COLUMNS)
+    assert described("part.targets.csv") == [*COLUMNS, CARRIAGE]
     assert described("part.compare.pairs.csv") == list(PAIR_COLUMNS)
 
 

@@ -12,7 +12,7 @@ from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.frames import Array
-from postproc.program import Bools, Document, Ints
+from postproc.program import Bools, Carriage, Document, Ints
 
 Offsets = NDArray[np.int32]
 
@@ -43,6 +43,7 @@ class Layout:
     :param public: variables declared GLOBAL.
     :param understood: offsets in the `.src` of names whose use the reader followed.
     :param triggers: TRIGGER statements, in order.
+    :param carriage: the linear axis E1 that carries the robot.
     :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
     """
 
@@ -65,4 +66,5 @@ class Layout:
     public: frozenset[str]
     understood: frozenset[int]
     triggers: tuple[Trigger, ...]
+    carriage: Carriage | None = None
     documents: tuple[Document, ...] = ()

@@ -11,7 +11,7 @@ from postproc.dialects.krl.language.circles import circles, turned
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
-from postproc.program import Bools, Ints, Starts
+from postproc.program import Bools, Carriage, Ints, Starts
 
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 
@@ -61,8 +61,9 @@ class _Follower:
         frames: tuple[Ints, Ints, Array, Array],
         stand: _Stand,
         forward: Callable[[Array], Array],
+        carriage: Carriage | None,
     ) -> None:
-        self.source, self.line, self.forward = source, line, forward
+        self.source, self.line, self.forward, self.carriage = source, line, forward, carriage
         self.base, self.tool, self.bases, self.tools = frames
         self.stand = stand
         self.numbers = given.copy()
@@ -143,7 +144,10 @@ class _Follower:
             angles = known + np.nan_to_num(angles) if move.relative else np.where(np.isnan(angles), known, angles)
         self.resumed[row] = self.stand.numbers is None
         self.joints[row] = angles
-        self.stand = _Stand(self.forward(angles), angles)
+        flange = self.forward(angles)
+        if self.carriage is not None:
+            flange = carried(flange, self.carriage, float(self.carriage.end[row]))
+        self.stand = _Stand(flange, angles)
         self.numbers[row] = self.here(row)
 
     def _relative(self, move: MotionStatement, numbers: Array) -> Array:
@@ -169,6 +173,13 @@ class _Follower:
         return turned(start, centre[0], normal[0], (move.angle or 0.0) * RAD_PER_DEG)
 
 
+def carried(flange: Array, carriage: Carriage, place: float) -> Array:
+    """Return a flange (4, 4) in the robot root, which a carriage at a place [m] has moved, in the root at 0."""
+    out = flange.copy()
+    out[:3, 3] += place * carriage.direction
+    return out
+
+
 def arc_points(move: MotionStatement) -> tuple[Array, Array]:
     """Return auxiliary and end point of a CIRC statement as written, (3,) each [m]."""
     via = np.array(move.via.position.values[:3]) if move.via else np.full(3, np.nan)
@@ -183,6 +194,7 @@ def end_poses(
     moves: Mapping[int, MotionStatement],
     start_joints: Array,
     forward: Callable[[Array], Array],
+    carriage: Carriage | None = None,
 ) -> EndPoses:
     """Return the targets of M motions.
 
@@ -193,10 +205,14 @@ def end_poses(
     :param moves: row → statement, for axis and relative targets and circles with CA.
     :param start_joints: (6,) where the robot stands first [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
+    :param carriage: the linear axis that carries the robot.
     :raises ProgramError: a component is missing where its previous value is not certain; a relative target cannot
         be known; an axis is missing; a circle is none.
     """
-    follower = _Follower(source, line, given, frames, _Stand(forward(start_joints), start_joints), forward)
+    start_flange = forward(start_joints)
+    if carriage is not None:
+        start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
+    follower = _Follower(source, line, given, frames, _Stand(start_flange, start_joints), forward, carriage)
     row = 0
     for at, move in sorted(moves.items()):
         if move.end.position.axis or move.relative or move.angle is not None:
@@ -206,5 +222,5 @@ def end_poses(
     follower.absolute(row, len(line))
 
     pose = pose_from_xyzabc(follower.numbers)
-    start = Starts.of(frames, pose.__getitem__, forward(start_joints))
+    start = Starts.of(frames, pose.__getitem__, start_flange)
     return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed)

@@ -11,11 +11,11 @@ import numpy as np
 
 from postproc.dialects.krl.language.circles import circles, same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement
-from postproc.dialects.krl.language.positions import EXTERNAL
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.end_poses import EndPoses, end_poses
+from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.settings import Settings
@@ -26,8 +26,6 @@ from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
 _BY_SPEED = re.compile(r"\bC_(?:VEL|ORI)\b", re.IGNORECASE)
-_SAME_EXTERNAL = 1e-4
-"""External axes that vary by less than this [mm, deg] stand still."""
 
 
 class OrderedMotions(NamedTuple):
@@ -89,10 +87,11 @@ def motions_and_layout(
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
     base[base < 0], tool[tool < 0] = 0, 0  # of axis targets
-    standing = _external(source, rows, moves)
+    relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
+    standing, carriage = external_axes(source, rows, relative, settings.cell.carriage)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     given = rows.numbers[:, :6]
-    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward)
+    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, carriage)
     constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
     _check_orientation(source, rows, states, state, ends)
     centre, normal, sweep = _arcs(source, rows, ends, moves)
@@ -138,6 +137,7 @@ def motions_and_layout(
         public=frozenset(settings.variables.public),
         understood=frozenset(main.run.understood),
         triggers=_triggers(source, main, rows.line, motions, ends.start),
+        carriage=carriage,
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     assumptions = _assumptions(motions.line, missing, assumed, moves)
@@ -178,33 +178,6 @@ def _check_settings(
             axis = row in moves and moves[row].end.position.axis
             fields = fields_used(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
             settings.refuse_uncertain(used, fields)
-
-
-def _external(source: Source, rows: MotionColumns, moves: Mapping[int, MotionStatement]) -> list[Issue]:
-    """Refuse programs that move external axes; tell where one stands elsewhere than at zero."""
-    external = rows.numbers[:, 8:]
-    if np.isnan(external).all():
-        return []
-    external = external.copy()
-    external[[row for row, move in moves.items() if move.relative]] = np.nan
-    issues = []
-    for axis, values in enumerate(external.T):
-        given = np.flatnonzero(~np.isnan(values))
-        moving = given[np.abs(values[given] - values[given[:1]]) > _SAME_EXTERNAL]
-        if len(moving):
-            raise source.line_error(
-                f"the external axis {EXTERNAL[axis]} moves from {values[given[0]]:g} to {values[moving[0]]:g}",
-                int(rows.line[moving[0]]),
-                "Only external axes that stand still are supported.",
-            )
-        if len(given) and abs(values[given[0]]) > _SAME_EXTERNAL:
-            name, line = EXTERNAL[axis], int(source.shown(rows.line[given])[0])
-            message = (
-                f"{name} stands at {values[given[0]]:g}: $BASE is taken as seen from the robot there. If {name} "
-                "carries the robot or the part, [base] of the cell must be that of this place."
-            )
-            issues.append(Issue("warning", "external-axis", message, line, count=len(given), subject=name))
-    return issues
 
 
 def _check_orientation(source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses) -> None:

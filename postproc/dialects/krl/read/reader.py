@@ -153,6 +153,7 @@ class _Reading:
             notes=tuple(note for _, note in notes),
             still=source.shown(np.unique(np.array(main.still, dtype=np.int64))),
             issues=tuple(issues),
+            carriage=layout.carriage,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 

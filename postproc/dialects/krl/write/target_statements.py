@@ -13,11 +13,13 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
+from postproc.frames import MM_PER_M
 from postproc.program import CIRC, LIN, PTP, Targets
 
 _WORD = re.compile(r"[A-Za-z_]+")
 _RELATIVE = re.compile("_REL$", re.IGNORECASE)
 APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
+_E1 = re.compile(r"\bE1[ \t]+([-+]?[\d.]+(?:E[-+]?\d+)?)", re.IGNORECASE)
 _BINARY = re.compile(r"'[Bb]([01]+)'")
 
 
@@ -99,6 +101,9 @@ class TargetStatements:
         spans = self.layout.spans[row].tolist()
         places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
+        carriage = _E1.search(self.text, start, stop) if self.layout.carriage is not None else None
+        if carriage:
+            places["E1"] = carriage.span(1)
         return Literal(self.text, start, stop, places)
 
     def inline(self, operand: Point) -> Literal | None:
@@ -129,7 +134,16 @@ class TargetStatements:
             for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
                 if value >= 0 and name in literal.places:
                     texts |= _bits(name, value, literal.text[slice(*literal.places[name])])
+        if copy and "E1" in literal.places:
+            texts |= self._carriage(k)
         return texts
+
+    def _carriage(self, k: int) -> dict[str, str]:
+        """Return where the carriage of the robot stands at an inserted target; nothing if it does not move."""
+        carriage, row, t = self.layout.carriage, self.targets.motion[k : k + 1], float(self.targets.t[k])
+        if carriage is None or t == 1.0 or carriage.travel[row[0]] == 0.0:
+            return {}
+        return {"E1": printed(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
     def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written for the end point of a statement, wherever its own stand."""
@@ -152,7 +166,7 @@ class TargetStatements:
         for name, place in zip(EXTERNAL, own.external, strict=False):
             if not math.isnan(place):
                 texts[name] = printed(place, MOST_DECIMALS, 0)
-        return aggregate_text(texts)
+        return aggregate_text(texts | (self._carriage(k) if "E1" in texts else {}))
 
     def end(self, row: int, k: int) -> str:
         """Return the end point of a target as text: the literal of the statement with other numbers, or a new one."""
