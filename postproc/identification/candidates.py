@@ -31,6 +31,8 @@ from postproc.robot import (
 JOINT, COMPENSATOR_SPRING, LINK, END = "joint", "compensator", "link", "end"
 FADING, KNEE, BACKLASH = "fading", "knee", "backlash"
 """Kinds of springs, of which structures are made."""
+GEARS = (FADING, KNEE, BACKLASH)
+"""Those of gears that do not give way in proportion to the torque."""
 
 _FADE_AT = (0.2, 0.6, 2.0)
 """Where parts of a gear fade, over the largest torque measured on its joint."""

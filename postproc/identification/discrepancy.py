@@ -20,13 +20,13 @@ from postproc.program import Ints
 
 _SAME_LEVEL = 1.25
 """Loads of which each is less than this times the one before make one level."""
-_CERTAIN, _CERTAIN_IF_EXPLAINED = 0.5, 3.29
-"""Standard errors of the mean of squares below which nothing is said to be left: noise must not pass for an error.
+_WRONG, _WRONG_IF_EXPLAINED = 2.0, 3.29
+"""Standard errors of the mean of squares beyond which, at any level, the model is clearly off.
 
-Where joint springs explain the readings (χ²), noise would pass for one much larger than the model's.
+Where springs in proportion to the torque explain the readings, noise would pass for an error much larger than theirs.
 """
-_WRONG, _AT_MOST = 2.0, 1.0
-"""Standard errors beyond which, at any level, the model is clearly off; by so many more it may be at each, then."""
+_AT_MOST, _CERTAIN = 1.0, 0.5
+"""Standard errors: so many more it may be where it is clearly off; below so many nothing is said to be left else."""
 _CLEAR_SCATTER = 30
 """Degrees of freedom from which on the scatter of the repeats tells their noise better than what is stated."""
 
@@ -52,7 +52,7 @@ class Discrepancy:
 def discrepancy(data: Measurements, fit: Fit, left_out: Array, explained: bool) -> Discrepancy:
     """Return what is left beyond noise and the fit's own covariance.
 
-    :param explained: the fit explains the readings to their noise.
+    :param explained: springs in proportion to the torque explain the readings.
     :param left_out: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
     """
     seen = visible(data)[..., 0]
@@ -68,12 +68,10 @@ def discrepancy(data: Measurements, fit: Fit, left_out: Array, explained: bool) 
     squares = np.array([[values[rows].mean() for rows in at_level] for values in (error, noise, own)])
     excess = squares[0] - squares[1] - squares[2]
     doubt = np.array([_standard_error(error[rows] - noise[rows] - own[rows]) for rows in at_level])
-    if explained:
-        left = excess - _CERTAIN_IF_EXPLAINED * doubt
-    elif (excess > _WRONG * doubt).any():
+    if (excess > (_WRONG_IF_EXPLAINED if explained else _WRONG) * doubt).any():
         left = excess + _AT_MOST * doubt
     else:
-        left = excess - _CERTAIN * doubt
+        left = np.zeros_like(excess) if explained else excess - _CERTAIN * doubt
     held_out, of_noise, of_own = np.sqrt(squares)
     return Discrepancy(load, held_out, of_noise, of_own, LENGTH_95 * np.sqrt(np.maximum(left, 0.0)))
 

@@ -129,7 +129,7 @@ def identify(
             missing = _still_missing(fit, missing)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
     seen_not = left_out_of(fit, data) if choice is None else choice.left_out
-    off = discrepancy(data, fit, seen_not, explained=choice is None and not _unexplained(found.fit))
+    off = discrepancy(data, fit, seen_not, explained=not (_unexplained(found.fit) if choice is None else choice.bends))
     distrust, more = judge(data, placement, fit, off, choice)
     warnings += more + loops(prior, data, placement)
     fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
