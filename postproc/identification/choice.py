@@ -7,9 +7,9 @@ not decide between two that are alike, and as the model is linear in its paramet
 kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), noise and scatter
 between configurations; and what all of them share, the pull of ridge and bounds and what is open between springs that
 are alike, as the posterior of each structure has it. Both hold the noise, so that it counts twice where a structure is
-exact. Without the posterior's share of it the bound of simulated robots whose gears no structure describes held for 0.92
-of the places, of the worst robot for 0.43; with it for 0.96 and 0.62. Gears that bend are taken only if without them
-configurations left out are predicted worse.
+exact. Without the posterior's share of it the bound of simulated robots whose gears no structure describes held for
+0.92 of the places, of the worst robot for 0.43; with it for 0.96 and 0.62. Gears that bend are taken only if without
+them configurations left out are predicted worse.
 """
 
 from __future__ import annotations
