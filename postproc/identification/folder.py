@@ -157,6 +157,9 @@ def summary(data: record.Identified) -> str:
         f"{level.noise_mm:.3f} noise; 95 % of what the model does not explain below {level.u95_mm:.3f} mm"
         for level in data.discrepancy or ()
     ]
+    if data.torque_Nm is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
+        lines.append(f"the loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated")
     if data.residual is not None:
         residual = data.residual
         lines.append(

@@ -169,6 +169,7 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     warnings: list[str]
     correlation: Correlation | None = None
     states: list[State] | None = None
+    torque_Nm: list[float] | None = None
     files: list[FileEntry] | None = None
 
     def as_json(self) -> bytes:

@@ -10,6 +10,7 @@ from postproc.identification.discrepancy import Discrepancy
 from postproc.identification.enhanced import Levels, SpringOfJoint2
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.measurements import Measurements
+from postproc.identification.observability import joint_torques
 from postproc.identification.placement import describe, describe_points
 from postproc.identification.procedure import Identification, before_and_after
 from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter
@@ -43,6 +44,7 @@ def report_data(result: Identification) -> record.Identified:
         warnings=list(result.warnings),
         correlation=record.Correlation([parameter.name for parameter in known], _correlation(covariance)),
         states=_states(result.data),
+        torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
     )
 
 
