@@ -68,14 +68,19 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     rows = np.flatnonzero(follows & ~alike)
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
-    rate = np.zeros((count, 6))
-    rows = np.flatnonzero(follows)
-    rate[rows] = change[rows] / (t[rows] - t[rows - 1])[:, None]
-    after = np.zeros((count, 6))
-    after[rows - 1] = rate[rows]
-    width = np.where(follows, np.diff(t, prepend=0.0), 1.0)
-    bent = largest((after - rate) * width[:, None]) >= _SAME
-    return change, np.asarray(bent & (t > 0.0) & (t < 1.0))
+    bent = np.zeros(count, dtype=np.bool_)
+    inner = np.flatnonzero((t > 0.0) & (t < 1.0))
+
+    def rate(rows: Ints) -> Array:
+        """Return the change (n, 6) by t up to knots (n,); 0 where none is before them on their motion."""
+        out, known = np.zeros((len(rows), 6)), np.append(follows, False)[rows]
+        rows = rows[known]
+        out[known] = change[rows] / (t[rows] - t[rows - 1])[:, None]
+        return out
+
+    width = np.where(follows[inner], t[inner] - t[inner - 1], 1.0)
+    bent[inner] = largest((rate(inner + 1) - rate(inner)) * width[:, None]) >= _SAME
+    return change, bent
 
 
 def _steps(forces: PathForces) -> Array:
