@@ -78,6 +78,12 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
     metavar="MM",
     help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
 )
+@click.option(
+    "--lines-per-file",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
+)
 @click.option("--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid.")
 @click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")

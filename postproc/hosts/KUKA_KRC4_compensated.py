@@ -23,6 +23,7 @@ from postproc_host import Block, Converted, HostError, convert
 
 del sys.path[0]
 
+_CALL = re.compile(r"(\w+)\(\)$")
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2", "E3", "E4", "E5", "E6")
 
 
@@ -34,6 +35,8 @@ class RobotPost:
 
     PROG_EXT = "src"
     INCLUDE_SUB_PROGRAMS = True
+    MAX_LINES_X_PROG = 0
+    """Of more lines a program is divided into files; 0: as the cell file says. RoboDK may set it."""
 
     def __init__(self, robotpost: str = "", robotname: str = "", robot_axes: int = 6, **kwargs: Any) -> None:
         self.robot = robotname
@@ -42,6 +45,7 @@ class RobotPost:
         self.joints: dict[str, dict[int, list[float]]] = {}
         self.name = ""
         self.blended = False
+        self.MAX_LINES_X_PROG = _limit(kwargs.get("lines_x_prog"), self.MAX_LINES_X_PROG)
         self.PROG_FILES: list[str] = []
         self.LOG = ""
 
@@ -64,21 +68,27 @@ class RobotPost:
         target = Path(_ask(folder, progname) if ask_user or not Path(folder).is_dir() else folder)
         cell = _cell(target)
         flags = [("--cell", str(cell))]
-        written: list[Path] = []
+        if self.MAX_LINES_X_PROG:
+            flags.append(("--lines-per-file", str(self.MAX_LINES_X_PROG)))
+        files: dict[str, list[Path]] = {}
+        names: dict[str, str] = {}  # of programs that are written as several files, which another one calls
         try:
-            for name, blocks in self.programs.items():
+            for name in _callees_first(self.programs):
+                blocks = [_calling(block, names) for block in self.programs[name]]
                 if any(re.match("(PTP|LIN|CIRC) ", block.text) for block in blocks):
                     done = convert(blocks, target, name, "src", flags)
                     _compare_postures(done, self.joints[name])
-                    written += [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
+                    files[name] = [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
+                    names[name] = files[name][0].stem
                     self.addlog("\n".join(done.warnings))
                 else:
                     path = target / f"{name}.src"
                     path.write_text("".join(f"{block.text}\r\n" for block in blocks), encoding="utf-8", newline="")
-                    written.append(path)
+                    files[name] = [path]
         except HostError as cause:
             _show(f"{name}: nothing is written.\n{cause}")
             raise
+        written = [path for name in self.programs for path in files[name]]
         self.PROG_FILES = [str(path) for path in written]
         for path in written:
             print(f"SAVED: {path}\n")
@@ -195,6 +205,37 @@ def _name(name: str) -> str:
     """Return a name that KRL allows."""
     valid = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
     return valid if re.match("[A-Za-z]", valid) else f"P{valid}"[:24]
+
+
+def _limit(lines: Any, default: int) -> int:
+    """Return RoboDK's limit of lines; the default where it has none, or one so large that none is meant."""
+    return int(lines) if lines and 0 < lines < 1e6 else default
+
+
+def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
+    """Return the names of programs, each behind those that it calls."""
+    order: list[str] = []
+
+    def add(name: str, above: tuple[str, ...]) -> None:
+        if name in order or name in above:
+            return
+        for block in programs[name]:
+            match = _CALL.match(block.text)
+            if match and match[1] in programs:
+                add(match[1], (*above, name))
+        order.append(name)
+
+    for name in programs:
+        add(name, ())
+    return order
+
+
+def _calling(block: Block, names: dict[str, str]) -> Block:
+    """Return a line that calls a program by the name under which it was written."""
+    match = _CALL.match(block.text)
+    if match is None or match[1] not in names:
+        return block
+    return block._replace(text=names[match[1]] + block.text[match.end(1) :])
 
 
 def _pose(pose: Any, joints: Sequence[float] = ()) -> str:

@@ -20,6 +20,7 @@ class Settings:
     :param cell: cell file.
     :param mode: see `correction.process`.
     :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
+    :param lines_per_file: replaces that of the cell.
     :param linearize_arcs: write arcs as lines.
     :param part: mesh of the part, whose surface is looked at; None = none.
     :param overwrite: replace files that postproc did not write.
@@ -28,6 +29,7 @@ class Settings:
     cell: Path
     mode: Mode = "convert"
     tolerance_mm: float | None = None
+    lines_per_file: int | None = None
     linearize_arcs: bool = False
     overwrite: bool = False
     part: Path | None = None

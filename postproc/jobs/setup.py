@@ -20,10 +20,10 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
     :raises ModelError: its robot is.
     """
     cell = cells.load(settings.cell)
-    if settings.tolerance_mm is not None:
-        cell = msgspec.structs.replace(
-            cell, output=msgspec.structs.replace(cell.output, tolerance_mm=settings.tolerance_mm)
-        )
+    stated = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
+    stated = {name: value for name, value in stated.items() if value is not None}
+    if stated:
+        cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **stated))
     return cell, load_robot(cell.robot, cell.folder)
 
 

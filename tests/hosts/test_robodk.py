@@ -43,6 +43,11 @@ def post(posts, tmp_path, monkeypatch):
     return module.RobotPost("KUKA_KRC4_compensated", "KUKA KR 270 R2700", 6)
 
 
+def _limited(post, lines):
+    """The post as RoboDK makes it where its options limit the lines of a program."""
+    return type(post)("KUKA_KRC4_compensated", "KUKA KR 270 R2700", 6, lines_x_prog=lines, pulses_x_deg=[1] * 6)
+
+
 def _pose(x, y, z, a=0.0, b=0.0, c=180.0):
     return KUKA_2_Pose([x, y, z, a, b, c])
 
@@ -110,6 +115,58 @@ def test_two_programs_and_one_without_motion(post, tmp_path):
     post.ProgSave(str(out), "Main")
     assert (out / "Main.src").read_text() == "DEF Main()\nRoughing()\nFinishing()\nEND\n"
     assert {path.name for path in out.glob("*.report.json")} == {"Roughing.report.json", "Finishing.report.json"}
+
+
+def test_a_limit_of_lines_divides_programs_and_those_that_call_them_call_the_main_one(post, tmp_path, capsys):
+    assert _limited(post, 1e9).MAX_LINES_X_PROG == _limited(post, None).MAX_LINES_X_PROG == 0
+    post = _limited(post, 40)
+    post.ProgStart("Job")
+    post.RunCode("Roughing", True)
+    post.RunCode("Cleaning", True)
+    post.ProgFinish("Job")
+    _begin(post, "Roughing")
+    _mill(post)
+    post.ProgFinish("Roughing")
+    post.ProgStart("Cleaning")
+    post.setDO(1, 1)
+    post.ProgFinish("Cleaning")
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Job")
+    assert (out / "Job.src").read_text() == "DEF Job()\nRoughingMain()\nCleaning()\nEND\n"
+    names = [Path(path).name for path in post.PROG_FILES]
+    assert names[:4] == ["Job.src", "RoughingMain.src", "Roughing1.src", "Roughing2.src"]
+    assert names[-1] == "Cleaning.src"
+    parts = [path.read_text() for path in out.glob("Roughing[0-9]*.src")]
+    assert all(len(text.splitlines()) <= 40 for text in parts)
+    assert sum(text.count("LIN {") for text in parts) >= 51
+    assert f"SAVED: {out / 'Roughing2.src'}" in capsys.readouterr().out
+
+
+def test_a_rail_goes_with_the_program(post, tmp_path, monkeypatch):
+    cell = tmp_path / "rail.toml"
+    cell.write_text(CELL.read_text() + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n")
+    monkeypatch.setenv("POSTPROC_CELL", str(cell))
+    post = type(post)("KUKA_KRC4_compensated", "KUKA KR 270 R2700", 7)
+    post.ProgStart("Rail")
+    post.setFrame(_pose(1500, -200, 700, 0, 0, 0), 3, "Part")
+    post.setTool(_pose(0, 0, 350, 0, 0, 0), 2, "Spindle")
+    post.setSpeed(25.0)
+    post.MoveJ(None, [*START, 100.0], None)
+    post.RunMessage("FORCE FX=-110 FY=190 FZ=130", True)
+    for k in range(5):
+        post.MoveL(_pose(100, 200.0 * k, 0, a=-180), [0, 0, 0, 0, 0, 0, 100.0 + 200.0 * k])
+    post.ProgFinish("Rail")
+    post.joints["Rail"].clear()  # RoboDK gives true angles; those of this list are made up
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Rail")
+    rows = _rows(out / "Rail.targets.csv")
+    ends = [row for row in rows if float(row["t"]) == 1.0]
+    assert [float(row["E1"]) for row in ends] == [100.0, 300.0, 500.0, 700.0, 900.0]
+    assert len({row["A1"] for row in ends[1:]}) == 1
+    text = (out / "Rail.src").read_text()
+    assert all(f"E1 {place:.5f}" in text for place in (100.0, 300.0, 900.0))
 
 
 def test_tools_frames_and_speeds_change_within_a_program(post, tmp_path):
