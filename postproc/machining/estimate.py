@@ -29,6 +29,8 @@ _SAME = np.cos(np.radians(0.5))
 _INCH = 25.4
 _HOLLOW = 0.02
 """Of the volume of a stock: more than this share too much in its map is told."""
+_LARGE = 5.0
+"""A path so many times as large as the stock, in X and in Y, is told."""
 _DEEP = 4.0
 """Depths of cut beyond so many diameters are told: no cutter does that."""
 _BATCH = 200_000
@@ -122,6 +124,7 @@ def estimate(
     # where a tip stands that comes back from its deflection is no matter of a rapid move
     collided = set[int]() if shift is not None else set[int]().union(*(sweep.collided for sweep in sweeps))
     stood = set[int]().union(*(sweep.stood for sweep in sweeps))
+    told += _out_of_scale(every, bounds)
     told += _told(program, (collided, stood), law, cuts, turning, process)
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
@@ -347,6 +350,20 @@ def _told(
         )
         told.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
     return told
+
+
+def _out_of_scale(steps: Ways, bounds: tuple[float, ...]) -> list[Issue]:
+    """Tell where the path is many times as large as the stock, though it meets it."""
+    x0, x1, y0, y1, _ = bounds
+    low = np.minimum(steps.begin, steps.end)[steps.cutting, :2].min(axis=0)
+    high = np.maximum(steps.begin, steps.end)[steps.cutting, :2].max(axis=0)
+    ratio = float(((high - low) / np.maximum([x1 - x0, y1 - y0], 1e-9)).min())
+    if ratio < _LARGE:
+        return []
+    message = (
+        f"the path is {ratio:.0f} times as large as the stock in X and Y: check the units of both (an inch is 25.4 mm)"
+    )
+    return [Issue("warning", "stock-scale", message)]
 
 
 def _no_contact(

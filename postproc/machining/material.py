@@ -22,6 +22,8 @@ _MM = 1e3
 """Millimetres of one metre: the chip thickness of Kienzle's equation is in mm."""
 
 Coefficient = Annotated[float, msgspec.Meta(ge=0, le=1e5)]
+Axial = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
+"""Positive towards the spindle."""
 
 
 class MaterialTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -29,16 +31,17 @@ class MaterialTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     Either the name of an entry, or Ktc (and the other five), or kc1.1 and mc.
 
+    :param Kac_N_per_mm2: and Kae_N_per_mm: axial, positive towards the spindle; < 0 for a tool that is drawn out of it.
     :param radial_ratio: with kc1.1: radial by tangential force; axial_ratio: axial by tangential force.
     """
 
     name: str | None = None
     Ktc_N_per_mm2: Coefficient | None = None
     Krc_N_per_mm2: Coefficient = 0.0
-    Kac_N_per_mm2: Coefficient = 0.0
+    Kac_N_per_mm2: Axial = 0.0
     Kte_N_per_mm: Coefficient = 0.0
     Kre_N_per_mm: Coefficient = 0.0
-    Kae_N_per_mm: Coefficient = 0.0
+    Kae_N_per_mm: Axial = 0.0
     kc11_N_per_mm2: Coefficient | None = None
     mc: Annotated[float, msgspec.Meta(ge=0, lt=1)] | None = None
     radial_ratio: Annotated[float, msgspec.Meta(ge=0, le=2)] = 0.3

@@ -80,6 +80,18 @@ def test_a_mesh_in_inches(tmp_path):
     assert "is one of them in inches?" in refused(tmp_path, far, mesh_process("stock.stl"))
 
 
+def test_a_program_in_inches_that_meets_stock_in_mm_is_told(tmp_path):
+    around = ("G0 X0 Y-40 Z5", "G1 Z-3 F100", "X100", "Y40", "X0", "Y-40")
+    text, inches = gcode(*around), gcode(*around).replace("G21", "G20")
+    assert "stock-scale" not in {
+        issue.kind for issue in forces(tmp_path, text, process(tool(10, 4), BOX, 1.0))[1].issues
+    }
+    _, found = forces(tmp_path, inches, process(tool(300, 4), BOX, 1.0))
+    (issue,) = (issue for issue in found.issues if issue.kind == "stock-scale")
+    assert "24 times as large as the stock" in issue.message
+    assert "an inch is 25.4 mm" in issue.message
+
+
 def test_a_mesh_that_is_25_times_too_large(tmp_path):
     mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [100, 80, 20]]) * 25.4)
     mesh.export(tmp_path / "stock.stl")
