@@ -10,10 +10,12 @@ from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Sectio
 from postproc.report.summary import Distances, Summary
 from postproc.report.text import millimetres, number, percent
 
-_STATES = ("failed", "warning", "ok")
+_STATES = ("nothing", "failed", "no forces", "warning", "ok")
+"""From the one in most trouble."""
 _WORDS: dict[str, tuple[str, Kind]] = {
     "nothing": ("nothing written", "error"),
     "failed": ("do not run", "error"),
+    "no forces": ("no forces", "warning"),
     "warning": ("look first", "warning"),
     "ok": ("may be run", "good"),
 }
@@ -36,8 +38,11 @@ class Entry:
 
     @property
     def state(self) -> str:
-        """The verdict, or ``"nothing"``."""
-        return "nothing" if self.content is None else self.content["verdict"]["state"]
+        """The verdict, or ``"nothing"``; ``"no forces"`` where for want of them nothing was corrected."""
+        if self.content is None:
+            return "nothing"
+        state = self.content["verdict"]["state"]
+        return "no forces" if state == "warning" and self.content["max_force_N"] == 0.0 else state
 
 
 def index_page(entries: Sequence[Entry], folder: str) -> bytes:
@@ -74,7 +79,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
 
 def _trouble(entry: Entry) -> tuple[int, float, str]:
     if entry.content is None:
-        return -1, 0.0, entry.name
+        return 0, 0.0, entry.name
     bound = entry.content["u95"]
     worst = entry.content["after"]["max_mm"] if bound is None else bound["max_mm"]
     return _STATES.index(entry.state), -max(worst, entry.content["between_max_mm"] or 0.0), entry.name

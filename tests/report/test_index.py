@@ -17,6 +17,7 @@ def _entry(name, tolerance=1e-5, **changes):
 def test_programs_in_trouble_come_first_the_worst_of_them_first():
     entries = [
         _entry("fair"),
+        _entry("idle", wrench=np.zeros((100, 6))),
         _entry("worse", bound=np.full(100, 2e-4)),
         _entry("broken", 1e-7),
         Entry("gone.nc", "", None, "gone.nc:3: A3 <beyond> its limit"),
@@ -24,12 +25,12 @@ def test_programs_in_trouble_come_first_the_worst_of_them_first():
     ]
     read = read_page(index_page(entries, "out"))
     text = read.text("programs")
-    places = [text.index(name) for name in ("gone.nc", "broken.nc", "bad.nc", "worse.nc", "fair.nc")]
+    places = [text.index(name) for name in ("gone.nc", "broken.nc", "idle.nc", "bad.nc", "worse.nc", "fair.nc")]
     assert places == sorted(places)
     assert "gone.nc: gone.nc:3: A3 <beyond> its limit" in read.text("failed")
-    assert "nothing written 1 do not run 1 look first 3" in text
-    assert "On the part (95 %) 0.5000 mm unknown for 2 of 4" in text
-    assert "400 targets in 4 programs" in text
+    assert "nothing written 1 do not run 1 no forces 1 look first 3" in text
+    assert "On the part (95 %) 0.5000 mm unknown for 3 of 5" in text
+    assert "500 targets in 5 programs" in text
 
 
 def test_names_lead_to_their_reports():

@@ -28,7 +28,7 @@ const plots = (() => {
     matrix: ({ names: of, values }) => ({
       type: "heatmap", x: of, y: of, z: values, zmin: -1, zmax: 1, xgap: 1, ygap: 1,
       colorscale: [[0, colour("before")], [0.5, colour("card")], [1, colour("after")]],
-      texttemplate: of.length <= 14 ? "%{z:.2f}" : undefined, textfont: { color: colour("ink") },
+      texttemplate: of.length <= 14 ? "%{z:.2f}" : undefined, // black or white, whichever is read on the cell
       hovertemplate: "%{y} – %{x}: %{z:.2f}<extra></extra>",
       colorbar: { title: { text: "correlation" }, tickvals: [-1, 0, 1], thickness: 12 },
     }),
