@@ -31,6 +31,8 @@ _OFF_PATH = 1e-4
 """The same where they have none [m]."""
 _MOST_MOVED = 200
 """Targets beside the path that are asked whether they were moved: where there are more, another program is meant."""
+_SETTLING, _AHEAD = 4, 1e-3
+"""Rounds in which the nearest place of the path is found, and the share of it that its direction is taken over."""
 _SAME_FRAME = 1e-6
 """Frames that differ by less [m, rad] are the same."""
 
@@ -64,6 +66,8 @@ def compare(
         wrench = other.wrench(place, None, found.pair[:, 1])
         off = _deviation(place, nominal, found.pair[:, 0], one.joints[found.pair[:, 0]], wrench)
     cuts = _cuts(found, place, other, wrench, off) if told_by_nominal or corrected.notes else None
+    if cuts is not None and told_by_nominal:
+        cuts = replace(cuts, **_between(found, place, one, other, source))
     return replace(found, cuts=cuts, issues=group_issues(_differences(found)))
 
 
@@ -207,17 +211,60 @@ def _deviation(place: RobotInCell, program: Program, motion: Ints, q: Array, wre
     try:
         return in_chunks(off, motion, q, wrench)[0]
     except NotConvergedError as cause:
-        line = int(program.motions.line[motion[cause.rows[0]]])
-        problem = f"the arm does not hold this force here: {cause}"
-        raise ForceError(problem, file=program.documents[0].name, line=line) from None
+        raise _not_held(program, motion, cause) from None
+
+
+def _not_held(program: Program, motion: Ints, cause: NotConvergedError) -> ForceError:
+    line = int(program.motions.line[motion[cause.rows[0]]])
+    problem = f"the arm does not hold this force here: {cause}"
+    return ForceError(problem, file=program.documents[0].name, line=line)
 
 
 def _cuts(found: Comparison, place: RobotInCell, other: _Side, wrench: Array, nominal: Array) -> Cuts:
     """Return what both programs cut at the pairs: wrenches (P, 6) in the root, `nominal` (P, 3) found already."""
-    one, two = found.pair.T
-    corrected = _deviation(place, found.nominal, one, other.joints[two], wrench)
-    rotation = found.nominal.bases[found.nominal.motions.base[one], :3, :3]
-    return Cuts(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6), nominal, corrected)
+    first, two = found.pair.T
+    corrected = _deviation(place, found.nominal, first, other.joints[two], wrench)
+    rotation = found.nominal.bases[found.nominal.motions.base[first], :3, :3]
+    turned = np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+    return Cuts(turned, nominal, corrected, np.zeros(0), np.zeros(0))
+
+
+def _between(
+    found: Comparison, place: RobotInCell, one: _Side, other: _Side, source: ForceSource | None
+) -> dict[str, Array]:
+    """Return how far from the nominal path the loaded tip would stand at inserted targets, by both programs (I,) [m].
+
+    The nominal program stands there nearly as the corrected one does: the same deflection, from the path itself.
+    """
+    row = found.inserted
+    behind = np.searchsorted(found.pair[:, 1], row)
+    motion = found.pair[behind, 0]
+    program, path = found.nominal, one.path
+    tool, q = toolpath.tool_of(program, motion), other.joints[row]
+    along = np.cumsum(other.path.length)
+    first, last = along[found.pair[behind - 1, 1]], along[found.pair[behind, 1]]
+    share = (along[row] - first) / np.maximum(last - first, 1e-12)
+    load = forces.along(program, path, source, place.spindle, place.ramp)
+
+    unloaded = toolpath.points_in_base(program, motion, place.tip(q, tool, np.zeros((len(row), 6))))
+    for _ in range(_SETTLING):
+        wrench = load.at(toolpath.at(program, path, motion, share))
+        wrench = toolpath.wrench_in_root(program, motion, wrench)
+        try:
+            moved = toolpath.points_in_base(program, motion, place.tip(q, tool, wrench))
+        except NotConvergedError as cause:
+            raise _not_held(program, motion, cause) from None
+        step = np.minimum(share + _AHEAD, 1.0), np.maximum(share - _AHEAD, 1e-9)
+        here, ahead, back = (toolpath.positions(program, path, motion, at) for at in (share, *step))
+        tangent = (ahead - back) / (step[0] - step[1])[:, None]
+        long = np.maximum(np.einsum("ni,ni->n", tangent, tangent), 1e-24)
+        share = np.clip(share + np.einsum("ni,ni->n", moved - here, tangent) / long, 1e-9, 1.0)
+    deflection = moved - unloaded
+    across = deflection - (np.einsum("ni,ni->n", deflection, tangent) / long)[:, None] * tangent
+    return {
+        "between_nominal": norm(across),
+        "between_corrected": norm(moved - toolpath.positions(program, path, motion, share)),
+    }
 
 
 def _joints(program: Program, place: RobotInCell) -> Array:

@@ -144,6 +144,25 @@ def test_a_moved_point_is_the_largest_offset_and_its_line_is_named():
     assert content["verdict"]["state"] == "failed"
 
 
+def test_inserted_targets_are_told_by_what_they_cut():
+    text = convert()
+    content = compare("part.nc", "out/part.src")
+    rows = [row for row in targets() if float(row["t"]) < 1.0 and row["rapid"] == "0"]
+    assert content["between"]["corrected_max_mm"] < 1e-3  # the force is that of a place some micrometres away
+    largest = max(float(row["before_mm"]) for row in rows)
+    assert 0.3 * largest < content["between"]["nominal_max_mm"] < 1.001 * largest
+    row = next(row for row in rows if row["source_line"] != "5")  # not the plunge: the move is level
+    moved = f"Z {float(row['Z_cmd']) + 0.05:.4f},"
+    lines = text.splitlines(keepends=True)
+    place = int(row["output_line"]) - 1
+    lines[place] = lines[place].replace(f"Z {row['Z_cmd']},", moved)
+    Path("out/part.src").write_bytes("".join(lines).encode())
+    content = compare("part.nc", "out/part.src", code=3)
+    assert content["between"]["corrected_line"] == place + 1
+    assert content["between"]["corrected_max_mm"] == pytest.approx(0.05, abs=1e-3)
+    assert any(f"part.src:{place + 1}: an inserted target leaves 0.05" in why for why in content["verdict"]["reasons"])
+
+
 @pytest.mark.parametrize("digit", range(3))
 def test_one_digit_edited_is_found_with_its_line(digit):
     text = convert()

@@ -103,6 +103,10 @@ def _numbers(content: ComparisonSummary) -> Section:
         head += ["Nominal cuts, mm", "Corrected cuts, mm"]
         sources += [cut["nominal"], cut["corrected"]]
     rows = tuple(Row((label, *(millimetres(source[key]) for source in sources))) for label, key in _ROWS)  # type: ignore[literal-required]
+    between = content["between"]
+    if between is not None:
+        told = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
+        rows += (Row(("Maximum at inserted targets, from the path", "-", *told)),)
     return Section("numbers", "Offsets and deviations, mm", (Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")))
 
 

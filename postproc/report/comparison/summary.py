@@ -60,6 +60,14 @@ class Cut(TypedDict):
     corrected: Distances
 
 
+class Between(TypedDict):
+    """Largest distances of the loaded tip from the nominal path at inserted targets, by each program."""
+
+    nominal_max_mm: float
+    corrected_max_mm: float
+    corrected_line: int
+
+
 class OperationEntry(TypedDict):
     """An operation of the nominal program."""
 
@@ -104,6 +112,7 @@ class ComparisonSummary(TypedDict):
     largest: list[PairEntry]
     differences: dict[str, int]
     cut: Cut | None
+    between: Between | None
     tolerance_mm: float
     operations: list[OperationEntry]
     provenance: OriginEntry
@@ -136,6 +145,7 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         largest=_largest(found),
         differences={name: count.get(name, 0) for name in ("speed", "kind", "base", "tool")},
         cut=_cut(found, slice(None)),
+        between=_between(found),
         tolerance_mm=tolerance * MM_PER_M,
         operations=[*_operations(found)],
         provenance={
@@ -172,6 +182,13 @@ def _failed(content: ComparisonSummary, limit_mm: float) -> Iterator[str]:
     if cut is not None and not cut["corrected"]["max_mm"] <= content["tolerance_mm"]:
         yield (
             f"{content['corrected']} leaves {cut['corrected']['max_mm']:.4f} mm at a target under the forces given "
+            f"(tolerance {content['tolerance_mm']:g} mm)"
+        )
+    between = content["between"]
+    if between is not None and not between["corrected_max_mm"] <= content["tolerance_mm"]:
+        yield (
+            f"{content['corrected']}:{between['corrected_line']}: an inserted target leaves "
+            f"{between['corrected_max_mm']:.4f} mm to the nominal path under the forces given "
             f"(tolerance {content['tolerance_mm']:g} mm)"
         )
     if not content["offset"]["max_mm"] <= limit_mm:
@@ -216,6 +233,22 @@ def _cut(found: Comparison, rows: slice) -> Cut | None:
     rapid = found.rapid[rows]
     one, other = (_distances(norm(off[rows]), rapid) for off in (found.cuts.nominal, found.cuts.corrected))
     return {"nominal": one, "corrected": other}
+
+
+def _between(found: Comparison) -> Between | None:
+    cuts = found.cuts
+    motions = found.corrected.motions
+    if cuts is None or not len(cuts.between_corrected):
+        return None
+    cutting = ~motions.rapid[found.inserted]
+    worst = int(np.argmax(np.where(cutting, cuts.between_corrected, -1.0)))
+    if not cutting[worst]:
+        return None
+    return {
+        "nominal_max_mm": float(cuts.between_nominal[cutting].max()) * MM_PER_M,
+        "corrected_max_mm": float(cuts.between_corrected[worst]) * MM_PER_M,
+        "corrected_line": int(motions.line[found.inserted[worst]]),
+    }
 
 
 def _largest(found: Comparison) -> list[PairEntry]:

@@ -32,6 +32,10 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     head = ["at cutting targets [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
     sources = [content["offset"]] + ([cut["nominal"], cut["corrected"]] if cut is not None else [])
     rows = [(label, *(millimetres(source[key]) for source in sources)) for label, key in _ROWS]  # type: ignore[literal-required]
+    if between := content["between"]:
+        rows.append(
+            ("max between", "-", *(millimetres(between[key]) for key in ("nominal_max_mm", "corrected_max_mm")))
+        )
     lines += [display.table(head, rows, range(1, len(head)), "  "), ""]
     lines.append(f"  orientation: {content['rotation']['max_deg']:.4f}° at most")
     for pair in content["largest"][:_SHOWN]:
