@@ -83,7 +83,7 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
     blocks = _blocks(objects)
     document = FreeCAD.ActiveDocument
     folder, name = _where(options, filename, document, objects)
-    flags = [("--cell", _file(options.cell, document))]
+    flags = [("--cell", _file(options.cell, document)), ("--lines-per-file", "0")]  # FreeCAD takes one text
     if sum(bool(source) for source in (options.forces, options.process, options.material)) > 1:
         raise HostError("Arguments of the post: --forces, --process and --material exclude each other.")
     flags += [("--forces", _file(options.forces, document))] if options.forces else []
