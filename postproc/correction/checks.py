@@ -46,7 +46,10 @@ def _first(
 
 
 def _turn_the_tool(program: Program) -> str:
-    return "turn the tool about its axis" + ("" if program.keeps_text else " ([gcode] redundancy_deg)")
+    if program.keeps_text:
+        return "turn the tool about its axis"
+    home = ", choose another [machine] home" if np.isfinite(program.motions.joints).any() else ""
+    return f"turn the tool about its axis ([gcode] redundancy_deg){home}"
 
 
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
@@ -186,7 +189,8 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     m = program.motions
     feed = m.feed[sample.motion[1:]]
     following = np.diff(sample.motion)
-    same = (m.base[sample.motion[1:]] == m.base[sample.motion[:-1]]) & (following <= 1) | (following == 0)
+    kept = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
+    same = kept[0] & kept[1] & (following <= 1) | (following == 0)
     nominal = norm(np.diff(sample.pose[:, :3, 3], axis=0))
     travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
@@ -209,19 +213,24 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
     but a warning.
     """
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
+    rapid = program.motions.rapid[sample.motion]
     for axis, name in enumerate(JOINTS):
-        fast = speed[:, axis] > robot.speed[axis]
-        if fast.any():
-            first = int(np.argmax(speed[:, axis]))
-            yield from _first(
-                program,
-                sample.motion,
-                fast,
-                f"joint-speed-{name}",
-                f"{name} would turn at {speed[first, axis] * DEG_PER_RAD:.0f}°/s at the programmed feed "
-                f"(limit {robot.speed[axis] * DEG_PER_RAD:.0f}°/s). Lower the feed or turn the tool about its axis.",
-                level,
-            )
+        for rows, at, advice in (
+            (~rapid, "the programmed feed", "Lower the feed"),
+            (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
+        ):
+            fast = rows & (speed[:, axis] > robot.speed[axis])
+            if fast.any():
+                most = speed[fast, axis].max() * DEG_PER_RAD
+                yield from _first(
+                    program,
+                    sample.motion,
+                    fast,
+                    f"joint-speed-{name}",
+                    f"{name} would turn at {most:.0f}°/s at {at} (limit {robot.speed[axis] * DEG_PER_RAD:.0f}°/s). "
+                    f"{advice} or turn the tool about its axis.",
+                    level,
+                )
 
 
 def correction_size(program: Program, motion: Ints, correction: Array, allowed: float) -> Iterator[Issue]:

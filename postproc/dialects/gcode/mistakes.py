@@ -32,7 +32,7 @@ def faults_of(rows: Rows, moves: Moves, modes: Modes, circular: Ints, arcs: Sequ
             faults.setdefault(row, Fault(row, problem, advice))
 
     count = len(rows.motion)
-    axes = np.asarray(~np.isnan(rows.xyz).all(axis=1))
+    axes = rows.placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     dwelling = np.zeros(count, dtype=bool)
     dwelling[[row for row in modes.dwells if row < count]] = True
@@ -64,7 +64,7 @@ def faults_of(rows: Rows, moves: Moves, modes: Modes, circular: Ints, arcs: Sequ
 def _check_unknown(rows: Rows, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
     """Say where moves need to know where the tool is, while it is not known: at first, and after G28."""
     line = np.arange(len(rows.motion))
-    axes = np.asarray(~np.isnan(rows.xyz).all(axis=1))
+    axes = rows.placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may stand anywhere before."
     never = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
@@ -107,6 +107,9 @@ class _Doubt:
 
     def __init__(self, rows: Rows, faults: Sequence[Fault]) -> None:
         count = len(rows.motion)
+        if not faults:
+            self.motion = self.position = self.feed = np.zeros(count, dtype=bool)
+            return
         line = np.arange(count)
 
         def latest(at: Array | Bools) -> Ints:

@@ -18,6 +18,7 @@ from postproc.program import Bools
 class Rows:
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
+    :param placed: where X, Y or Z is programmed.
     :param turns: P; of cycles a dwell [s].
     :param named: where a motion is named, not carried on.
     :param feed: mm/min; in G93 1/min. `rate`: F as it stands: of rotary axes alone in deg/min.
@@ -29,6 +30,7 @@ class Rows:
     """
 
     xyz: Array
+    placed: Bools
     ijk: Array
     radius: Array
     turns: Array
@@ -77,13 +79,15 @@ def rows_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -
     named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
     letters = [] if rotary is None else rotary.axes
     turned = np.stack([columns[letter][:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
-    axes = ~(np.isnan(xyz).all(axis=1) & np.isnan(turned).all(axis=1))
+    placed = np.logical_or.reduce([~np.isnan(words) for words in xyz.T])
+    axes = placed | ~np.isnan(turned).all(axis=1)
     always = rotary is None or not rotary.tcp_on
     drilling = np.isin(motion, codes.CYCLES) & axes
     moving = ~drilling & (axes | (circular & (named | ~np.isnan(ijk).all(axis=1))))
     inverse_time = state["feed"] == 93.0
     return Rows(
         xyz=xyz,
+        placed=placed,
         ijk=ijk,
         radius=mm["R"],
         turns=columns["P"][:count],

@@ -99,10 +99,17 @@ def split(document: Document, line_starts: Ints) -> Source:
     comments: tuple[str, ...] = ()
     at = np.empty(0, dtype=np.int64)
     if "(" in text or ";" in text:
-        found = list(_COMMENT.finditer(text))
-        comments = tuple(match[match.lastindex or 1] for match in found)
-        at = np.array([match.start() for match in found], dtype=np.int64)
-        text = _COMMENT.sub(MARK, text)
+        parts: list[str] = []
+        told: list[str] = []
+        starts: list[int] = []
+        behind = 0
+        for match in _COMMENT.finditer(text):
+            starts.append(match.start())
+            told.append(match[match.lastindex or 1])
+            parts.append(text[behind : starts[-1]])
+            behind = match.end()
+        comments, at = tuple(told), np.array(starts, dtype=np.int64)
+        text = MARK.join([*parts, text[behind:]])
     packed = text.encode("ascii", "replace").replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
     packed = packed.translate(_PACK, b" \t")
     code = b"\n" + packed if packed.endswith(b"\n") else b"\n" + packed + b"\n"
