@@ -26,7 +26,7 @@ from postproc.errors import ProgramError
 _MOST_STATEMENTS = 200_000
 """So many statements that do not move are followed in loops and called routines; later ones count as uncertain."""
 _MOST_TRACED = 400_000
-"""A course of more statements is taken for one without an end."""
+"""A course of so many statements more than the file has lines is taken for one without an end."""
 _THEN = re.compile(r"\bTHEN[ \t]*$", re.IGNORECASE)
 _TO = re.compile(r"[ \t]*TO\b", re.IGNORECASE)
 _STEP = re.compile(r"[ \t]*STEP\b", re.IGNORECASE)
@@ -133,8 +133,9 @@ class Flow:
                 raise inexact(at, "too much runs before")
             return
         self._traced += 1
-        if self._traced > _MOST_TRACED:
-            problem = f"the program does not end: {_MOST_TRACED} statements have run when it comes here"
+        most = _MOST_TRACED + len(at.source.starts)
+        if self._traced > most:
+            problem = f"the program does not end: {most} statements have run when it comes here"
             raise at.error(problem, "Give loops around motions an end that is known before the program runs.")
 
     def _entered(self, at: Place, call: Call) -> bool:
