@@ -104,6 +104,27 @@ def test_a_loop_whose_rounds_differ_is_written_out_with_all_that_it_does():
     assert [issue.kind for issue in out.issues] == ["loop-written-out"]
 
 
+def test_rounds_that_are_alike_stay_loops_beside_those_that_are_not():
+    lines = ["FOR I=1 TO 5", "LIN P[I]", "ENDFOR", "FOR K=5 TO 1 STEP -1", "LIN {X 1,Y 1,Z 1}", "ENDFOR"]
+    shift = np.zeros((11, 3))
+    shift[9:] = 1e-3
+    _, out = written(lines, shift=shift, pieces={1: [0.5]})
+    text = out.documents[0].text.split("\r\n")
+    assert text[4:12] == [
+        "; FOR I=1 TO 5 (written out)",
+        "I=1",
+        "LIN {X 0.5000,Y 1.0000,Z 151.5000,A 4.00000,B 5.00000,C 6.00000} C_DIS",
+        "LIN P[I]",
+        "FOR I=2 TO 5",
+        "LIN P[I]",
+        "ENDFOR",
+        "I=6",
+    ]
+    assert text[13:15] == ["FOR K=5 TO 3 STEP -1", "LIN {X 1.0000,Y 1.0000,Z 1.0000}"]
+    assert text[16] == "FOR K=2 TO 1 STEP -1"
+    assert text[19] == "K=0"
+
+
 def test_a_subprogram_is_corrected_in_its_place_where_its_calls_agree_and_copied_where_they_do_not():
     _, out = written(["SUB(1)", "SUB(2)"], STILL, shift=np.tile([1e-3, 0, 0], (3, 1)))
     assert out.documents[0].text.count("DEF SUB") == 1

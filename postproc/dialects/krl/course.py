@@ -52,7 +52,7 @@ class Repeated:
     """A loop, written out.
 
     :ivar opener: text of its first line, with its line end; `closer` that of its last.
-    :ivar counted: True where each body begins with an assignment to the counter of FOR.
+    :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
     :ivar left: True where EXIT stands in it.
     :ivar first: first line of the course; `last` the one behind it.
     :ivar bodies: what was run, again and again; none: the loop stands as it is.
@@ -60,7 +60,7 @@ class Repeated:
 
     opener: str
     closer: str
-    counted: bool
+    step: int
     left: bool
     first: int
     last: int = 0

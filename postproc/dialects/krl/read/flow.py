@@ -241,7 +241,8 @@ class Flow:
         if block.word == "LOOP" and words.isdisjoint(_ENDS_LOOPS):
             raise inexact(Place(source, block.first), "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
-        loop = trace.begin(block, counted=counter is not None, left="EXIT" in words) if trace is not None else None
+        step = counter.step if counter is not None else 0
+        loop = trace.begin(block, step, left="EXIT" in words) if trace is not None else None
         level.loops += 1
         try:
             while self._again(source, block, counter):

@@ -88,12 +88,12 @@ class Trace:
         body.last = self.count + 1
         self._steps.append(Leave())
 
-    def begin(self, block: Block, *, counted: bool, left: bool) -> Repeated:
-        """Begin to write out a loop."""
+    def begin(self, block: Block, step: int, *, left: bool) -> Repeated:
+        """Begin to write out a loop; `step` of FOR, else 0."""
         self.run_to(block.first - 1)
         source = self._standing[-1].source
         opener, closer = (_line(source, line) for line in (block.first, block.last))
-        loop = Repeated(opener, closer, counted, left, self.count + 1)
+        loop = Repeated(opener, closer, step, left, self.count + 1)
         self._standing[-1].bodies[-1].parts.append(loop)
         return loop
 

@@ -122,20 +122,32 @@ class _Folder:
     def _loop(self, loop: Repeated) -> list[_Piece]:
         """Return a loop with its body corrected where all rounds read the same, else one round behind the other."""
         if not loop.bodies:
-            return self._lines(loop.first, loop.last - loop.counted)
+            return self._lines(loop.first, loop.last - (loop.step != 0))
         rounds = [self._body(body) for body in loop.bodies]
-        own = [pieces[1:] if loop.counted else pieces for pieces in rounds]
+        own = [pieces[1:] if loop.step else pieces for pieces in rounds]
         texts = [piece.text for piece in own[0]]
         if all([piece.text for piece in pieces] == texts for pieces in own[1:]):
             return [_Piece(loop.opener), *_joined(own), _Piece(loop.closer)]
+        runs = _alike(rounds, loop.step)
         head, indent, end = loop.opener.strip(), _indent(loop.opener), _line_end(loop.opener)
-        out = [piece for pieces in rounds for piece in pieces] + self._lines(loop.bodies[-1].last, loop.last)
+        out = [piece for run in runs for piece in self._run(run, loop)]
+        out += self._lines(loop.bodies[-1].last, loop.last)
         if loop.left:
             out = [_Piece(f"{indent}LOOP{end}"), *out, _Piece(f"{indent}EXIT{end}{indent}ENDLOOP{end}")]
-        message = f"The {len(rounds)} rounds of {head} are corrected differently: they are written out one by one."
+        message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = int(self.course.source.shown(np.array([loop.first]))[0])
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
         return [_Piece(f"{indent}; {head} (written out){end}"), *out]
+
+    def _run(self, rounds: list[list[_Piece]], loop: Repeated) -> list[_Piece]:
+        """Return rounds that read the same: one as it is, several of FOR as a FOR of their own."""
+        if len(rounds) == 1 or not loop.step or loop.left:
+            return [piece for pieces in rounds for piece in pieces]
+        name, _, first = rounds[0][0].text.strip().partition("=")
+        last = rounds[-1][0].text.partition("=")[2].strip()
+        step = "" if loop.step == 1 else f" STEP {loop.step}"
+        opener = f"{_indent(loop.opener)}FOR {name}={first} TO {last}{step}{_line_end(loop.opener)}"
+        return [_Piece(opener), *_joined([pieces[1:] for pieces in rounds]), _Piece(loop.closer)]
 
     def _call(self, called: Called) -> _Piece:
         """Return the line of a call, with the name of the version that it calls."""
@@ -200,6 +212,21 @@ class _Folder:
         """Return the line of a DEF with another name; in other files it is one that the program finds."""
         public = "GLOBAL " if source is not self.main.source else ""
         return _HEAD.sub(lambda match: f"{match[1] or public}{match[2]}{name}", head, count=1)
+
+
+def _alike(rounds: list[list[_Piece]], step: int) -> list[list[list[_Piece]]]:
+    """Return the rounds of a loop in runs of such as read the same and are counted evenly."""
+    runs: list[list[list[_Piece]]] = []
+    before: tuple[list[str], int] | None = None
+    for pieces in rounds:
+        texts = [piece.text for piece in (pieces[1:] if step else pieces)]
+        count = int(pieces[0].text.partition("=")[2]) if step else 0
+        if before is not None and before == (texts, count - step):
+            runs[-1].append(pieces)
+        else:
+            runs.append([pieces])
+        before = texts, count
+    return runs
 
 
 def _joined(copies: Sequence[list[_Piece]]) -> list[_Piece]:

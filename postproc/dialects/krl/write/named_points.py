@@ -46,6 +46,7 @@ class NamedPoints:
     issues: list[Issue] = field(default_factory=list)
     _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
     _taken: set[str] = field(default_factory=set)
+    _elsewhere: dict[str, bool] = field(default_factory=dict)
 
     def use(self, use: Use) -> None:
         """Note a use; one of a point whose numbers stand nowhere becomes a literal at once."""
@@ -70,8 +71,10 @@ class NamedPoints:
     def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
         """Return whether the numbers of a point can be changed where they stand."""
         name = uses[0].operand.name
-        known = self.layout.understood
-        elsewhere = any(offset not in known for offset in self.mentions.get(name, ()))
+        if name not in self._elsewhere:
+            known = self.layout.understood
+            self._elsewhere[name] = any(offset not in known for offset in self.mentions.get(name, ()))
+        elsewhere = self._elsewhere[name]
         same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
         shared = elsewhere or name in self.layout.public  # others must find the value that they found before
         return same and not shared and aggregate.source.index < len(self.sources)
