@@ -130,10 +130,12 @@ class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     :param search: folders, relative to the cell, where called programs are looked for after the program's own folder.
     :param initmov: what BAS(#INITMOV,0) gives a program that sets no frames: those of the ``"cell"``, or KUKA's
         (``"bas"``): BASE(0) and TOOL_DATA[1]. None: the cell's, with a warning.
+    :param keep_unresolved: leave motions as they are whose targets, or whether they run, only the running robot knows.
     """
 
     search: list[str] = []
     initmov: Literal["cell", "bas"] | None = None
+    keep_unresolved: bool = False
 
 
 class ExternalAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -220,19 +220,30 @@ class Starts:
 
     @classmethod
     def of(
-        cls, frames: tuple[Ints, Ints, Array, Array], end: Callable[[Ints], Array], start_flange_in_root: Array
+        cls,
+        frames: tuple[Ints, Ints, Array, Array],
+        end: Callable[[Ints], Array],
+        start_flange_in_root: Array,
+        after: Ints | None = None,
     ) -> Starts:
         """Return the starts of motions.
 
         :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
             frame (nt, 4, 4).
         :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+        :param after: (M,) at the end of which motion each begins, see `Program.after`.
         """
         base, tool, bases, tools = frames
         later = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
-        changed = np.concatenate([[0], later])
-        flange = bases[base[later - 1]] @ end(later - 1) @ inverse(tools[tool[later - 1]])
-        flange = np.concatenate([start_flange_in_root[None], flange])
+        before = later - 1
+        if after is not None:
+            later = np.union1d(later, np.flatnonzero(after != np.arange(len(base)) - 1))
+            later = later[after[later] >= 0]
+            before = after[later]
+        first = later[:1] > 0 if len(later) else np.array([True])
+        changed = np.concatenate([[0], later]) if first.all() else later
+        flange = bases[base[before]] @ end(before) @ inverse(tools[tool[before]])
+        flange = np.concatenate([start_flange_in_root[None], flange]) if first.all() else flange
         return cls(end, changed, inverse(bases[base[changed]]) @ flange @ tools[tool[changed]])
 
     def at(self, motion: Ints) -> Array:
@@ -376,6 +387,8 @@ class Program:
     :param events: what a program does besides moving, in order; of KRL comments alone (it keeps its text instead).
     :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
+    :param after: (M,) row of the motion at whose end each begins, −1 for the start of the program; its own row where it
+        is not known where it begins: it is taken to begin at its end. None: each begins where the one before ends.
     :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.
     :param carriage: the linear axis that carries the robot; None: there is none.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
@@ -391,6 +404,7 @@ class Program:
     events: tuple[Event, ...] = ()
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
+    after: Ints | None = None
     swivel: Swivel | None = None
     carriage: Carriage | None = None
     layout: Layout | None = field(default=None, repr=False)

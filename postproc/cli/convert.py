@@ -45,6 +45,11 @@ def _shared(command: _Command) -> _Command:
         click.option(
             "-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside the program."
         ),
+        click.option(
+            "--keep-unresolved",
+            is_flag=True,
+            help="Leave motions of KRL as they are whose targets, or whether they run, only the running robot knows.",
+        ),
         click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
         click.option(
             "--forces",

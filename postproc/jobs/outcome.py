@@ -22,6 +22,7 @@ class Settings:
     :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
     :param lines_per_file: replaces that of the cell.
     :param linearize_arcs: write arcs as lines.
+    :param keep_unresolved: leave motions of KRL as they are that only the running robot knows.
     :param part: mesh of the part, whose surface is looked at; None = none.
     :param overwrite: replace files that postproc did not write.
     """
@@ -31,6 +32,7 @@ class Settings:
     tolerance_mm: float | None = None
     lines_per_file: int | None = None
     linearize_arcs: bool = False
+    keep_unresolved: bool = False
     overwrite: bool = False
     part: Path | None = None
 

@@ -24,6 +24,8 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
     stated = {name: value for name, value in stated.items() if value is not None}
     if stated:
         cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **stated))
+    if settings.keep_unresolved:
+        cell = msgspec.structs.replace(cell, krl=msgspec.structs.replace(cell.krl, keep_unresolved=True))
     return cell, load_robot(cell.robot, cell.folder)
 
 

@@ -109,7 +109,7 @@ def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root:
     if program.carriage is not None:
         start_flange_in_root = start_flange_in_root.copy()
         start_flange_in_root[:3, 3] += program.carriage.begin[0] * program.carriage.direction
-    return Starts.of((m.base, m.tool, program.bases, program.tools), end, start_flange_in_root)
+    return Starts.of((m.base, m.tool, program.bases, program.tools), end, start_flange_in_root, program.after)
 
 
 def segments(program: Program, start_flange_in_root: Array) -> Segments:

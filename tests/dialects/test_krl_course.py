@@ -5,12 +5,13 @@ What is read and what is written is executed by the controller of `tests.attack.
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.dialects import krl
 from postproc.errors import ProgramError
 from tests.attack.krl import confirmed
 from tests.attack.krl import read as read_files
-from tests.dialects.krl_programs import body, check_commands, numbers, read, targets
+from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets
 
 FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
 COUNT = 5
@@ -173,3 +174,65 @@ def test_subprograms_of_other_files_are_corrected_there(tmp_path):
     assert [document.name for document in out.documents] == ["part.src", "part.dat", "cut.src", "cut.dat"]
     assert "GLOBAL DEF cut_2(n:IN)" in out.documents[2].text
     assert out.documents[2].text.startswith("&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN {X 6.0000,")
+
+
+# --- what only the running robot knows ------------------------------------------------------------------------------
+
+KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
+UNKNOWN = [
+    # lines, those that stay, those that begin where it is not known
+    (["LIN $POS_ACT:{Z 5}", "LIN {X 9,Y 9,Z 9,A 0,B 0,C 0}"], [5], [6]),
+    (["Q=$POS_ACT", "Q.Z=Q.Z+5", "LIN Q", "LIN P[1]"], [7], [8]),
+    (["LIN $POS_ACT:{Z 5}", "LIN {Z 9}", "LIN_REL {X 1}", "LIN P[1]", "LIN {X 3}"], [5, 6, 7], [8]),
+    (["IF $IN[1] THEN", "LIN P[1]", "LIN {X 1,Y 1,Z 1,A 0,B 0,C 0}", "ENDIF", "LIN P[2]"], [6, 7], [9]),
+    (["WHILE $IN[1]", "LIN P[1]", "ENDWHILE", "PTP P[2]", "LIN P[3]"], [6], [8]),
+    (["Z=$ANIN[1]", "LIN {X 1,Y 1,Z Z,A 0,B 0,C 0}", "LIN P[2]"], [6], [7]),
+    (["FOR I=1 TO 3", "LIN P[I]", "IF $IN[I] THEN", "EXIT", "ENDIF", "ENDFOR", "LIN P[4]"], [6], [11]),
+    (["SUB(3)", "LIN P[4]"], [5], [6]),
+    (["$BASE=$POS_ACT", "LIN P[4]", "$BASE={X 5}", "LIN P[4]"], [6], [8]),
+]
+LOST = "DEF SUB(n:IN)\r\nDECL INT n\r\nIF $IN[n] THEN\r\nRETURN\r\nENDIF\r\nLIN P[5]\r\nEND\r\n"
+
+
+@pytest.mark.parametrize(("lines", "kept", "begins"), UNKNOWN, ids=[" / ".join(lines)[:60] for lines, *_ in UNKNOWN])
+def test_what_only_the_running_robot_knows_is_refused_or_kept_as_it_is(lines, kept, begins):
+    text = body(FULL, *lines) + (LOST if "SUB" in lines[0] else "")
+    with pytest.raises(ProgramError):
+        read(text, DATA)
+    program = read(text, DATA, KEEPING)
+    told = [issue.source_line for issue in program.issues if issue.kind == "unresolved"]
+    assert told == kept
+    assert [issue.lines for issue in program.issues if issue.kind == "start-unknown"] == [tuple(begins)]
+    assert not set(kept) & set(program.motions.line.tolist())
+    rows = np.searchsorted(program.motions.line, begins)
+    assert program.after[rows].tolist() == rows.tolist()
+    shift = np.full((len(program.motions), 3), 1e-3)
+    out = krl.rewrite(program, targets(program, shift))
+    old, new = text.split("\r\n"), out.documents[0].text.split("\r\n")
+    assert [new[line - 1] for line in kept] == [old[line - 1] for line in kept]
+    again = krl.read_program(out.documents, KEEPING, forward, "part")
+    moved = again.motions.target[:, :3, 3] - program.motions.target[:, :3, 3]
+    np.testing.assert_allclose(moved, 1e-3, atol=1e-7)
+    assert krl.rewrite(program, targets(program, keep=True)).documents == program.documents
+
+
+@pytest.mark.parametrize("lines", [["LIN $POS_ACT:{Z 5}"], ["IF $IN[1] THEN", "LIN P[1]", "ENDIF"]])
+def test_the_error_names_the_option_that_keeps_what_is_not_known(lines):
+    with pytest.raises(ProgramError, match="--keep-unresolved") as caught:
+        read(body(FULL, *lines), DATA)
+    assert caught.value.line == 5
+
+
+def test_a_point_of_a_motion_that_is_kept_is_not_changed_for_it():
+    text = body(FULL, "LIN P[1]", "IF $IN[1] THEN", "LIN P[1]", "ENDIF", "LIN P[2]")
+    program = read(text, DATA, KEEPING)
+    out = krl.rewrite(program, targets(program, np.full((3, 3), 1e-3)))
+    assert "P[1]={X 1,Y 2,Z 3,A 4,B 5,C 6}" in out.documents[1].text
+    assert "LIN {X 2.0000," in out.documents[0].text
+
+
+def test_a_subprogram_that_also_runs_as_it_stands_is_corrected_in_a_copy():
+    program = read(body(FULL, "SUB(1)", "IF $IN[1] THEN", "SUB(2)", "ENDIF") + STILL, DATA, KEEPING)
+    text = krl.rewrite(program, targets(program, np.full((2, 3), 1e-3))).documents[0].text
+    assert "SUB_2(1)\r\nIF $IN[1] THEN\r\nSUB(2)\r\n" in text
+    assert STILL in text

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Source
+from postproc.errors import ProgramError
 from postproc.program import Bools, Document
 
 
@@ -18,6 +19,14 @@ class Lines(NamedTuple):
 
     first: int
     last: int
+
+
+class Kept(NamedTuple):
+    """A control structure on lines first … last of the course: what runs in it only the running robot knows."""
+
+    first: int
+    last: int
+    why: ProgramError
 
 
 class Enter(NamedTuple):
@@ -32,7 +41,7 @@ class Leave(NamedTuple):
     """The end of the routine that was entered last."""
 
 
-Step = Lines | Enter | Leave
+Step = Lines | Kept | Enter | Leave
 
 
 @dataclass(slots=True, eq=False)
@@ -90,6 +99,7 @@ class Course:
     :param body: the lines of the main routine.
     :param live: (L,) False for lines that do not run: branches that are not taken; None: all may.
     :param inlined: routines that stand in it, and no longer where they stood.
+    :param pinned: True where they may also run as they stood: in what is kept as it is.
     :param files: other files than that of the program from which these are, and their data.
     """
 
@@ -99,6 +109,7 @@ class Course:
     body: Body
     live: Bools | None = None
     inlined: frozenset[Routine] = frozenset()
+    pinned: bool = False
     files: tuple[Document, ...] = ()
 
     @property

@@ -61,6 +61,10 @@ class Position:
         return pose_from_xyzabc(np.nan_to_num(np.array(self.values)))
 
 
+class NotANumberError(ProgramError):
+    """A component of a position is no number before the program runs."""
+
+
 def from_pose(pose: Array) -> Position:
     """Return the Cartesian position of a (4, 4) pose [m]."""
     return Position(tuple(float(value) for value in xyzabc_from_pose(pose)))
@@ -101,8 +105,14 @@ def _wrong_component(aggregate: Aggregate, name: str, known: frozenset[str]) -> 
         problem, advice = f"{name} is not a component of a position", f"Valid components: {valid}."
     else:
         problem = f"component {name} is not a number"
-        advice = "Targets that are computed while the program runs cannot be corrected; write them as numbers."
-    return aggregate.source.error(problem, aggregate.start, advice)
+        advice = (
+            "Targets that are computed while the program runs cannot be corrected; write them as numbers, or leave "
+            "such motions as they are by --keep-unresolved."
+        )
+    error = aggregate.source.error(problem, aggregate.start, advice)
+    if name not in known:
+        return error
+    return NotANumberError(error.problem, file=error.file, line=error.line, text=error.text, advice=error.advice)
 
 
 def _bits(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:

@@ -127,6 +127,9 @@ class Calls:
         if place is None or not self.run.in_main:
             return
         problem = f"{call.name} is called, which moves the robot ({place})"
+        if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
+            self.run.unresolved.append((self.run.line, at.error(problem)))
+            return
         if place.source is self.run.routine.source:
             raise at.error(problem, _INLINE_ADVICE)
         advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."

@@ -195,6 +195,7 @@ def end_poses(
     start_joints: Array,
     forward: Callable[[Array], Array],
     carriage: Carriage | None = None,
+    after: Ints | None = None,
 ) -> EndPoses:
     """Return the targets of M motions.
 
@@ -206,6 +207,7 @@ def end_poses(
     :param start_joints: (6,) where the robot stands first [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
     :param carriage: the linear axis that carries the robot.
+    :param after: (M,) at the end of which motion each begins, see `Program.after`.
     :raises ProgramError: a component is missing where its previous value is not certain; a relative target cannot
         be known; an axis is missing; a circle is none.
     """
@@ -222,5 +224,5 @@ def end_poses(
     follower.absolute(row, len(line))
 
     pose = pose_from_xyzabc(follower.numbers)
-    start = Starts.of(frames, pose.__getitem__, start_flange)
+    start = Starts.of(frames, pose.__getitem__, start_flange, after)
     return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed)

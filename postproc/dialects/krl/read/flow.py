@@ -11,7 +11,7 @@ from bisect import bisect_left
 from collections.abc import Callable
 
 from postproc.dialects.krl.language.expressions import operand, parse
-from postproc.dialects.krl.language.routines import Module
+from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, calls, word_at
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
@@ -146,7 +146,22 @@ class Flow:
         found = self.interpreter.calls.moving(call)
         if found is None:
             return False
-        module, routine = found
+        _, routine = found
+        marks, mark, here = run.marks(), trace.mark(), run.standing()
+        try:
+            self._inlined(at, call, trace, *found)
+        except InexactError:
+            if not run.keep or routine.source is not run.routine.source:
+                raise
+            run.back_to(marks)
+            trace.back_to(mark)
+            run.stand(here)
+            trace.pinned = True
+            return False
+        return True
+
+    def _inlined(self, at: Place, call: Call, trace: Trace, module: Module, routine: Routine) -> None:
+        run = self.run
         trace.run_to(at.line - 1)
         trace.enter(at, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter(at, call, module, routine)
@@ -157,13 +172,12 @@ class Flow:
         trace.pass_to(routine.last - 1, live=False)
         self.interpreter.calls.leave()
         trace.leave()
-        return True
 
     # --- control structures ------------------------------------------------------------------------------------------
 
     def _block(self, source: Source, block: Block) -> None:
         if self.trace is not None and self.run.level.traced and self.moves(source, block):
-            self._exactly(source, block, self.trace)
+            self._kept(source, block, self.trace)
             return
         marks = self.run.marks()
         self._still += 1
@@ -171,11 +185,28 @@ class Flow:
             self._exactly(source, block, None)
         except InexactError:
             self.run.back_to(marks)
-            self._roughly(source, block)
+            self.roughly(source, block)
         finally:
             self._still -= 1
 
-    def _roughly(self, source: Source, block: Block) -> None:
+    def _kept(self, source: Source, block: Block, trace: Trace) -> None:
+        """Follow a control structure that moves; where that cannot be done it is kept as it is, if that is wanted."""
+        run = self.run
+        if not run.keep:
+            self._exactly(source, block, trace)
+            return
+        marks, mark, here = run.marks(), trace.mark(), run.standing()
+        try:
+            self._exactly(source, block, trace)
+        except InexactError as cause:
+            run.back_to(marks)
+            trace.back_to(mark)
+            run.stand(here)
+            trace.run_to(block.first - 1)
+            trace.keep(block.last, cause)
+            self.roughly(source, block)
+
+    def roughly(self, source: Source, block: Block) -> None:
         """Forget what a control structure may write, however often it runs."""
         lines = list(block.lines())
         marks = self.run.marks()

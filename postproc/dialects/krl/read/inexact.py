@@ -16,6 +16,15 @@ class InexactError(ProgramError):
     routine: Routine | None = None
 
 
+class UnresolvedError(ProgramError):
+    """What a motion needs is not known before the program runs."""
+
+
+def unresolved(cause: ProgramError) -> UnresolvedError:
+    """Return an error as one that says so."""
+    return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
+
+
 def inexact(at: Place, problem: str, advice: str | None = None, routine: Routine | None = None) -> InexactError:
     """Return the error for a line at which that is not known."""
     told = at.error(problem, advice)

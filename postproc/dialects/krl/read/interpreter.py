@@ -32,7 +32,7 @@ _LABEL = re.compile(r"[ \t]*:[ \t]*$")
 _IN_ORDER = "Motions of interrupts, and behind GOTO, cannot be corrected; write them out in order."
 LOOP_ADVICE = (
     "Motions in loops and branches are corrected where it is known before the program runs what is executed, and how "
-    "often; write them out in order."
+    "often: write them out in order, or leave them as they are by --keep-unresolved."
 )
 
 

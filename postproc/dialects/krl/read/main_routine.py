@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.course import Body, Course, Enter, Lines
+from postproc.dialects.krl.course import Body, Course, Enter, Kept, Lines
 from postproc.dialects.krl.language.expressions import operand
 from postproc.dialects.krl.language.names import NAME, fault_of
 from postproc.dialects.krl.language.routines import Routine
@@ -16,6 +16,7 @@ from postproc.dialects.krl.language.statements import MOTION_WORDS, calls, word_
 from postproc.dialects.krl.language.structures import Block, nodes_of
 from postproc.dialects.krl.language.values import Call
 from postproc.dialects.krl.read.flow import Flow
+from postproc.dialects.krl.read.inexact import UnresolvedError
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import MotionCollector
@@ -94,6 +95,7 @@ class MainRoutine:
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
         self._refused: set[int] = set()
+        self._plain = plain
         self._lines = main.lines if course.straight else _others(course, plain)
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
@@ -112,6 +114,8 @@ class MainRoutine:
             if isinstance(step, Lines):
                 lines = self._lines[bisect_left(self._lines, step.first) : bisect_right(self._lines, step.last)]
                 self._flow.follow(source, nodes_of(source, lines))
+            elif isinstance(step, Kept):
+                self._keep(step)
             elif isinstance(step, Enter):
                 self._enter(step)
             else:
@@ -178,6 +182,17 @@ class MainRoutine:
                 self._flow.interpreter.calls.call(at, inner, certain=False)
             self._flow.interpreter.calls.enter(at, call, step.module, step.routine)
 
+    def _keep(self, step: Kept) -> None:
+        """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
+        source, run = self.run.source, self.run
+        lines = self._lines[bisect_left(self._lines, step.first) : bisect_right(self._lines, step.last)]
+        for node in nodes_of(source, lines):
+            if isinstance(node, Block):
+                self._flow.roughly(source, node)
+        plain = self._plain[np.searchsorted(self._plain, step.first) : np.searchsorted(self._plain, step.last, "right")]
+        run.unresolved += [(line, step.why) for line in plain.tolist()]
+        run.unresolved = [*dict(run.unresolved).items()]
+
     def _fault(self, at: Place, cause: ProgramError) -> None:
         """Note what is wrong with a statement, but not what follows from what was wrong before."""
         names = [name.upper() for name in NAME.findall(at.source.text, *at.source.code_span(at.line))]
@@ -196,13 +211,22 @@ class MainRoutine:
         level = self.run.level
         if level.open and not self.reader.stays(at, word, start, stop):
             opener, opened = level.open[-1]
+            if self.run.keep:
+                self.run.unresolved.append((at.line, at.error(f"motion inside {opener} (line {opened})")))
+                return
             if opened not in self._refused:
                 self._refused.add(opened)
                 raise at.error(f"motion inside {opener} (line {opened})", LOOP_ADVICE)
             return
         for call in calls(at.source, start, stop):
             self._flow.interpreter.calls.call(at, call, certain=False)
-        move, state, names = self.reader.read(at, word, start, stop)
+        try:
+            move, state, names = self.reader.read(at, word, start, stop)
+        except UnresolvedError as cause:
+            if not self.run.keep:
+                raise
+            self.run.unresolved.append((at.line, cause))
+            return
         self.run.understood.update(names)
         if move is None:
             self.still.append(at.line)

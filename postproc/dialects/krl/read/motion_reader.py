@@ -7,14 +7,16 @@ import re
 from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
-from postproc.dialects.krl.language.positions import FARTHEST, Position
+from postproc.dialects.krl.language.positions import FARTHEST, NotANumberError, Position
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Reference
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach
+from postproc.dialects.krl.read.inexact import unresolved
 from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
+from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN, PTP, SPL
 
 KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC, "SPL": SPL}
@@ -29,7 +31,10 @@ _NO_EFFECT = re.compile(
 )
 _HERE = frozenset({"$POS_ACT", "$POS_ACT_MES", "$AXIS_ACT", "$AXIS_ACT_MEAS"})
 _HOME = frozenset({"XHOME", "HOME", "$H_POS"})
-RUN_TIME_ADVICE = "Targets must be known before the program runs: write them as numbers or as points of the .dat."
+RUN_TIME_ADVICE = (
+    "Targets must be known before the program runs: write them as numbers or as points of the .dat, or leave such "
+    "motions as they are by --keep-unresolved."
+)
 
 
 class MotionReader:
@@ -69,7 +74,8 @@ class MotionReader:
             return None, self.settings.state, names
         end, position = self._operand(at, position, stop, names)
         if end is None:
-            raise at.error(f"{word}: the target is not known: it is where the robot stands", RUN_TIME_ADVICE)
+            problem = f"{word}: the target is not known: it is where the robot stands"
+            raise unresolved(at.error(problem, RUN_TIME_ADVICE))
         if kind == CIRC and (match := _ANGLE.match(text, position, stop)):
             angle, position = self._angle(at, match.end(), stop)
         code = stop
@@ -80,7 +86,10 @@ class MotionReader:
                 relative, behind, code = match[2].upper(), match.span(1), match.start(1)
         state, approximated = self._tail(at, kind, position, code)
         self._check(at, word, kind, end, via)
-        self.settings.refuse_uncertain(state, fields_used(kind, axis=end.position.axis, approximated=approximated))
+        try:
+            self.settings.refuse_uncertain(state, fields_used(kind, axis=end.position.axis, approximated=approximated))
+        except ProgramError as cause:
+            raise unresolved(cause) from None
         keyword = (start, start + len(word))
         return (
             MotionStatement(at.line, kind, keyword, end, relative, via, angle, position, code, approximated, behind),
@@ -123,13 +132,16 @@ class MotionReader:
             name = value.name
             names.append(value.start)
         self.variables.rely(source, value)
-        position = self.variables.position(source, value)
+        try:
+            position = self.variables.position(source, value)
+        except NotANumberError as cause:
+            raise unresolved(cause) from None
         if position is None and name in _HOME and self.variables.evaluate(source, value) == NOTHING:
             self.home_used = self.home_used or at.line
             position = Position(self.home, axis=True)
         if position is None:
             why = why_unknown(self.variables, source, value)
-            raise at.error(f"the target is not known: {why}", RUN_TIME_ADVICE)
+            raise unresolved(at.error(f"the target is not known: {why}", RUN_TIME_ADVICE))
         if position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
         return Point(position, value.start, value.stop, name), end

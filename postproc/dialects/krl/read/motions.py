@@ -68,6 +68,7 @@ def motions_and_layout(
     ordered: OrderedMotions,
     start_joints: Array,
     forward: Callable[[Array], Array],
+    after: Ints | None = None,
 ) -> tuple[Motions, Layout, list[Issue]]:
     """Return the motions of a program in order, where their text stands, and what had to be assumed.
 
@@ -75,6 +76,7 @@ def motions_and_layout(
     :param ordered: all motions.
     :param start_joints: (6,) where the robot stands first [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
+    :param after: (M,) at the end of which motion each begins, see `Program.after`.
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
@@ -91,7 +93,7 @@ def motions_and_layout(
     standing, carriage = external_axes(source, rows, relative, settings.cell.carriage)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     given = rows.numbers[:, :6]
-    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, carriage)
+    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, carriage, after)
     constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
     _check_orientation(source, rows, states, state, ends)
     centre, normal, sweep = _arcs(source, rows, ends, moves)

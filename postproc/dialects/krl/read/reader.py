@@ -33,6 +33,7 @@ from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.remarks import remarks
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.shared_data import read_shared
+from postproc.dialects.krl.read.unresolved import without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
@@ -116,18 +117,23 @@ class _Reading:
         executed = main.executed(lines)
         if not executed.all():
             plain = [merged(plain, np.arange(len(lines))).take(executed)]
-        if not executed.any() and not len(main.motions):
+        if not executed.any() and not len(main.motions) and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
         ordered = ordered_motions(main, plain)
         changed = list(changed_data_issues(main, ordered, plain, start))
         del plain  # what follows needs the memory
+        ordered, after, kept = without_unresolved(main, ordered)
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
-        motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward)
+        motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
+        if after is not None and layout.carriage is not None:
+            problem = "motions stay as they are, and an external axis moves: where it begins to move is not known"
+            raise source.line_error(problem, main.run.unresolved[0][0] if main.run.unresolved else entry.first)
         issues = [
             *main.run.issues,
+            *kept,
             *assumptions,
             *changed,
             *issues_of(main, ordered.states, ordered.state, ordered.rows, layout),
@@ -154,6 +160,7 @@ class _Reading:
             still=source.shown(np.unique(np.array(main.still, dtype=np.int64))),
             issues=tuple(issues),
             carriage=layout.carriage,
+            after=after,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
@@ -231,7 +238,7 @@ def _check_size(source: Source, rows: MotionColumns) -> None:
 
 def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
     """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
-    for line, reason in main.run.moved:
+    for line, reason in () if main.run.keep else main.run.moved:
         row = int(np.searchsorted(ordered.rows.line, line))
         if row < len(ordered.rows):
             move = ordered.moves.get(row)

@@ -60,6 +60,7 @@ class Run:
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
     :ivar issues: what the user should know.
+    :ivar unresolved: (line, reason): motions of the course that stay as they are, where `keep`s that.
     :ivar elsewhere: routines of other files whose motions are not those of the program.
     """
 
@@ -79,6 +80,8 @@ class Run:
         self.absent: list[tuple[str, int]] = []
         self.reached: set[Routine] = set()
         self.issues: list[Issue] = []
+        self.keep = settings.cell.krl.keep_unresolved
+        self.unresolved: list[tuple[int, ProgramError]] = []
         self.elsewhere: frozenset[Routine] = frozenset()
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
@@ -92,6 +95,17 @@ class Run:
     def here(self) -> int:
         """Line of the program's own `.src` that stands for where the run is."""
         return int(self.source.shown(np.array([self.line]))[0])
+
+    def standing(self) -> tuple[Level, int, Scope, int, bool]:
+        """Return in which routine the run is, for `stand`."""
+        level = self.level
+        return level, len(self.stack), self.variables.scope, level.loops, level.left
+
+    def stand(self, where: tuple[Level, int, Scope, int, bool]) -> None:
+        """Run in that routine again."""
+        self.level, depth, self.variables.scope, self.level.loops, self.level.left = where
+        del self.stack[depth:]
+        self.level.open.clear()
 
     def marks(self) -> tuple[int, ...]:
         """Return how much is noted, for `back_to`."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from postproc.dialects.krl.course import Body, Called, Course, Enter, Leave, Lines, Repeated, Step
+from postproc.dialects.krl.course import Body, Called, Course, Enter, Kept, Leave, Lines, Repeated, Step
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Origins, Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.text import line_spans
+from postproc.errors import ProgramError
 from postproc.program import Document
 
 _INDENT = re.compile(r"[ \t]*")
@@ -35,11 +37,13 @@ class Trace:
     """The course of a program so far.
 
     :param main: the main routine.
+    :ivar pinned: True where routines may also run as they stand.
     """
 
     def __init__(self, main: Routine) -> None:
         self.main = main
         self.count = 0
+        self.pinned = False
         self._texts: list[str] = []
         self._sources: dict[Source, int] = {main.source: 0}
         self._from: list[tuple[int, int, int, int, int, bool]] = []
@@ -63,6 +67,31 @@ class Trace:
     def pass_to(self, line: int, *, live: bool = True) -> None:
         """Put down lines that say what runs, up to a line of the routine; or, not `live`, lines that do not run."""
         self._next(line, live=live)
+
+    def keep(self, line: int, why: ProgramError) -> None:
+        """Put down lines up to one of which it is not known what runs."""
+        first = self.count + 1
+        self._next(line, live=True)
+        self._steps.append(Kept(first, self.count, why))
+        self.pinned = True
+
+    def mark(self) -> tuple[Any, ...]:
+        """Return how far it is, for `back_to`."""
+        standing = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._standing]
+        last = self._steps[-1] if self._steps else None
+        return self.count, len(self._texts), len(self._steps), last, set(self._inlined), dict(self._files), standing
+
+    def back_to(self, mark: tuple[Any, ...]) -> None:
+        """Forget what was put down since."""
+        self.count, texts, steps, last, self._inlined, self._files, standing = mark
+        del self._texts[texts:], self._from[texts:], self._steps[steps:], self._standing[len(standing) :]
+        if steps:
+            self._steps[-1] = last
+        for each, (cursor, bodies, parts) in zip(self._standing, standing, strict=True):
+            each.cursor = cursor
+            del each.bodies[bodies:]
+            for body, count in zip(each.bodies, parts, strict=True):
+                del body.parts[count:]
 
     def enter(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
         """Begin with a routine that the present line calls.
@@ -147,6 +176,7 @@ class Trace:
             self.body,
             live.astype(np.bool_),
             frozenset(self._inlined),
+            self.pinned,
             tuple(self._files),
         )
 

@@ -164,6 +164,10 @@ class _Folder:
     def _version(self, called: Called, pieces: list[_Piece]) -> str:
         """Return the name under which a routine reads like some pieces."""
         versions = self.versions[called.routine]
+        if self.course.pinned and not versions:
+            routine = called.routine
+            own = [_Piece(_text(routine.source, line, line)) for line in range(routine.first + 1, routine.last)]
+            versions.append(_Version(routine.name, own))
         texts = [piece.text for piece in pieces]
         for version in versions:
             if [piece.text for piece in version.pieces] == texts:

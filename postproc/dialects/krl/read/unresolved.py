@@ -1,0 +1,107 @@
+"""Motions that stay as they are: only the running robot knows where they lead, or whether they run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.motions import OrderedMotions
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.state import fields_used
+from postproc.errors import Issue, ProgramError
+from postproc.program import CIRC, SPL, Ints
+
+_BEGIN = "where it begins is not known, and it depends on that"
+_OPEN = (
+    "Where this motion begins is not known, because the one before stays as it is: its end is corrected, no targets "
+    "are inserted into it, and its path is not checked."
+)
+
+
+def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> tuple[OrderedMotions, Ints | None, list[Issue]]:
+    """Take out the motions that stay as they are, where that is wanted.
+
+    :param ordered: motions whose targets are known.
+    :returns: those that can be corrected; at the end of which motion each of them begins, see `Program.after`; what is
+        to be told.
+    :raises ProgramError: there are none.
+    """
+    run, rows = main.run, ordered.rows
+    if not run.keep:
+        return ordered, None, []
+    lost = dict(run.unresolved)
+    dropped = np.zeros(len(rows), dtype=np.bool_)
+    for row, reason in _uncertain(run.settings, ordered):
+        lost[int(rows.line[row])] = reason
+        dropped[row] = True
+    if not lost and not run.moved:
+        return ordered, None, []
+    open_: set[int] = set()
+    for line in sorted({*lost, *(line for line, _ in run.moved)}):
+        row = int(np.searchsorted(rows.line, line, side="right"))
+        while row < len(rows) and (dropped[row] or _needs_start(ordered, row)):
+            if not dropped[row]:
+                lost[int(rows.line[row])] = main.run.source.line_error(_BEGIN, int(rows.line[row]))
+            dropped[row] = True
+            row += 1
+        open_.add(row)
+    if dropped.all():
+        raise min(lost.items())[1]
+    for row in np.flatnonzero(dropped).tolist():
+        if row in ordered.moves:
+            move = ordered.moves[row]
+            run.understood -= {move.end.start, *([move.via.start] if move.via else [])}
+    new = np.cumsum(~dropped) - 1
+    after = np.arange(int((~dropped).sum())) - 1
+    begins = [int(new[row]) for row in sorted(open_) if row < len(rows)]
+    after[begins] = begins
+    moves = {int(new[row]): move for row, move in ordered.moves.items() if not dropped[row]}
+    left = OrderedMotions(rows.take(~dropped), ordered.states, ordered.state[~dropped], moves)
+    return left, after, [*_told(main, lost), *_opened(main, left, begins)]
+
+
+def _uncertain(settings: Settings, ordered: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
+    """Yield the motions that depend on frames, speeds or modes that are not known."""
+    for index, used in enumerate(ordered.states):
+        if not used.uncertain and used.base >= 0 and used.tool >= 0:
+            continue
+        for row in np.flatnonzero(ordered.state == index).tolist():
+            axis = row in ordered.moves and ordered.moves[row].end.position.axis
+            approximated = bool(ordered.rows.approximated[row])
+            try:
+                fields = fields_used(int(ordered.rows.kind[row]), axis=axis, approximated=approximated)
+                settings.refuse_uncertain(used, fields)
+            except ProgramError as cause:
+                yield row, cause
+
+
+def _needs_start(ordered: OrderedMotions, row: int) -> bool:
+    """Return whether the target of a motion depends on where it begins."""
+    move = ordered.moves.get(row)
+    if ordered.rows.kind[row] in (CIRC, SPL) or (move is not None and bool(move.relative)):
+        return True
+    if move is not None:
+        return not move.end.position.complete
+    return bool(np.isnan(ordered.rows.numbers[row, :6]).any())
+
+
+def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> Iterator[Issue]:
+    """Yield a warning for each line that stays as it is."""
+    told: set[str] = set()
+    for line, reason in sorted(lost.items()):
+        origin = main.run.source.origin(line)
+        if str(origin) in told:
+            continue
+        told.add(str(origin))
+        shown = int(main.run.source.shown(np.array([line]))[0])
+        text = origin.source.text[slice(*origin.source.code_span(origin.line))]
+        message = f"stays as it is, uncorrected: {text!r} ({reason.problem})"
+        yield Issue("warning", "unresolved", message, shown, subject=str(origin))
+
+
+def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
+    if begins:
+        lines = np.unique(main.run.source.shown(ordered.rows.line[begins])).tolist()
+        yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(begins), lines=tuple(lines))
