@@ -9,12 +9,14 @@ from msgspec.structs import replace
 
 from postproc.dialects import krl
 from postproc.errors import ProgramError
+from postproc.toolpath.path import starts as starts_of
 from tests.attack.krl import confirmed
 from tests.attack.krl import read as read_files
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets
 
 FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
 COUNT = 5
+KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
 DATA = "DEFDAT part\r\nDECL INT I=1\r\nDECL INT K=0\r\nDECL REAL Z=0\r\nDECL BOOL OK=TRUE\r\nDECL E6POS P[5]\r\n"
 DATA += "".join(f"P[{n}]={{X {n},Y 2,Z 3,A 4,B 5,C 6}}\r\n" for n in range(1, COUNT + 1))
 DATA += "DECL E6POS Q={X 50,Y 5,Z 5,A 1,B 2,C 3}\r\nDECL PT S[3]\r\n"
@@ -176,9 +178,58 @@ def test_subprograms_of_other_files_are_corrected_there(tmp_path):
     assert out.documents[2].text.startswith("&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN {X 6.0000,")
 
 
+# --- branches of which it is not known which one runs ----------------------------------------------------------------
+
+MEET = "LIN {X 9,Y 9,Z 9,A 0,B 0,C 0}"
+BRANCHES = [
+    # lines, at the end of which motion each begins
+    (["IF $IN[1] THEN", "LIN P[1]", MEET, "ELSE", "LIN P[2]", MEET, "ENDIF", "LIN P[3]"], [-1, 0, 1, 0, 3, 2]),
+    (["IF $IN[1] THEN", "LIN P[1]", FULL, "ENDIF", "LIN P[3]"], [-1, 0, 1, 0]),
+    (["SWITCH $ANIN[1]", "CASE 1", "LIN P[1]", MEET, "DEFAULT", MEET, "ENDSWITCH", "LIN P[3]"], [-1, 0, 1, 0, 2]),
+    (
+        ["IF $IN[1] THEN", "IF $IN[2] THEN", "LIN P[4]", MEET, "ELSE", MEET, "ENDIF", "ELSE", MEET, "ENDIF", "LIN Q"],
+        [-1, 0, 1, 0, 0, 2],
+    ),
+    (["FOR I=1 TO 2", "IF $IN[1] THEN", "LIN P[I]", MEET, "ELSE", MEET, "ENDIF", "ENDFOR"], [-1, 0, 1, 0, 2, 4, 2]),
+]
+
+
+@pytest.mark.parametrize(("lines", "after"), BRANCHES, ids=[" / ".join(lines)[:60] for lines, _ in BRANCHES])
+def test_each_branch_is_corrected_from_where_they_divide_to_where_they_meet(lines, after):
+    program = read(body(FULL, *lines), DATA)
+    assert program.after.tolist() == after
+    starts = starts_of(program, program.motions.target.__getitem__, forward(CELL.start_joints))
+    for row, before in enumerate(after[1:], 1):
+        np.testing.assert_allclose(starts.at(np.array([row]))[0], program.motions.target[before], atol=1e-12)
+    out = krl.rewrite(program, targets(program, np.full((len(program.motions), 3), 1e-3)))
+    again = krl.read_program(out.documents, CELL, forward, "part")
+    assert again.after.tolist() == after
+    moved = again.motions.target[:, :3, 3] - program.motions.target[:, :3, 3]
+    np.testing.assert_allclose(moved, 1e-3, atol=1e-7)
+    assert krl.rewrite(program, targets(program, keep=True)).documents == program.documents
+
+
+REFUSED = [
+    (["IF $IN[1] THEN", "LIN P[1]", "ELSE", "LIN P[2]", "ENDIF", "LIN P[3]"], 5, "end in different places"),
+    (["IF $IN[1] THEN", "LIN {X 5}", FULL, "ENDIF", "LIN {X 3}"], 5, "components are missing"),
+    (["IF $IN[1] THEN", "PTP P[1]", FULL, "ENDIF"], 5, "PTP stands in a branch"),
+    (["IF $IN[1] THEN", "LIN P[1] ; FORCE FX=5", FULL, "ENDIF"], 5, "a force comment"),
+    (["IF $IN[1] THEN", "I=3", MEET, "ELSE", "I=2", MEET, "ENDIF", "LIN P[I]"], 12, "I is changed"),
+    (["IF $IN[1] THEN", "$VEL.CP=0.3", MEET, "ELSE", MEET, "ENDIF", "LIN P[1]"], 10, "differs behind the branches"),
+]
+
+
+@pytest.mark.parametrize(("lines", "line", "problem"), REFUSED, ids=[problem for *_, problem in REFUSED])
+def test_branches_that_do_not_meet_are_refused_or_kept(lines, line, problem):
+    text = body(FULL, *lines)
+    with pytest.raises(ProgramError, match=problem) as caught:
+        read(text, DATA)
+    assert caught.value.line == line
+    assert "unresolved" in [issue.kind for issue in read(text, DATA, KEEPING).issues]
+
+
 # --- what only the running robot knows ------------------------------------------------------------------------------
 
-KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
 UNKNOWN = [
     # lines, those that stay, those that begin where it is not known
     (["LIN $POS_ACT:{Z 5}", "LIN {X 9,Y 9,Z 9,A 0,B 0,C 0}"], [5], [6]),
@@ -224,7 +275,7 @@ def test_the_error_names_the_option_that_keeps_what_is_not_known(lines):
 
 
 def test_a_point_of_a_motion_that_is_kept_is_not_changed_for_it():
-    text = body(FULL, "LIN P[1]", "IF $IN[1] THEN", "LIN P[1]", "ENDIF", "LIN P[2]")
+    text = body(FULL, "LIN P[1]", "WHILE $IN[1]", "LIN P[1]", "ENDWHILE", "LIN P[2]")
     program = read(text, DATA, KEEPING)
     out = krl.rewrite(program, targets(program, np.full((3, 3), 1e-3)))
     assert "P[1]={X 1,Y 2,Z 3,A 4,B 5,C 6}" in out.documents[1].text
@@ -232,7 +283,7 @@ def test_a_point_of_a_motion_that_is_kept_is_not_changed_for_it():
 
 
 def test_a_subprogram_that_also_runs_as_it_stands_is_corrected_in_a_copy():
-    program = read(body(FULL, "SUB(1)", "IF $IN[1] THEN", "SUB(2)", "ENDIF") + STILL, DATA, KEEPING)
+    program = read(body(FULL, "SUB(1)", "WHILE $IN[1]", "SUB(2)", "ENDWHILE") + STILL, DATA, KEEPING)
     text = krl.rewrite(program, targets(program, np.full((2, 3), 1e-3))).documents[0].text
-    assert "SUB_2(1)\r\nIF $IN[1] THEN\r\nSUB(2)\r\n" in text
+    assert "SUB_2(1)\r\nWHILE $IN[1]\r\nSUB(2)\r\n" in text
     assert STILL in text

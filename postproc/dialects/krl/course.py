@@ -29,6 +29,25 @@ class Kept(NamedTuple):
     why: ProgramError
 
 
+class Fork(NamedTuple):
+    """Behind a line branches follow of which one runs, and it is not known which."""
+
+    line: int
+
+
+class Branch(NamedTuple):
+    """Behind a line one of the branches begins."""
+
+    line: int
+
+
+class Join(NamedTuple):
+    """Before the line behind this one branches meet; not `complete`: it may be that none of them runs."""
+
+    line: int
+    complete: bool
+
+
 class Enter(NamedTuple):
     """The call on a line of the course: what follows, up to its `Leave`, runs in the routine."""
 
@@ -41,7 +60,7 @@ class Leave(NamedTuple):
     """The end of the routine that was entered last."""
 
 
-Step = Lines | Kept | Enter | Leave
+Step = Lines | Kept | Fork | Branch | Join | Enter | Leave
 
 
 @dataclass(slots=True, eq=False)

@@ -10,6 +10,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable
 
+from postproc.dialects.krl.course import Branch, Fork, Join
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
@@ -225,7 +226,13 @@ class Flow:
         if block.word in LOOPS:
             self._loop(source, block, trace)
             return
-        taken = self._taken(source, block)
+        try:
+            taken = self._taken(source, block)
+        except InexactError as cause:
+            if trace is None or Place(source, block.first) in self.run.elsewhere:
+                raise
+            self._all(source, block, trace, cause)
+            return
         level = self.run.level
         if trace is not None:
             trace.run_to(block.first - 1)
@@ -240,6 +247,32 @@ class Flow:
                 trace.pass_to(part.beyond - 1, live=False)
         if trace is not None:
             trace.pass_to(block.last)
+
+    def _all(self, source: Source, block: Block, trace: Trace, why: InexactError) -> None:
+        """Follow all branches of IF or SWITCH, each from where they divide.
+
+        :raises InexactError: one of them does not lead to where they meet.
+        """
+        run, level = self.run, self.run.level
+        heads = [part.head for part in block.parts]
+        if any(calls(source, *source.code_span(head)) for head in heads):
+            raise why
+        trace.run_to(block.first - 1)
+        trace.pass_to(block.first)
+        trace.divide(Fork(0))
+        run.fork()
+        for part in block.parts[block.word == "SWITCH" :]:
+            trace.pass_to(part.head)
+            trace.divide(Branch(0))
+            run.branch()
+            self.follow(source, part.nodes)
+            if level.returned or level.left:
+                raise why
+            trace.run_to(part.beyond - 1)
+        trace.pass_to(block.last)
+        complete = word_at(source.text, *source.code_span(heads[-1])) in ("ELSE", "DEFAULT")
+        trace.divide(Join(0, complete))
+        run.join(Place(source, block.last), complete=complete)
 
     def _taken(self, source: Source, block: Block) -> int:
         """Return which part of IF or SWITCH runs; −1 for none."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.course import Body, Course, Enter, Kept, Lines
+from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines
 from postproc.dialects.krl.language.expressions import operand
 from postproc.dialects.krl.language.names import NAME, fault_of
 from postproc.dialects.krl.language.routines import Routine
@@ -31,7 +31,7 @@ from postproc.program import Bools, Ints
 
 
 def course_of(
-    library: Library, main: Routine, settings: Settings, reader: MotionReader, elsewhere: frozenset[Routine]
+    library: Library, main: Routine, settings: Settings, reader: MotionReader, elsewhere: frozenset[Routine | Place]
 ) -> Course:
     """Return the lines of a program in the order in which they run.
 
@@ -116,6 +116,8 @@ class MainRoutine:
                 self._flow.follow(source, nodes_of(source, lines))
             elif isinstance(step, Kept):
                 self._keep(step)
+            elif isinstance(step, Fork | Branch | Join):
+                self._divide(step)
             elif isinstance(step, Enter):
                 self._enter(step)
             else:
@@ -181,6 +183,15 @@ class MainRoutine:
             for inner in calls(at.source, start + len(call.name), stop):
                 self._flow.interpreter.calls.call(at, inner, certain=False)
             self._flow.interpreter.calls.enter(at, call, step.module, step.routine)
+
+    def _divide(self, step: Fork | Branch | Join) -> None:
+        self.run.line = step.line
+        if isinstance(step, Fork):
+            self.run.fork()
+        elif isinstance(step, Branch):
+            self.run.branch()
+        else:
+            self.run.join(Place(self.run.source, step.line), complete=step.complete)
 
     def _keep(self, step: Kept) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""

@@ -20,6 +20,7 @@ from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source, comment_start
 from postproc.dialects.krl.read import plain_lines
+from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.inexact import InexactError
@@ -70,12 +71,12 @@ def read_program(
     others = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, _folders(documents[0], cell), others)
     reading = _Reading(documents, cell, forward, name, library, entry, faults)
-    elsewhere: frozenset[Routine] = frozenset()
+    elsewhere: frozenset[Routine | Place] = frozenset()
     while True:
         try:
             return reading.program(plain, elsewhere, bulk=_bulk)
         except ProgramError as cause:
-            apart = _apart(cause, library) - elsewhere
+            apart = _apart(cause, library, keep=cell.krl.keep_unresolved) - elsewhere
             if not apart:
                 raise
             elsewhere |= apart
@@ -93,7 +94,7 @@ class _Reading:
     entry: Routine
     faults: list[ProgramError]
 
-    def program(self, plain: list[MotionColumns], elsewhere: frozenset[Routine], *, bulk: bool) -> Program:
+    def program(self, plain: list[MotionColumns], elsewhere: frozenset[Routine | Place], *, bulk: bool) -> Program:
         """Follow the program, and read what moves.
 
         :param plain: plain motions of the `.src`, in parts.
@@ -125,6 +126,9 @@ class _Reading:
         changed = list(changed_data_issues(main, ordered, plain, start))
         del plain  # what follows needs the memory
         ordered, after, kept = without_unresolved(main, ordered)
+        notes = _notes(course, ordered.rows.line)
+        lost = [line for line, _ in main.run.unresolved]
+        after, meetings = branching(course, ordered, after, [line for line, _ in notes], lost)
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
         motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
@@ -144,7 +148,8 @@ class _Reading:
             )
             line = int(source.shown(np.array([moves.home_used]))[0])
             issues.append(Issue("info", "home-from-cell", message, line))
-        notes = _notes(course, layout.line)
+        frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
+        check_meetings(course, meetings, motions, frames, self.forward(cell.start_joints))
         return Program(
             self.name,
             "krl",
@@ -153,8 +158,7 @@ class _Reading:
                 *course.files,
             ),
             motions,
-            np.stack(settings.frames.bases),
-            np.stack(settings.frames.tools),
+            *frames,
             events=remarks(source, layout.line),
             notes=tuple(note for _, note in notes),
             still=source.shown(np.unique(np.array(main.still, dtype=np.int64))),
@@ -182,8 +186,10 @@ def _belongs(data: Document, source: Document) -> bool:
     return PurePath(data.name).suffix.upper() == ".DAT" and data.name[:-4].upper() == PurePath(source.name).stem.upper()
 
 
-def _apart(cause: ProgramError, library: Library) -> frozenset[Routine]:
-    """Return the routines of other files that an error is about: their motions are left as they are."""
+def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Place]:
+    """Return the routines of other files that an error is about, or branches: their motions are left as they are."""
+    if isinstance(cause, BranchError) and keep:
+        return frozenset({cause.place})
     if isinstance(cause, InexactError) and cause.routine is not None:
         return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
     files = {error.file for error in (cause, *cause.others)}

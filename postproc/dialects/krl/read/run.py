@@ -11,10 +11,11 @@ from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Node, nodes_of
 from postproc.dialects.krl.read.effects import Analysis
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.scopes import Scopes
 from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue, ProgramError
 
 SETTING_ADVICE = "Set $BASE, $TOOL and speeds outside of loops, branches and interrupts."
@@ -43,6 +44,20 @@ class Level:
     result: Known = NOTHING
 
 
+@dataclass(slots=True, eq=False)
+class _Fork:
+    """Where branches divide.
+
+    :ivar values: of all variables there; `state` what is in force.
+    :ivar ends: the same where branches end.
+    """
+
+    values: tuple[dict[str, Known | Unread], dict[str, Unknown]]
+    state: State
+    begun: bool = False
+    ends: list[tuple[tuple[dict[str, Known | Unread], dict[str, Unknown]], State]] = field(default_factory=list)
+
+
 class Run:
     """What is shared by all that follows a program.
 
@@ -61,7 +76,8 @@ class Run:
     :ivar reached: routines of the program itself that it calls.
     :ivar issues: what the user should know.
     :ivar unresolved: (line, reason): motions of the course that stay as they are, where `keep`s that.
-    :ivar elsewhere: routines of other files whose motions are not those of the program.
+    :ivar elsewhere: routines of other files whose motions are not those of the program, and first lines of branches
+        that are not followed.
     """
 
     def __init__(self, library: Library, routine: Routine, settings: Settings, source: Source | None = None) -> None:
@@ -82,7 +98,8 @@ class Run:
         self.issues: list[Issue] = []
         self.keep = settings.cell.krl.keep_unresolved
         self.unresolved: list[tuple[int, ProgramError]] = []
-        self.elsewhere: frozenset[Routine] = frozenset()
+        self.elsewhere: frozenset[Routine | Place] = frozenset()
+        self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
     def nodes(self, routine: Routine) -> tuple[Node, ...]:
@@ -96,15 +113,36 @@ class Run:
         """Line of the program's own `.src` that stands for where the run is."""
         return int(self.source.shown(np.array([self.line]))[0])
 
-    def standing(self) -> tuple[Level, int, Scope, int, bool]:
+    def fork(self) -> None:
+        """Come to branches of which one runs."""
+        self._forks.append(_Fork(self.variables.as_now(), self.settings.state))
+
+    def branch(self) -> None:
+        """Begin with one of them."""
+        fork = self._forks[-1]
+        if fork.begun:
+            fork.ends.append((self.variables.as_now(), self.settings.state))
+        fork.begun = True
+        self.variables.as_then(fork.values)
+        self.settings.change(self.line, fork.state)
+
+    def join(self, at: Place, *, complete: bool) -> None:
+        """Go on where the branches meet; what they leave in different ways is not known."""
+        fork = self._forks.pop()
+        for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
+            self.variables.meet(values, str(at))
+            problem = "what motions depend on differs behind the branches that meet here"
+            self.settings.may_become(self.line, state, at.error(problem, SETTING_ADVICE))
+
+    def standing(self) -> tuple[Level, int, Scope, int, bool, int]:
         """Return in which routine the run is, for `stand`."""
         level = self.level
-        return level, len(self.stack), self.variables.scope, level.loops, level.left
+        return level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks)
 
-    def stand(self, where: tuple[Level, int, Scope, int, bool]) -> None:
+    def stand(self, where: tuple[Level, int, Scope, int, bool, int]) -> None:
         """Run in that routine again."""
-        self.level, depth, self.variables.scope, self.level.loops, self.level.left = where
-        del self.stack[depth:]
+        self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = where
+        del self.stack[depth:], self._forks[forks:]
         self.level.open.clear()
 
     def marks(self) -> tuple[int, ...]:

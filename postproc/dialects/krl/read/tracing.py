@@ -8,7 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from postproc.dialects.krl.course import Body, Called, Course, Enter, Kept, Leave, Lines, Repeated, Step
+from postproc.dialects.krl.course import (
+    Body,
+    Branch,
+    Called,
+    Course,
+    Enter,
+    Fork,
+    Join,
+    Kept,
+    Leave,
+    Lines,
+    Repeated,
+    Step,
+)
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Origins, Place, Source
 from postproc.dialects.krl.language.structures import Block
@@ -74,6 +87,10 @@ class Trace:
         self._next(line, live=True)
         self._steps.append(Kept(first, self.count, why))
         self.pinned = True
+
+    def divide(self, step: Fork | Branch | Join) -> None:
+        """Note that branches divide, begin or meet behind what was put down."""
+        self._steps.append(step._replace(line=self.count))
 
     def mark(self) -> tuple[Any, ...]:
         """Return how far it is, for `back_to`."""

@@ -41,7 +41,7 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> tuple[Orde
     open_: set[int] = set()
     for line in sorted({*lost, *(line for line, _ in run.moved)}):
         row = int(np.searchsorted(rows.line, line, side="right"))
-        while row < len(rows) and (dropped[row] or _needs_start(ordered, row)):
+        while row < len(rows) and (dropped[row] or needs_start(ordered, row)):
             if not dropped[row]:
                 lost[int(rows.line[row])] = main.run.source.line_error(_BEGIN, int(rows.line[row]))
             dropped[row] = True
@@ -77,10 +77,13 @@ def _uncertain(settings: Settings, ordered: OrderedMotions) -> Iterator[tuple[in
                 yield row, cause
 
 
-def _needs_start(ordered: OrderedMotions, row: int) -> bool:
-    """Return whether the target of a motion depends on where it begins."""
+def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
+    """Return whether the target of a motion, or the shape of an arc, depends on where it begins."""
     move = ordered.moves.get(row)
-    if ordered.rows.kind[row] in (CIRC, SPL) or (move is not None and bool(move.relative)):
+    if move is not None and (move.via_incomplete or move.angle is not None):
+        return True
+    kind = ordered.rows.kind[row]
+    if (arcs and kind == CIRC) or kind == SPL or (move is not None and bool(move.relative)):
         return True
     if move is not None:
         return not move.end.position.complete

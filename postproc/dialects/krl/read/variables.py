@@ -135,6 +135,41 @@ class Variables:
         for key in (name, *self._elements.get(name, ())):
             self._values[key] = Unknown(where)
 
+    def as_now(self) -> tuple[dict[str, Known | Unread], dict[str, Unknown]]:
+        """Return all values, for `as_then` and `meet`."""
+        return dict(self._values), dict(self.changing)
+
+    def as_then(self, then: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> None:
+        """Give all variables the values that they had."""
+        self._values, self.changing = dict(then[0]), dict(then[1])
+
+    def meet(self, other: tuple[dict[str, Known | Unread], dict[str, Unknown]], where: str) -> None:
+        """Forget what differs from other values that the variables may have instead."""
+        values, changing = other
+        self.changing = changing | self.changing
+        for key in self._values.keys() | values.keys():
+            if not self._same(self._values.get(key), values.get(key)):
+                self._values[key] = Unknown(where)
+
+    def _same(self, one: object, other: object) -> bool:
+        if one is other or (not isinstance(one, Aggregate) and one == other):
+            return True
+        if isinstance(other, Unread):
+            one, other = other, one
+        if isinstance(one, Unread):
+            if isinstance(other, Aggregate):
+                return not other.computed and other.source is one.source and one.start <= other.start < one.stop
+            value, _ = parse(one.source, one.start, one.stop)
+            return isinstance(value, Number) and isinstance(other, Number) and value.value == other.value
+        if not isinstance(one, Aggregate) or not isinstance(other, Aggregate):
+            return False
+        return (one.source, one.start, one.computed, one.items.keys()) == (
+            other.source,
+            other.start,
+            other.computed,
+            other.items.keys(),
+        ) and all(self._same(item, other.items[name]) for name, item in one.items.items())
+
     def kept(self) -> dict[str, str]:
         """Return the names that keep their values from run to run and that the program changes, and where it does."""
         changed = self.changed | {name: value.where for name, value in self.changing.items()}

@@ -1,0 +1,119 @@
+"""Branches of which it is not known which one runs: each is corrected from where they divide to where they meet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from postproc.dialects.krl.course import Branch, Course, Fork, Join
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.read.motions import OrderedMotions
+from postproc.dialects.krl.read.unresolved import needs_start
+from postproc.errors import ProgramError
+from postproc.frames import Array, inverse
+from postproc.program import PTP, Ints, Motions
+
+_APART = 1e-6
+"""Ends of branches closer than this [m, rad] are one."""
+_ADVICE = (
+    "Branches whose condition is not known are corrected if they meet in one pose. Let them, or leave them as they are "
+    "by --keep-unresolved."
+)
+
+
+class BranchError(ProgramError):
+    """Branches cannot be corrected.
+
+    :ivar place: where they divide.
+    """
+
+    place: Place
+
+
+class Meeting(NamedTuple):
+    """Branches that meet: the line of the course on which they divide, and the motions (−1: none yet) that end them."""
+
+    fork: int
+    ends: tuple[int, ...]
+
+
+def branching(
+    course: Course, ordered: OrderedMotions, after: Ints | None, notes: Sequence[int], kept: Sequence[int]
+) -> tuple[Ints | None, list[Meeting]]:
+    """Return at the end of which motion each begins, see `Program.after`, and where branches meet.
+
+    :param after: the same without branches.
+    :param notes: lines of force comments; `kept` lines of motions that stay as they are.
+    :raises BranchError: a motion of a branch, or behind it, depends on more than where it begins.
+    """
+    steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    if not steps:
+        return after, []
+    line, count = ordered.rows.line, len(ordered.rows)
+    out = np.arange(count) - 1 if after is None else after.copy()
+    open_: list[tuple[int, int, list[int], bool]] = []
+    meetings: list[Meeting] = []
+    fork_of = np.full(count + 1, 0)
+    now, done = -1, 0
+
+    def run_to(row: int) -> None:
+        nonlocal now, done
+        if row > done:
+            if out[done] != done:
+                out[done] = now
+            now, done = row - 1, row
+
+    for step in steps:
+        run_to(int(np.searchsorted(line, step.line, side="right")))
+        fork_of[done] = open_[-1][0] if open_ else step.line
+        if isinstance(step, Fork):
+            open_.append((step.line, now, [], False))
+        elif isinstance(step, Branch):
+            fork, entry, ends, begun = open_.pop()
+            open_.append((fork, entry, [*ends, now] if begun else ends, True))
+            now = entry
+        else:
+            fork, entry, ends, _ = open_.pop()
+            ends = [*ends, now, *([] if step.complete else [entry])]
+            for inside in (*notes, *kept):
+                if fork < inside <= step.line:
+                    raise _error(course, fork, "a force comment or a motion that stays as it is stands in a branch")
+            rows = np.flatnonzero((line > fork) & (line <= step.line))
+            if (ordered.rows.kind[rows] == PTP).any():
+                raise _error(course, fork, "PTP stands in a branch")
+            meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
+            now = min(ends)
+    run_to(count)
+    for row in np.flatnonzero(out != np.arange(count) - 1).tolist():
+        if out[row] != row and needs_start(ordered, row, arcs=False):
+            raise _error(course, int(fork_of[row]), "components are missing where branches begin or meet")
+    return out, meetings
+
+
+def check_meetings(
+    course: Course, meetings: Sequence[Meeting], motions: Motions, frames: tuple[Array, Array], start: Array
+) -> None:
+    """Refuse branches that end in different places.
+
+    :param frames: `$BASE` (nb, 4, 4) and `$TOOL` (nt, 4, 4).
+    :param start: (4, 4) flange in the root where the program starts.
+    :raises BranchError: they do.
+    """
+    bases, tools = frames
+    for fork, ends in meetings:
+        flanges = [
+            start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
+            for row in ends
+        ]
+        if any(np.abs(flange - flanges[0]).max() > _APART for flange in flanges[1:]):
+            raise _error(course, fork, "the branches end in different places")
+
+
+def _error(course: Course, fork: int, problem: str) -> BranchError:
+    source = course.source
+    told = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, _ADVICE)
+    error = BranchError(told.problem, file=told.file, line=told.line, text=told.text, advice=told.advice)
+    error.place = source.origin(fork)
+    return error
