@@ -32,6 +32,14 @@ OPENING = {
 TYPES = {"INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS", "FDAT", "LDAT"}
 MOTIONS = {"LIN", "PTP", "CIRC", "LIN_REL", "PTP_REL", "SLIN", "SPTP"}
 CARTESIAN = "XYZABC"
+FUNCTIONS = {
+    "ABS": abs,
+    "SQRT": lambda x: float(np.sqrt(abs(x))),
+    "SIN": lambda x: float(np.sin(np.radians(x))),
+    "COS": lambda x: float(np.cos(np.radians(x))),
+    "ATAN2": lambda y, x: float(np.degrees(np.arctan2(y, x))),
+    "INV_POS": lambda frame: components(np.linalg.inv(pose(frame))),
+}
 
 
 class Invalid(Exception):
@@ -398,7 +406,7 @@ class Controller:
             raise _Return(self.expression(reader) if reader.kind() else None)
         elif word == "BAS":
             self.bas(line)
-        elif word == "DECL" or (word in TYPES and re.match(r"\w+\s+\w", line)):
+        elif word in ("DECL", "CONST") or (word in TYPES and re.match(r"\w+\s+\w", line)):
             self.declare(self.frames[-1][1], line)
         else:
             self.assignment_or_call(line)
@@ -496,9 +504,8 @@ class Controller:
             if reader.peek() == ",":
                 reader.take()
         reader.take(")")
-        if name in ("ABS", "SQRT"):
-            value = arguments[0].get()
-            return abs(value) if name == "ABS" else float(np.sqrt(abs(value)))
+        if name in FUNCTIONS:
+            return FUNCTIONS[name](*(place.get() for place in arguments))
         if routine is None:
             for place in arguments:
                 if self.rng.random() < 0.7:

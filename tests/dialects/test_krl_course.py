@@ -51,6 +51,9 @@ PROGRAMS = [
     (["SUB(K)", "SUB(K)", "LIN {X K}"], OUT, [10, 20, 2]),
     (["SUB(1)", "INNER(2)", "SUB(3)"], DEEP, [10, 2, 30]),
     (["SUB()"], "DEF SUB()\r\nIF OK THEN\r\nLIN {X 1}\r\nRETURN\r\nENDIF\r\nLIN {X 2}\r\nEND\r\n", [1]),
+    (["Z=SQRT(4.0)*COS(60)+ABS(-2)", "LIN {X Z,Y ATAN2(1,1)}", "LIN {X 10*SIN(30)}"], "", [3, 5]),
+    (["CONST INT C=4", "FOR I=1 TO C STEP 3", "LIN {X C*I}", "ENDFOR"], "", [4, 16]),
+    (["Q={X 5,Y 0,Z 0,A 90,B 0,C 0}", "LIN INV_POS(Q):P[1]"], "", [2]),
     (["Q=P[2]", "Q.Z=Q.Z-4", "LIN Q", "LIN {X 100+50,Y K*2}"], "", [2, 150]),
 ]
 IDS = [" / ".join(lines)[:60] for lines, *_ in PROGRAMS]

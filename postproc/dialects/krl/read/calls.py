@@ -39,6 +39,8 @@ class Calls:
             call = sole_call(at.source, start, stop)
             for inner in calls(at.source, (call.start + len(call.name)) if call else start, stop):
                 self.call(at, inner, certain=False)
+            if call is not None and call.name in PURE:
+                return self.run.variables.evaluate(at.source, call)
             if call is not None:
                 return self.call(at, call, certain=self.run.certain)
         value, end = parse(at.source, start, stop)

@@ -133,7 +133,7 @@ class Interpreter:
             return
         elif word == "EXIT":
             self._exit(at)
-        elif word == "DECL" or word in TYPES:
+        elif word in ("DECL", "CONST") or word in TYPES:
             self._declare(at, start, stop)
         elif word in WITHOUT_MOTION:
             for call in calls(at.source, start, stop):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
@@ -28,11 +29,21 @@ from postproc.dialects.krl.language.values import (
     Word,
 )
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
+from postproc.frames import inverse
 
 _INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
 _FIRST_FIELD = re.compile(r"\w+", re.ASCII)
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _REAL = frozenset({*CARTESIAN, *AXES})
+_FUNCTIONS: dict[str, Callable[..., float]] = {
+    "ABS": abs,
+    "SQRT": math.sqrt,
+    "SIN": lambda angle: math.sin(math.radians(angle)),
+    "COS": lambda angle: math.cos(math.radians(angle)),
+    "TAN": lambda angle: math.tan(math.radians(angle)),
+    "ACOS": lambda number: math.degrees(math.acos(number)),
+    "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
+}
 _ZERO = Position((0.0,) * 6)
 
 
@@ -217,11 +228,13 @@ class Variables:
             return self._computed(source, value)
         if isinstance(value, Chain):
             return self._product(source, value)
+        if isinstance(value, Call):
+            return self._function(source, value)
         return NOTHING
 
     def _resolved(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate whose components have the values that they have now."""
-        if not any(isinstance(item, Reference | Operation) for item in aggregate.items.values()):
+        if not any(isinstance(item, Reference | Operation | Call) for item in aggregate.items.values()):
             return aggregate
         items = {}
         for name, item in aggregate.items.items():
@@ -240,6 +253,23 @@ class Variables:
             return NOTHING
         value = {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else 0.0}[operation.operator]
         return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
+
+    def _function(self, source: Source, call: Call) -> Known:
+        """Return what a function of the controller gives (angles in degrees) that depends on nothing else."""
+        function = _FUNCTIONS.get(call.name)
+        given = [self.evaluate(source, parse(source, *span)[0]) for span in call.arguments]
+        numbers = [one.value for one in given if isinstance(one, Number)]
+        if call.name == "INV_POS" and len(given) == 1:
+            position = self.position(source, given[0])
+            return NOTHING if position is None or position.axis else from_pose(inverse(position.pose()))
+        if function is None or len(numbers) < len(given) or len(given) != 1 + (call.name == "ATAN2"):
+            return NOTHING
+        try:
+            value = function(*numbers)
+        except ValueError:
+            return NOTHING
+        integer = call.name == "ABS" and all(one.integer for one in given if isinstance(one, Number))
+        return Number(value, call.start, call.stop, integer)
 
     def _product(self, source: Source, chain: Chain) -> Known:
         """Return the position that a chain of frames gives: S, T and external axes are those of its last operand."""
