@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from itertools import islice
 
 import numpy as np
 
 from postproc.dialects.krl.language.source import Source
 from postproc.program import FORCE_COMMENT, Event, Ints
 
-_COMMENT = re.compile(r"(?:\A|[\r\n])[ \t]*(;[^\r\n;]*)")
+_COMMENT = re.compile(r";[^\r\n;]*")  # begins with a character that is found fast
 _OF_THE_EDITOR = re.compile(
     rf";\s*(?:{FORCE_COMMENT.pattern}|ENDFOLD|POSTPROC\b|Params\b|Make your|%|\*|"
     r"FOLD\s*(?:$|%|INI\b|BASISTECH|USER\b|S?PTP\b|S?LIN|S?CIRC|OUT\b|WAIT|SET_|Moduleparameters|DECLARATIONS))",
@@ -24,14 +23,18 @@ _MOST = 2000
 
 def remarks(source: Source, motions: Ints) -> tuple[Event, ...]:
     """Return the comments of a file, each before the first motion (M,), by its line, that is behind it."""
-    found = [*islice(_COMMENT.finditer(source.text), _MOST + 1)]
-    if len(found) > _MOST:
+    text, found = source.text, [*_COMMENT.finditer(source.text)]
+    place = np.array([match.start() for match in found], dtype=np.int64)
+    lines = np.searchsorted(source.starts, place, side="right")
+    starts = source.starts[lines - 1].tolist()
+    alone = [k for k, start in enumerate(starts) if not text[start : found[k].start()].strip(" \t")]
+    if len(alone) > _MOST:
         return ()
     out = []
-    for match in found:
-        text = _FOLD.sub("", match[1]).strip(" \t-=*")
-        if text and not _OF_THE_EDITOR.match(match[1].rstrip()):
-            line = source.line_at(match.start(1))
+    for k in alone:
+        name = _FOLD.sub("", found[k][0]).strip(" \t-=*")
+        if name and not _OF_THE_EDITOR.match(found[k][0].rstrip()):
+            line = int(lines[k])
             shown = int(source.shown(np.array([line]))[0])
-            out.append(Event(int(np.searchsorted(motions, line)), "comment", shown, 0.0, text))
+            out.append(Event(int(np.searchsorted(motions, line)), "comment", shown, 0.0, name))
     return tuple(out)
