@@ -181,6 +181,18 @@ def test_subprograms_of_other_files_are_corrected_there(tmp_path):
     assert out.documents[2].text.startswith("&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN {X 6.0000,")
 
 
+def test_other_programs_that_call_a_corrected_file_are_named_and_their_names_not_taken(tmp_path):
+    files = files_of(["cut()", "cut()"], "")
+    files["cut.src"] = "DEF cut()\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nEND\n"
+    files["cut_2.src"] = "DEF cut_2()\n; cut()\nEND\n"
+    files["next.src"] = "DEF next()\nCUT ( )\nEND\n"
+    program = read_files(files, tmp_path)
+    out = krl.rewrite(program, targets(program, np.arange(9.0).reshape(3, 3) * 1e-3))
+    assert "GLOBAL DEF cut_3()" in out.documents[2].text
+    [told] = [issue for issue in out.issues if issue.kind == "shared-file"]
+    assert "next.src of its folders call it too" in told.message
+
+
 # --- branches of which it is not known which one runs ----------------------------------------------------------------
 
 MEET = "LIN {X 9,Y 9,Z 9,A 0,B 0,C 0}"
@@ -290,3 +302,13 @@ def test_a_subprogram_that_also_runs_as_it_stands_is_corrected_in_a_copy():
     text = krl.rewrite(program, targets(program, np.full((2, 3), 1e-3))).documents[0].text
     assert "SUB_2(1)\r\nWHILE $IN[1]\r\nSUB(2)\r\n" in text
     assert STILL in text
+
+
+def test_a_point_of_a_subprogram_that_also_runs_as_it_stands_is_not_changed_for_its_copy():
+    sub = "DEF SUB()\r\nLIN Q\r\nEND\r\n"
+    program = read(body(FULL, "IF $IN[1] THEN", "SUB()", "ENDIF", FULL, "SUB()") + sub, DATA, KEEPING)
+    source, data = krl.rewrite(program, targets(program, np.full((3, 3), 1e-3))).documents
+    assert "DECL E6POS Q={X 50,Y 5,Z 5,A 1,B 2,C 3}" in data.text
+    assert "DECL E6POS Q_2={X 51.0000," in data.text
+    assert sub in source.text
+    assert "LIN Q_2" in source.text

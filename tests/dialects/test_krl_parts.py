@@ -195,6 +195,14 @@ def test_declarations_go_where_they_are_used():
     [
         (["I=1", *map(line, range(30)), "$OUT[I]=TRUE"], "I is a variable of it and used in several"),
         (["DEPTH=3", *map(line, range(30)), "HEIGHT=DEPTH"], "DEPTH is a variable of it"),
+        (
+            ["INTERRUPT DECL 3 WHEN $IN[1] DO DEPTH=DEPTH+1", *map(line, range(30)), "HEIGHT=DEPTH"],
+            "DEPTH is a variable of it",
+        ),
+        (
+            ["TRIGGER WHEN DISTANCE=0 DELAY=0 DO DEPTH=3", *map(line, range(30)), "HEIGHT=DEPTH"],
+            "DEPTH is a variable of it",
+        ),
         ([*map(line, range(30)), "RETURN"], "RETURN leads to another place"),
         ([*map(line, range(30)), "INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO FOO( )"], "not GLOBAL"),
         ([*map(line, range(30)), "END", "DEF other( )"], "routines of its own"),

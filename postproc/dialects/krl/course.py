@@ -5,6 +5,7 @@ Reading and correcting work on that text as on a straight program; `write.foldin
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -120,6 +121,8 @@ class Course:
     :param inlined: routines that stand in it, and no longer where they stood.
     :param pinned: True where they may also run as they stood: in what is kept as it is.
     :param files: other files than that of the program from which these are, and their data.
+    :param taken: names, upper case, of programs and GLOBAL routines of all folders.
+    :param users: file of a routine that stands in it → other programs of the folders that name it.
     """
 
     main: Routine
@@ -130,6 +133,8 @@ class Course:
     inlined: frozenset[Routine] = frozenset()
     pinned: bool = False
     files: tuple[Document, ...] = ()
+    taken: frozenset[str] = frozenset()
+    users: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def straight(self) -> bool:

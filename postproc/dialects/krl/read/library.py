@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -55,6 +55,22 @@ class Library:
     def read(self) -> Iterator[Module]:
         """Yield the files that were read."""
         yield from (module for module in self._modules.values() if module is not None)
+
+    def names(self) -> frozenset[str]:
+        """Return the names of the programs and GLOBAL routines of all folders, upper case."""
+        paths = [path for path in self._files().values() if path.suffix.upper() != ".DAT"]
+        return frozenset(path.stem.upper() for path in paths).union(*map(self._public_names, paths))
+
+    def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
+        """Return which programs that were not read name routines, by the file of these."""
+        read = {module.source.document.name.upper() for module in (self.program, *self.read())}
+        unread = [path for file, path in self._files().items() if not file.endswith(".DAT") and file not in read]
+        found: dict[str, tuple[str, ...]] = {}
+        for routine in sorted(routines, key=lambda routine: routine.first):
+            called = re.compile(rf"^[^;\r\n]*\b{re.escape(routine.name)}[ \t]*\(".encode(), re.I | re.M)
+            file = routine.source.document.name
+            found[file] = tuple(sorted({*found.get(file, ()), *(p.name for p in unread if _has(p, called))}))
+        return found
 
     def _search(self, name: str) -> tuple[Module, Routine] | None:
         program = self.program.routines.get(name)
@@ -156,6 +172,13 @@ def _names_in(path: Path, modified: int, size: int) -> frozenset[str]:
         return _named(path.read_bytes())
     except OSError:
         return frozenset()
+
+
+def _has(path: Path, pattern: re.Pattern[bytes]) -> bool:
+    try:
+        return path.stat().st_size <= _LARGEST and pattern.search(path.read_bytes()) is not None
+    except OSError:
+        return False
 
 
 def _named(content: bytes) -> frozenset[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +53,9 @@ def course_of(
     if not run.level.returned:
         trace.run_to(main.last - 1)
     trace.pass_to(main.last - 1, live=False)
-    return trace.course()
+    course = trace.course()
+    others = {routine for routine in course.inlined if routine.source is not main.source}
+    return replace(course, taken=library.names(), users=library.users(others)) if others else course
 
 
 def _calls(main: Routine, line: int) -> bool:

@@ -13,7 +13,7 @@ from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, SPL, Ints
 
-_BEGIN = "where it begins is not known, and it depends on that"
+_BEGIN = "where it begins is not known, and it depends on that: it goes along with a correction before it"
 _OPEN = (
     "Where this motion begins is not known, because the one before stays as it is: its end is corrected, no targets "
     "are inserted into it, and its path is not checked."

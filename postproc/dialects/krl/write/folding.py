@@ -96,10 +96,21 @@ class _Folder:
             text = "".join(piece.text for piece in file)
             if source is self.main.source or text != source.text:
                 documents.append(replace(source.document, text=text))
+                self._tell_users(source)
         for called in self.outside:
             rows = line[called.body.first : called.body.last]
             rows[rows == 0] = line[called.line]
         return Folded(tuple(documents), line, inside, tuple(self.issues))
+
+    def _tell_users(self, source: Source) -> None:
+        """Warn of other programs that call routines of a file that is changed."""
+        name = source.document.name
+        if users := self.course.users.get(name, ()):
+            message = (
+                f"{name} is corrected for this program. {', '.join(users)} of its folders call it too, and would "
+                f"move by what is corrected here: give them a {name} of their own."
+            )
+            self.issues.append(Issue("warning", "shared-file", message, subject=name))
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
@@ -181,7 +192,7 @@ class _Folder:
         """Return a name for a copy of a routine."""
         if not self.taken:
             sources = [self.course.source, self.main.source, *(routine.source for routine in self.versions)]
-            self.taken = {word.upper() for source in sources for word in NAME.findall(source.text)}
+            self.taken = {word.upper() for source in sources for word in NAME.findall(source.text)} | self.course.taken
         routine = called.routine
         head = _HEAD.search(_text(routine.source, routine.first, routine.first))
         spelt = head[3] if head else routine.name

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.names import NAME, unused
 from postproc.dialects.krl.language.source import Source
@@ -126,8 +127,11 @@ class NamedPoints:
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
-def mentions(source: Source, plain_lines: Sequence[int]) -> Mapping[str, Sequence[int]]:
-    """Return where the code of a `.src` names each variable, upper case, in lines other than plain motions."""
+def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapping[str, Sequence[int]]:
+    """Return where the code of a course names each variable, upper case, in lines other than plain motions.
+
+    Of routines that also run as they stand, the names are given at −1, an offset whose use nobody follows.
+    """
     plain = set(plain_lines)
     places: defaultdict[str, list[int]] = defaultdict(list)
     for line in range(1, len(source.starts) + 1):
@@ -135,4 +139,8 @@ def mentions(source: Source, plain_lines: Sequence[int]) -> Mapping[str, Sequenc
             start, stop = source.code_span(line)
             for match in NAME.finditer(source.text, start, stop):
                 places[match[0].upper()].append(match.start())
+    for routine in course.inlined if course.pinned else ():
+        for line in range(routine.first + 1, routine.last):
+            for name in NAME.findall(routine.source.text, *routine.source.code_span(line)):
+                places[name.upper()].append(-1)
     return places

@@ -166,9 +166,8 @@ class _Rewriter:
         moves = self.layout.statements
         named = any(move.end.name or (move.via and move.via.name) for move in moves.values())
         plain = np.delete(self.layout.line, list(moves)).tolist()
-        points = NamedPoints(
-            self.sources, self.layout, self.replacements, mentions(self.source, plain) if named else {}
-        )
+        known = mentions(self.source, plain, self.layout.course) if named else {}
+        points = NamedPoints(self.sources, self.layout, self.replacements, known)
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if row in moves:

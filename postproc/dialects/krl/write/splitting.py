@@ -35,6 +35,8 @@ from postproc.program import Document, Ints, Written
 _FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
 _LABEL = re.compile(r"[A-Za-z_]\w*[ \t]*:$", re.ASCII)
 _LOCAL_INTERRUPT = re.compile(r"INTERRUPT[ \t]+DECL\b", re.IGNORECASE)
+_INTERRUPT = re.compile(r"(?:GLOBAL[ \t]+)?INTERRUPT\b", re.IGNORECASE)
+_LATER = frozenset({"TRIGGER", "ANIN", "DIGIN"})
 _CLOSING = frozenset({*OPENING.values(), "UNTIL", "ENDSPLINE"})
 _OPENING = frozenset({*OPENING, "REPEAT", "SPLINE", "PTP_SPLINE"})
 _ADVICE = "Set lines_per_file = 0 in [output] of the cell to have it in one file."
@@ -274,11 +276,16 @@ class _Splitter:
                 raise self._error(problem, where, f"Declare it in the $config.dat, or: {_ADVICE}")
 
     def _written_in(self, start: int, stop: int) -> set[str]:
-        """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR."""
+        """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR.
+
+        What is done at another time (TRIGGER, INTERRUPT, ANIN, DIGIN) may write all that is named in it.
+        """
         source = self.source
         word = word_at(source.text, start, stop)
         if word == "FOR":
             return {name.upper() for name in NAME.findall(source.text, start, stop)[1:2]}
+        if word in _LATER or _INTERRUPT.match(source.text, start, stop):
+            return {name.upper() for name in NAME.findall(source.text, start, stop)}
         names = set()
         if word not in MOTION_WORDS:
             found = assignment(source, start, stop)
