@@ -172,3 +172,17 @@ def test_rapid_is_not_divided():
     done = run("convert", "part.nc", "-o", "out", "--to", "rapid")
     assert "lines_per_file divides KRL" in done.output
     assert {path.suffix for path in Path("out").iterdir()} == {".mod", ".csv", ".html", ".json"}
+
+
+def test_a_subprogram_of_another_file_is_written_beside_the_parts_and_read_back():
+    pose = "Y 0,Z 0,A 0,B 0,C 180}"
+    lines = "".join(f"LIN {{X {n},{pose} C_DIS\nsub()\n" for n in range(12))
+    joints = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+    Path("cut.src").write_text(
+        f"DEF cut()\nBAS(#INITMOV,0)\n$VEL.CP=0.05\n{joints}\n;FORCE FX=200 FY=0 FZ=-100\n{lines}END\n"
+    )
+    Path("sub.src").write_text(f"DEF sub()\nLIN {{X 5.5,{pose}\nEND\n")
+    run("convert", "cut.src", "-o", "out")
+    assert sources() == {"cutMain.src", "cut1.src", "cut2.src", "sub.src"}
+    assert "LIN {X 5.5,Y 0," not in Path("out/sub.src").read_text()
+    run("predict", "out/cutMain.src", "-o", "held")

@@ -108,13 +108,16 @@ class Krl:
         whole = joined(documents)
         if whole is None:
             return read_program(documents, cell, forward, name)
+        stems = {PurePath(file).stem.lower() for file, _ in whole.files}
+        others = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
         try:
-            program = read_program(whole.documents, cell, forward, name)
+            program = read_program((*whole.documents, *others), cell, forward, name)
         except ProgramError as cause:
             raise whole.located(cause) from None
         layout = program.layout
         if isinstance(layout, Layout):
-            documents = [*documents, *layout.course.files]
+            again = {document.name for document in layout.course.files}
+            documents = [*(d for d in documents if d.name not in again), *layout.course.files]
             layout = replace(layout, documents=(*whole.documents, *layout.course.files))
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
         return replace(program, name=name, documents=tuple(documents), layout=layout)
