@@ -20,7 +20,7 @@ from postproc.errors import ForceError, Issue, NotConvergedError, ProgramError, 
 from postproc.forces import ForceSource
 from postproc.frames import MM_PER_M, Array, norm, twist_between
 from postproc.kinematics import UnreachableError
-from postproc.program import PTP, Bools, Ints, Program
+from postproc.program import CIRC, PTP, Bools, Ints, Program
 from postproc.robot import RobotModel
 from postproc.toolpath import Segments
 from postproc.under_load import RobotInCell
@@ -68,7 +68,8 @@ def compare(
     cuts = _cuts(found, place, other, wrench, off) if told_by_nominal or corrected.notes else None
     if cuts is not None and told_by_nominal:
         cuts = replace(cuts, **_between(found, place, one, other, source))
-    return replace(found, cuts=cuts, issues=group_issues(_differences(found)))
+    differences = [*_differences(found), *_arcs_astray(found, one, other)]
+    return replace(found, cuts=cuts, issues=group_issues(differences))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,16 +174,27 @@ def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, 
     That is: between two pairs that follow one another in the nominal program too, hardly farther from the nominal path
     than the offsets (P,) there.
     """
-    out = np.zeros(len(rows), dtype=bool)
+    aside, allowed = _aside(one, other, pair, distance, rows, 1.0)
+    return np.asarray(aside <= allowed)
+
+
+def _aside(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, t: float) -> tuple[Array, Array]:
+    """Return how far the second program's motions, `rows` (r,), are from the nominal path at their place t (r,) [m].
+
+    Infinite where they are not between two pairs that follow one another in the nominal program too. The second (r,) is
+    how far they may be, by the offsets (P,) there.
+    """
+    out, most = np.full(len(rows), np.inf), np.zeros(len(rows))
     nominal, kind = one.program, other.program.motions.kind
     behind = np.searchsorted(pair[:, 1], rows)
     between = np.flatnonzero((behind > 0) & (behind < len(pair)) & (kind[rows] != PTP))
     behind = behind[between]
     along = np.cumsum(other.path.length)
     here, first, last = (along[motion] for motion in (rows[between], pair[behind - 1, 1], pair[behind, 1]))
+    here = here - (1.0 - t) * other.path.length[rows[between]]
     motion = pair[behind, 0]
     length = np.maximum(one.path.length[motion], 1e-12)
-    target = other.program.motions.target[rows[between]]
+    target = toolpath.at(other.program, other.path, rows[between], np.full(len(between), t)).pose
     flange = toolpath.flange_from_tcp(other.program, rows[between], target, None)
     spot = toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion), None)[:, :3, 3]
     aside = np.full(len(spot), np.inf)
@@ -193,8 +205,27 @@ def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, 
         aside = np.minimum(aside, norm(spot - nearest))
     allowed = _OFF_PATH + _BESIDE * np.maximum(distance[behind - 1], distance[behind])
     follows = (motion - pair[behind - 1, 0] == 1) & (nominal.motions.kind[motion] != PTP)
-    out[between] = follows & (aside <= allowed)
-    return out
+    out[between], most[between] = np.where(follows, aside, np.inf), allowed
+    return out, most
+
+
+def _arcs_astray(found: Comparison, one: _Side, other: _Side) -> Iterator[Issue]:
+    """Tell arcs of the second program whose ends stand on the nominal path, and whose middle does not.
+
+    Their auxiliary point sends the robot elsewhere, which no target shows.
+    """
+    rows = np.sort(np.concatenate([found.pair[:, 1], found.inserted]))
+    rows = rows[found.corrected.motions.kind[rows] == CIRC]
+    aside, allowed = _aside(one, other, found.pair, found.distance, rows, 0.5)
+    bad = np.flatnonzero(np.isfinite(aside) & (aside > allowed))
+    if len(bad):
+        worst = bad[np.argmax(aside[bad])]
+        line = int(found.corrected.motions.line[rows[worst]])
+        message = (
+            f"line {line} of the corrected program: the arc runs {aside[worst] * MM_PER_M:.4f} mm beside the nominal "
+            "path between its ends. Look at its auxiliary point."
+        )
+        yield Issue("warning", "arc", message, output_line=line, count=len(bad))
 
 
 def _deviation(place: RobotInCell, program: Program, motion: Ints, q: Array, wrench: Array) -> Array:

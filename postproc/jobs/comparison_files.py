@@ -91,6 +91,8 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
             file=str(request.corrected),
             advice="Give the nominal program first and the robot program second.",
         )
+    for path, program in ((request.nominal, nominal), (request.corrected, corrected)):
+        _refuse_part(path, program)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
     names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
@@ -114,12 +116,25 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     return ComparisonFiles(EXCEEDED if content["verdict"]["state"] == "failed" else GOOD, content, tuple(written))
 
 
+def _refuse_part(path: Path, program: Program) -> None:
+    """Raise for a file that is but a part of a divided program: where the robot stands before it is said elsewhere."""
+    whole = _said_by(program).part_of
+    if whole:
+        raise InputError(
+            f"this file is a part of {whole}, which calls it", file=str(path), advice=f"Name {whole} instead."
+        )
+
+
+def _said_by(program: Program) -> provenance.Provenance:
+    writer = registry.by_name(program.dialect).writer
+    return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
+
+
 def _made_from(
     request: CompareRequest, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program
 ) -> MadeFrom:
     """Return what is known of where the second program comes from."""
-    writer = registry.by_name(corrected.dialect).writer
-    said = provenance.Provenance("none") if writer is None else writer.origin(corrected.documents)
+    said = _said_by(corrected)
     if not said.sums:
         return MadeFrom(said, {})
     here = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")

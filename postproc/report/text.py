@@ -9,6 +9,7 @@ from postproc.report.tables import PLAIN, Display
 from postproc.report.verdict import WORDS, State
 
 _TOLD: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
+_NO_FORCES = "no forces"
 _REASONS = 8
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
@@ -78,7 +79,8 @@ def _facts(content: Summary) -> list[str]:
         facts.append(f"{blending['by']} rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
     origin = content["provenance"]
     if origin["state"] == "intact":
-        corrected = ": what is predicted here is what its targets make up for" if origin["mode"] == "corrected" else ""
+        makes_up = origin["mode"] == "corrected" and nothing_to_correct(content) is None
+        corrected = ": what is predicted here is what its targets make up for" if makes_up else ""
         facts.append(f"written by postproc {origin['version']} ({origin['mode']}), unchanged since{corrected}")
     limits = content["limits"]
     facts.append(
@@ -115,8 +117,8 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
     written = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and written:
         worst = (max(content[key]["max_mm"] for content in written) for key in ("before", "after"))
-        states = [content["verdict"]["state"] for content in written]
-        told = [f"{states.count(state)} {word}" for state, word in _TOLD.items() if states.count(state)]
+        words = [_verdict_word(content) for content in written]
+        told = [f"{words.count(word)} {word}" for word in (*_TOLD.values(), _NO_FORCES) if word in words]
         if len(rows) > len(written):
             told.insert(0, f"{len(rows) - len(written)} not written")
         targets_in_all = str(sum(content["targets"] for content in written))
@@ -127,7 +129,7 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
 
 def _verdict_word(content: Summary) -> str:
     state = content["verdict"]["state"]
-    return "no forces" if state == "warning" and content["max_force_N"] == 0.0 else _TOLD[state]
+    return _NO_FORCES if state == "warning" and content["max_force_N"] == 0.0 else _TOLD[state]
 
 
 def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:

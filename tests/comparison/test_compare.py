@@ -225,6 +225,14 @@ def test_the_same_path_in_another_base_has_no_offset():
     assert content["differences"]["base"] == content["pairs"] == 7
 
 
+def test_a_part_of_a_divided_program_is_refused_with_the_name_of_the_whole():
+    run("convert", "part.nc", "-o", "out", "--lines-per-file", "40")
+    said = run("compare", "part.nc", "out/part1.src", "-o", "found", code=1)
+    assert "out/part1.src" in said
+    assert "Name partMain instead" in said
+    assert compare("part.nc", "out/partMain.src")["verdict"]["state"] == "ok"
+
+
 def test_an_added_line_is_told_apart_from_inserted_ones():
     line = "LIN {X 40.000,Y 30.000"
     added = "LIN {X 40.000,Y 15.000,Z -2.000,A 180.000,B 0.000,C 180.000} C_DIS\n"
@@ -234,6 +242,21 @@ def test_an_added_line_is_told_apart_from_inserted_ones():
         content = compare("other.src", "more.src", "--overwrite")
         assert (content["pairs"], content["inserted"], content["only_corrected"]) == (7, inserted, alone)
         assert content["only_nominal"] == 0
+
+
+def test_an_arc_that_is_sent_astray_by_its_auxiliary_point_is_told():
+    """No target shows it: both ends of the arc stand where they should."""
+    text = convert()
+    line = next(line for line in text.splitlines() if line.startswith("CIRC"))
+    told = compare("part.nc", "out/part.src")
+    assert [issue for issue in told["issues"] if issue["kind"] == "arc"] == []
+    moved = re.sub(r"X [-0-9.]+", "X 5.0", line, count=1)
+    foreign = re.sub(r"^;POSTPROC .*\n", "", text.replace(line, moved), flags=re.M)
+    Path("foreign.src").write_bytes(foreign.replace("DEF part", "DEF foreign").encode())
+    told = compare("part.nc", "foreign.src", "--overwrite")
+    (issue,) = [issue for issue in told["issues"] if issue["kind"] == "arc"]
+    assert f"line {line_of(foreign, 'CIRC {X 5.0')} of" in issue["message"]
+    assert told["verdict"]["state"] != "ok"
 
 
 def test_another_program_s_krl_is_compared_without_provenance_and_forces():
