@@ -181,6 +181,15 @@ def test_subprograms_of_other_files_are_corrected_there(tmp_path):
     assert out.documents[2].text.startswith("&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN {X 6.0000,")
 
 
+def test_a_subprogram_of_another_file_may_begin_with_a_loop(tmp_path):
+    files = files_of(["cut()"], "")
+    files["cut.src"] = "DEF cut()\nFOR I=1 TO 2\nLIN {X 3,Y I,Z 2,A 0,B 0,C 0}\nENDFOR\nEND\n"
+    files["cut.dat"] = "DEFDAT cut\nDECL INT I=1\nENDDAT\n"
+    program = read_files(files, tmp_path)
+    assert numbers(program)[1:, 1].tolist() == [1, 2]
+    assert confirmed(program, files, tmp_path, np.random.default_rng(2)) == "accepted"
+
+
 def test_other_programs_that_call_a_corrected_file_are_named_and_their_names_not_taken(tmp_path):
     files = files_of(["cut()", "cut()"], "")
     files["cut.src"] = "DEF cut()\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nEND\n"

@@ -222,7 +222,9 @@ class Trace:
         here = self._standing[-1]
         indent = _INDENT.match(loop.opener)
         self._texts.append(f"{indent[0] if indent else ''}{assigned}{_end(loop.opener)}")
-        self._from.append((self._sources[here.source], 1, 1, here.shown, block.first, True))
+        self._from.append(
+            (self._sources.setdefault(here.source, len(self._sources)), 1, 1, here.shown, block.first, True)
+        )
         self.count += 1
         self._steps.append(Lines(self.count, self.count))
 
