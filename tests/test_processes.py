@@ -317,7 +317,7 @@ main()
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    "module", ["click", "postproc.cli.convert", "numpy", "postproc.jobs.pool", "postproc.kinematics"]
+    "module", ["click", "postproc.cli.convert", "numpy", "postproc.jobs.conversion", "postproc.kinematics"]
 )
 def test_a_signal_while_it_starts_is_a_word_and_no_traceback(module, number):
     programs(1)
