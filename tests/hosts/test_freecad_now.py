@@ -134,6 +134,7 @@ def freecad(monkeypatch, tmp_path):
     module.Console = SimpleNamespace(PrintMessage=said.append, PrintWarning=said.append, PrintError=said.append)
     module.ActiveDocument = SimpleNamespace(FileName=str(tmp_path / "bracket.FCStd"), Label="Unnamed", Objects=[])
     monkeypatch.setitem(sys.modules, "FreeCAD", module)
+    monkeypatch.delitem(sys.modules, "postproc_host", raising=False)  # that of a post which another test installed
     posts = tmp_path / "posts"
     posts.mkdir()
     install_post("freecad", posts)

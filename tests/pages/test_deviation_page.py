@@ -176,6 +176,7 @@ def test_pointing_at_the_path_shows_a_place_and_a_click_keeps_it(page):
 
 
 def test_a_click_on_the_plot_shows_the_place_there(page):
+    page.wait_for_function("stage.empty")  # what is drawn later moves what is below it
     page.locator("#along-view").scroll_into_view_if_needed()
     box = page.locator("#along-view .nsewdrag").first.bounding_box()
     at = box["x"] + 0.4 * box["width"], box["y"] + box["height"] / 2
