@@ -41,9 +41,9 @@ from postproc.dialects.gcode.executed import Executed
 from postproc.dialects.gcode.execution import executed
 from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
-from postproc.dialects.gcode.moves import Setting
 from postproc.dialects.gcode.path import CHORD, Path, Speeds, read_path
 from postproc.dialects.gcode.rotary import axes_of
+from postproc.dialects.gcode.tool_positions import Setting
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from postproc.dialects.gcode.arcs import Arcs
-from postproc.dialects.gcode.moves import LEVEL, Moves, Setting
+from postproc.dialects.gcode.tool_positions import LEVEL, Moves, Setting
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import Bools, Ints, direction
 

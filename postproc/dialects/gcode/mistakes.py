@@ -9,15 +9,15 @@ import numpy as np
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import ArcFault
 from postproc.dialects.gcode.blocks import Fault
+from postproc.dialects.gcode.line_states import LineStates
 from postproc.dialects.gcode.modes import Modes
-from postproc.dialects.gcode.moves import Moves
-from postproc.dialects.gcode.rows import Rows
+from postproc.dialects.gcode.tool_positions import Moves
 from postproc.errors import MOST
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 
 
-def faults_of(rows: Rows, moves: Moves, modes: Modes, circular: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
+def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
     """Return what is wrong, in order of lines, one fault for each line.
 
     After a block that could not be read, nothing is said that may only be wrong because of it.
@@ -61,7 +61,7 @@ def faults_of(rows: Rows, moves: Moves, modes: Modes, circular: Ints, arcs: Sequ
     return [faults[row] for row in sorted(faults)]
 
 
-def _check_unknown(rows: Rows, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
+def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
     """Say where moves need to know where the tool is, while it is not known: at first, and after G28."""
     line = np.arange(len(rows.motion))
     axes = rows.placed
@@ -87,7 +87,7 @@ def _check_unknown(rows: Rows, moves: Moves, doubt: _Doubt, check: Callable[...,
         check(elsewhere, "change of the work offset before the position is known", advice, first=True)
 
 
-def _is_above(rows: Rows, first: int, complete: int) -> bool:
+def _is_above(rows: LineStates, first: int, complete: int) -> bool:
     """Return whether the last Z before line `complete` is the highest of the program: X and Y are sought above it all.
 
     Programs for hobby controls go up by G1, and then to where they begin.
@@ -105,7 +105,7 @@ class _Doubt:
     :ivar feed: whether there is one.
     """
 
-    def __init__(self, rows: Rows, faults: Sequence[Fault]) -> None:
+    def __init__(self, rows: LineStates, faults: Sequence[Fault]) -> None:
         count = len(rows.motion)
         if not faults:
             self.motion = self.position = self.feed = np.zeros(count, dtype=bool)

@@ -15,11 +15,11 @@ from postproc.dialects.gcode.added import approached, chords
 from postproc.dialects.gcode.arcs import SAME_MM, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.cycles import CycleEvent
+from postproc.dialects.gcode.line_states import LineStates, in_force, line_states_of
 from postproc.dialects.gcode.mistakes import faults_of
 from postproc.dialects.gcode.modes import Modes
-from postproc.dialects.gcode.moves import Moves, Setting, moves_of
 from postproc.dialects.gcode.rotary import check_turning, swivel_of, turned
-from postproc.dialects.gcode.rows import Rows, in_force, rows_of
+from postproc.dialects.gcode.tool_positions import Moves, Setting, moves_of
 from postproc.errors import Level
 from postproc.frames import M_PER_MM, Array, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel, distinct
@@ -80,7 +80,7 @@ def read_path(
     :param modes: the other blocks.
     :param setting: what the cell says about frames, `rotary` about axes that turn, `speeds` about the rest.
     """
-    rows = rows_of(columns, modes, rotary)
+    rows = line_states_of(columns, modes, rotary)
     moves, held_back, arriving = approached(moves_of(rows, modes, setting), setting)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
@@ -108,7 +108,7 @@ def read_path(
     return Path(motions, swivel, moves.row[kept], still, distinct(away), done, moves.told)
 
 
-def _arcs(rows: Rows, moves: Moves, circular: Ints) -> Arcs:
+def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
     row = moves.row[circular]
     return read_arcs(
         ArcWords(
@@ -127,7 +127,7 @@ def _arcs(rows: Rows, moves: Moves, circular: Ints) -> Arcs:
 
 
 def _motions(
-    rows: Rows,
+    rows: LineStates,
     moves: Moves,
     circles: tuple[Ints, Arcs],
     kept: Ints,

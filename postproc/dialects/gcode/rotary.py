@@ -13,8 +13,8 @@ import numpy as np
 
 from postproc.cell import Rotary
 from postproc.dialects.gcode.blocks import Fault
-from postproc.dialects.gcode.moves import Moves, Setting
-from postproc.dialects.gcode.rows import Rows
+from postproc.dialects.gcode.line_states import LineStates
+from postproc.dialects.gcode.tool_positions import Moves, Setting
 from postproc.errors import MOST
 from postproc.frames import RAD_PER_DEG, Array, angle_between, norm
 from postproc.program import Bools, Ints, Swivel, direction, tilted, turning
@@ -43,7 +43,7 @@ def turned(moves: Moves, axes: Array) -> Array:
     return out
 
 
-def swivel_of(moves: Moves, rows: Rows, kept: Ints, free: Bools, alone: Bools, setting: Setting) -> Swivel:
+def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bools, setting: Setting) -> Swivel:
     """Return how the motions that are kept turn the tool.
 
     :param free: (M,) motions by joint interpolation, which start anywhere.
@@ -82,7 +82,7 @@ def _way(axes: Array, begin: Array, end: Array) -> Array:
     return out
 
 
-def check_turning(rows: Rows, moves: Moves, held_back: Bools, axes: Array, tip_on: str) -> list[Fault]:
+def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array, tip_on: str) -> list[Fault]:
     """Return what cannot be done with rotary axes, in order of lines.
 
     :param held_back: (N,) moves that are not made, because not all of X, Y, Z are known.

@@ -17,9 +17,9 @@ from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.blocks import BlockError
 from postproc.dialects.gcode.cycles import Cycle, CycleEvent
+from postproc.dialects.gcode.line_states import LineStates, held, in_force
 from postproc.dialects.gcode.modes import Modes
 from postproc.dialects.gcode.places import Origin, Return
-from postproc.dialects.gcode.rows import Rows, held, in_force
 from postproc.errors import Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, pose_from_xyzabc
 from postproc.program import Bools, EventKind, Ints, direction
@@ -95,13 +95,13 @@ class Moves:
         return replace(self, **{name: getattr(self, name)[which] for name in names}, done=done)
 
 
-def moves_of(rows: Rows, modes: Modes, setting: Setting) -> Moves:
+def moves_of(rows: LineStates, modes: Modes, setting: Setting) -> Moves:
     """Return the moves of a program; those on lines of `Moves.unknown` go to where nobody knows."""
     return _Walk(rows, modes, setting).moves()
 
 
 class _Walk:
-    def __init__(self, rows: Rows, modes: Modes, setting: Setting) -> None:
+    def __init__(self, rows: LineStates, modes: Modes, setting: Setting) -> None:
         self.rows, self.modes, self.setting = rows, modes, setting
         self.count = len(rows.motion)
         self.offset = in_force(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)

@@ -15,7 +15,7 @@ from postproc.program import Bools
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class LineStates:
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
     :param placed: where X, Y or Z is programmed.
@@ -66,7 +66,7 @@ def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) ->
     return np.repeat(np.array(values, dtype=float), np.diff(at))
 
 
-def rows_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -> Rows:
+def line_states_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -> LineStates:
     """Return words and modal state of the lines of a program."""
     count = modes.rows
     state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
@@ -85,7 +85,7 @@ def rows_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -
     drilling = np.isin(motion, codes.CYCLES) & axes
     moving = ~drilling & (axes | (circular & (named | ~np.isnan(ijk).all(axis=1))))
     inverse_time = state["feed"] == 93.0
-    return Rows(
+    return LineStates(
         xyz=xyz,
         placed=placed,
         ijk=ijk,
