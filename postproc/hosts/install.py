@@ -62,7 +62,7 @@ def _folder(host: Host, folder: Path | None) -> Path:
     """
     if folder is not None:
         if not folder.is_dir():
-            raise InputError(f"{folder}: no such folder.")
+            raise InputError(f"{folder}: no such folder")
         return folder
     for usual in host.folders:
         path = Path(usual).expanduser()

@@ -84,12 +84,12 @@ def _tolerance(content: Summary) -> tuple[list[str], list[str], list[str]]:
     if content["tolerance_held"] is False:
         reached = max(between, content["after"]["max_mm"])
         return [f"the predicted path leaves the nominal one by {reached:.4f} mm: more than {tolerance:g} mm"], [], []
-    holds = [f"the predicted path stays within {tolerance:g} mm of the nominal one, between targets too"]
+    holds = f"the predicted path stays within {tolerance:g} mm of the nominal one, between targets too"
     if content["tolerance_held"] is None:
         blending = content["blending"]
         told = f"{blending['by']} rounds corners by up to {blending['max_mm']:.3f} mm, more than {tolerance:g} mm"
-        return [], [_told(told, blending["source_line"])], holds
-    return [], [], holds
+        return [], [_told(told, blending["source_line"])], [f"{holds}, but for corners that {blending['by']} rounds"]
+    return [], [], [holds]
 
 
 def _expected(content: Summary) -> list[str]:

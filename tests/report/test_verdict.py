@@ -50,6 +50,13 @@ def test_what_needs_a_look_is_a_warning(changes, reason):
     assert any(reason in text for text in verdict["reasons"]), verdict
 
 
+def test_a_tolerance_that_approximation_leaves_is_not_said_to_hold():
+    result = fabricated.with_changes(_known(fabricated.result()), **_QUIET, rounding=np.full(100, 5e-5))
+    assert "targets too, but for corners that approximation (C_DIS) rounds" in read_page(
+        b"".join(page(result, 1e-5))
+    ).text("verdict")
+
+
 def test_what_must_not_be_run_has_failed():
     assert _verdict(tolerance=1e-6)["state"] == "failed"
     assert "more than 0.001 mm" in _verdict(tolerance=1e-6)["reasons"][0]
