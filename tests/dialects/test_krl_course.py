@@ -181,6 +181,15 @@ def test_subprograms_of_other_files_are_corrected_there(tmp_path):
     assert out.documents[2].text.startswith("&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN {X 6.0000,")
 
 
+def test_a_global_point_of_a_corrected_file_is_known_to_the_program_that_calls_it(tmp_path):
+    files = files_of(["LIN XG", "cut()", "LIN XG"], "")
+    files["cut.src"] = "DEF cut()\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nLIN XG\nEND\n"
+    files["cut.dat"] = "DEFDAT cut PUBLIC\nDECL GLOBAL E6POS XG={X 8,Y 3,Z 3,A 0,B 0,C 0}\nENDDAT\n"
+    program = read_files(files, tmp_path)
+    assert numbers(program)[1:, 0].tolist() == [8, 3, 8, 8]
+    assert confirmed(program, files, tmp_path, np.random.default_rng(2)) == "accepted"
+
+
 def test_a_subprogram_of_another_file_may_begin_with_a_loop(tmp_path):
     files = files_of(["cut()"], "")
     files["cut.src"] = "DEF cut()\nFOR I=1 TO 2\nLIN {X 3,Y I,Z 2,A 0,B 0,C 0}\nENDFOR\nEND\n"

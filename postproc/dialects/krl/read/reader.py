@@ -22,6 +22,7 @@ from postproc.dialects.krl.language.source import Place, Source, comment_start
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
 from postproc.dialects.krl.read.data_lists import read_data
+from postproc.dialects.krl.read.folder_files import FolderFiles
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.inexact import InexactError
 from postproc.dialects.krl.read.issues import issues_of
@@ -69,7 +70,7 @@ def read_program(
     plain = plain_lines.scan(source) if _bulk else [none()]
     module, entry, faults = _main(source, np.concatenate([rows.line for rows in plain]), name)
     others = [document for document in documents[1:] if not _belongs(document, documents[0])]
-    library = Library(module, _folders(documents[0], cell), others)
+    library = Library(module, FolderFiles(_folders(documents[0], cell), others))
     reading = _Reading(documents, cell, forward, name, library, entry, faults)
     elsewhere: frozenset[Routine | Place] = frozenset()
     while True:
@@ -176,8 +177,9 @@ class _Reading:
                 read_data(variables, Source.of(document, 1))
         if self.cell.config_dat is not None:
             read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, shared=True)
-        names = [document.name for document in self.documents]
-        read_shared(variables, self.documents[0].text, names, _folders(self.documents[0], self.cell))
+        program = self.documents[0]
+        own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
+        read_shared(variables, program.text, own, self.library.files)
         return Settings(variables, self.cell)
 
 

@@ -1,0 +1,91 @@
+"""The files in the folders of a program, and what they declare for all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.text import decode
+from postproc.errors import ProgramError
+from postproc.program import Document
+
+_LARGEST = 20_000_000
+"""Bytes of the largest file that is searched."""
+
+
+class FolderFiles:
+    """The `.src`, `.dat` and `.sub` files of some folders; the first folder that has one counts.
+
+    :param documents: files that count instead of those of the same name in the folders.
+    """
+
+    def __init__(self, folders: Sequence[Path], documents: Sequence[Document] = ()) -> None:
+        self._folders = folders
+        self._given = {document.name.upper(): document for document in documents}
+
+    @cached_property
+    def paths(self) -> dict[str, Path]:
+        """The files by name, upper case."""
+        found: dict[str, Path] = {}
+        for path in _listed(self._folders):
+            found.setdefault(path.name.upper(), path)
+        for name, document in self._given.items():
+            found.setdefault(name, Path(document.folder) / document.name)
+        return found
+
+    def source(self, path: Path) -> Source:
+        """Return the text of a file.
+
+        :raises ProgramError: it cannot be read.
+        """
+        given = self._given.get(path.name.upper())
+        if given is not None:
+            return Source.of(given, 2)
+        try:
+            return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), 2)
+        except OSError as cause:
+            raise ProgramError(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+
+    def declared(self, path: Path, pattern: re.Pattern[bytes]) -> frozenset[str]:
+        """Return the names that a pattern finds in a file, upper case; none where it cannot be read."""
+        given = self._given.get(path.name.upper())
+        if given is not None:
+            return _names(given.to_bytes(), pattern)
+        try:
+            stat = path.stat()
+        except OSError:
+            return frozenset()
+        return _names_in(path, pattern, stat.st_mtime_ns, stat.st_size) if stat.st_size <= _LARGEST else frozenset()
+
+
+def _listed(folders: Sequence[Path]) -> Iterator[Path]:
+    for folder in folders:
+        try:
+            yield from sorted(path for path in folder.iterdir() if path.suffix.upper() in (".SRC", ".DAT", ".SUB"))
+        except OSError:
+            continue
+
+
+def has(path: Path, pattern: re.Pattern[bytes]) -> bool:
+    """Return whether a pattern is found in a file on the disk; not where it cannot be read."""
+    try:
+        return path.stat().st_size <= _LARGEST and pattern.search(path.read_bytes()) is not None
+    except OSError:
+        return False
+
+
+@lru_cache(maxsize=4096)
+def _names_in(path: Path, pattern: re.Pattern[bytes], modified: int, size: int) -> frozenset[str]:
+    del modified, size  # a file that changes is read again
+    try:
+        return _names(path.read_bytes(), pattern)
+    except OSError:
+        return frozenset()
+
+
+def _names(content: bytes, pattern: re.Pattern[bytes]) -> frozenset[str]:
+    return frozenset(name.decode("ascii", "replace").upper() for name in pattern.findall(content))
