@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from postproc.jobs import Settings, convert_all, find_jobs
+from tests.oracle.krl_grammar import check
 
 SAMPLES = Path(__file__).parent.parent / "samples"
 _NUMBER = re.compile(r"-?\d+\.?\d*")
@@ -57,6 +58,8 @@ def test_sample_is_corrected_within_tolerance_and_far_from_limits(tmp_path, prog
     jobs = find_jobs([str(SAMPLES / program)], output=tmp_path, forces=given, to=to)
     (outcome,) = convert_all(jobs, Settings(SAMPLES / cell))
     assert outcome.code == 0, (outcome.message, outcome.issues)
+    for path in (*tmp_path.glob("*.src"), *tmp_path.glob("*.dat")):
+        check(path.name, path.read_bytes().decode("cp1252"))
     content = outcome.summary
     assert content["before"]["max_mm"] > 0.1
     assert content["after"]["max_mm"] < 0.0011

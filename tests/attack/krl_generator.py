@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
 POINTS = ("XP1", "XP2", "XP3", "XG1")
@@ -350,7 +351,8 @@ class Generator:
         if choice < 0.12:
             return line.lower()
         if choice < 0.2 and "DEF" not in line and "'" not in line:
-            return "  " + line.replace("=", " = ").replace(" =  = ", "==").replace("(", " ( ").replace(",", " , ")
+            apart = re.sub(r"(?<![<>=])=(?!=)", " = ", line)
+            return "  " + apart.replace("(", " ( ").replace(",", " , ")
         if choice < 0.24:
             return line + " ; C_DIS XP1=5"
         return line
