@@ -12,9 +12,8 @@ coordinates between the joints to what their springs give way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
@@ -30,8 +29,7 @@ _LARGEST_STEP = 0.2
 """Of a joint in one iteration [rad]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Compensation:
+class Compensation(Struct, frozen=True, eq=False):
     """Corrected commands of N targets, converged.
 
     :param q: (N, 6) joint angles that the controller will hold [rad].

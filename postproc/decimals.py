@@ -7,9 +7,9 @@ at once, as one number of 64 bits, costs about 0.05 µs, `float` 0.3 µs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.frames import Array
@@ -19,8 +19,7 @@ Ints = NDArray[np.int64]
 _ABSENT = 0  # marks bytes to leave out; never part of a text
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Number:
+class Number(Struct, frozen=True, eq=False):
     """A column of numbers to be written with a fixed number of decimals.
 
     :param scaled: (n,) whole numbers: the values by 10^decimals, rounded; NaN where there is none.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeVar
 
 import numpy as np
@@ -518,12 +518,12 @@ def distinct(values: Ints) -> Ints:
 def read_only(record: Record) -> Record:
     """Return a record with all its arrays, and those of the records in it, made read-only: it is handed on.
 
-    :param record: a dataclass; what else it holds is left alone.
+    :param record: a dataclass or Struct; what else it holds is left alone.
     """
-    for each in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, each.name)
+    for name in type(record).__match_args__:  # type: ignore[attr-defined]
+        value = getattr(record, name)
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
-        elif is_dataclass(value) and not isinstance(value, type):
+        elif hasattr(type(value), "__match_args__"):
             read_only(value)
     return record

@@ -8,9 +8,9 @@ at every 5°, and the piece of a line between two samples every 2 mm and half a 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics, toolpath
 from postproc.correction import checks
@@ -70,8 +70,7 @@ def needed(path: PathUnderLoad, q: Array, speed: Array) -> Ints:
     return distinct(sample.motion[rows[close]])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretches:
+class Stretches(Struct, frozen=True, eq=False):
     """S stretches of motions that need a closer look, in order along the path.
 
     :param motion: (S,) row of `Motions`.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import toolpath
 from postproc.chunks import in_chunks
@@ -48,8 +47,7 @@ def corrected(path: PathUnderLoad) -> Compensation:
         raise _no_balance(path, cause) from None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Uncorrected:
+class Uncorrected(Struct, frozen=True, eq=False):
     """What the tool would do at n samples if nothing were corrected, `$BASE` [m].
 
     :param deviation: (n, 3) the tip seen from nominal.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.compensation import Compensation
@@ -32,8 +33,7 @@ _EXACT_FORCES = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
+class Task(Struct, frozen=True, eq=False):
     """What is to be done with a program, see `process`.
 
     :param comments: its forces go with it as comments.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import toolpath
 from postproc.chunks import in_chunks
@@ -28,8 +29,7 @@ class UnusableTextError(PostprocError):
         self.issue = issue
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReadBack:
+class ReadBack(Struct, frozen=True, eq=False):
     """A written program of K targets as its text says.
 
     :param program: without its text, which fills much memory.

@@ -7,9 +7,8 @@ and end of their pieces (`toolpath.Pieces`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array, norm
 from postproc.program import CIRC, LIN, Bools, Ints
@@ -19,8 +18,7 @@ _FLAT = 1e-6
 """Sagitta [m] below which a piece of an arc is written as a line."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CommandedPath:
+class CommandedPath(Struct, frozen=True, eq=False):
     """A path as it is commanded.
 
     :param sample: N places on the path.
@@ -35,8 +33,7 @@ class CommandedPath:
     start: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Selection:
+class Selection(Struct, frozen=True, eq=False):
     """Rows of the samples that become targets, in order.
 
     :param row: (K,) row of the samples.
@@ -113,8 +110,7 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
     return before, row + each // 2 - 1, row + each - 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Nodes:
+class _Nodes(Struct, frozen=True, eq=False):
     """Samples of some motions with the start of each motion put before them (`row` −1 there).
 
     :param first: (n,) the first node of each motion.

@@ -7,9 +7,9 @@ from the text, joint angles from these poses by the nominal geometry, the tip fr
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics, toolpath
 from postproc.chunks import in_chunks
@@ -41,8 +41,7 @@ _ON_RAMPS = 4
 """Places looked at on such runs."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Missed:
+class Missed(Struct, frozen=True, eq=False):
     """Places where the path uses up too much of the tolerance, and more targets may help.
 
     :param motion: (n,) row of `Motions`, `t` (n,) the place on it.
@@ -54,8 +53,7 @@ class Missed:
     distance: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class Simulated(Struct, frozen=True, eq=False):
     """What the written program would do.
 
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
@@ -72,8 +70,7 @@ class Simulated:
     issues: tuple[Issue, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Probes:
+class _Probes(Struct, frozen=True, eq=False):
     """Places of the written program where it is looked at, n of them.
 
     :param target: (n,) row of the target at the end of the piece.

@@ -7,9 +7,8 @@ that solves, linearises or identifies starts from here. Arrays (nv, n): the samp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.elastostatics.springs import A2, given_way
@@ -18,8 +17,7 @@ from postproc.kinematics import Posture
 from postproc.robot import RobotModel
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Balance:
+class Balance(Struct, frozen=True, eq=False):
     """Torques at the springs in n states.
 
     :param robot: the robot.

@@ -8,9 +8,8 @@ equilibrium to be found. No matrix per sample is formed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.elastostatics.balance import Balance, beside, felt, held
@@ -31,8 +30,7 @@ _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model means nothing: an error, not a number."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Deflection:
+class Deflection(Struct, frozen=True, eq=False):
     """Loaded equilibrium of N configurations.
 
     :param theta: (N, nv) deflections of the virtual springs [rad, m].
@@ -77,8 +75,7 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Arra
     return Deflection(found.theta.T, kinematics.matrices(kinematics.displaced(found.pose, found.moved)), rest)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Equilibrium:
+class Equilibrium(Struct, frozen=True, eq=False):
     """Loaded equilibrium of n states, the sample index last.
 
     :param theta: (nv, n) deflections of the springs [rad, m].

@@ -7,9 +7,8 @@ tool where the arm holds it, and the arm feels the force where the tip has gone 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.elastostatics.equilibrium import solve_equilibrium
@@ -20,8 +19,7 @@ _ROUNDS = 3
 """Of finding the orientation before the tool twists: each gains as many digits as the twist is small."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ToolSpring:
+class ToolSpring(Struct, frozen=True, eq=False):
     """The compliance of holder, spindle and tool at the tip.
 
     :param compliance: (6,) along X, Y, Z [m/N] and about them [rad/(N·m)] of the tool frame.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces.axes import Axes
@@ -19,8 +18,7 @@ BEHIND_STEP = 1e-5
 """So far behind a step of the force [m] the path is computed: the correction follows over that length."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PathForces:
+class PathForces(Struct, frozen=True, eq=False):
     """The forces along the M motions of a program: K knots, each motion with one at least, linear between them.
 
     The knots are those of the sources. Where the force of a motion comes up over the ramp of the cell, a knot at its

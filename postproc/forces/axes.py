@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.forces.feed import feed_axes
 from postproc.forces.knots import FEED, TOOL
@@ -13,8 +12,7 @@ from postproc.program import Ints, Program
 from postproc.toolpath import Segments, Toolpath, at
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Axes:
+class Axes(Struct, frozen=True, eq=False):
     """The axes of forces along a program.
 
     Forces come as columns (n, 2, 3, m): force and moment, m of each.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import files
 from postproc.errors import MOST, ForceError, together
@@ -22,8 +22,7 @@ _OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, "sigma_percent")
 _MOST_LINES = 1e9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceTable:
+class ForceTable(Struct, frozen=True, eq=False):
     """The R rows of a force CSV, in order of lines and, along a move, of t.
 
     :param file: its name.
@@ -107,8 +106,7 @@ def read_force_csv(path: Path) -> ForceTable:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Columns:
+class _Columns(Struct, frozen=True, eq=False):
     """Columns of a force CSV as read, checked one theme at a time; what is found is added to `wrong`."""
 
     file: str

@@ -7,10 +7,12 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
+
+from msgspec import Struct
 
 from postproc import interrupts
 from postproc.errors import PostprocError
@@ -24,8 +26,7 @@ _POLL = 0.2
 """Seconds between two looks at the cluster and at whether a signal came."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cluster:
+class Cluster(Struct, frozen=True):
     """A Dask cluster. Its scheduler and workers execute what they are sent: it must be on a trusted network, or TLS.
 
     Its workers must see the same files under the same paths, and have the same postproc.

@@ -7,10 +7,10 @@ stretched arm; bit 2, A5 on the negative side of where A4 and A6 are in line. On
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import ModelError
 from postproc.frames import Array, sine_and_cosine
@@ -27,8 +27,7 @@ _NO_TURN = 1e-12
 """Sine of A5 below which only the sum of A4 and A6 means something: A4 is then 0."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ClosedForm:
+class ClosedForm(Struct, frozen=True, eq=False):
     """The nominal geometry, read off at A1…A6 = 0. The plane of the arm is spanned by `ahead` and the vertical.
 
     Lengths in metres; directions by their components along ahead, across (the axis of A2 up to its sign) and up.

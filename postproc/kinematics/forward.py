@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array, sine_and_cosine
 from postproc.kinematics.components import combination, components, cross, matrices, product
@@ -25,8 +26,7 @@ _ZERO = 1e-15
 """A sine or cosine below this is zero: a right angle that a file gives by sixteen digits."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Step:
+class _Step(Struct, frozen=True, eq=False):
     """From one joint's frame to the next: moved by `offset`, tilted about X, then the joint, which is about Z.
 
     :param offset: (3, 1) [m].

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.chunks import in_chunks
 from postproc.errors import PostprocError
@@ -29,8 +29,7 @@ class UnreachableError(PostprocError):
         self.rows = tuple(rows)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointPath:
+class JointPath(Struct, frozen=True, eq=False):
     """Joint angles of every sample of a path; exists only if every sample was solved.
 
     :param q: (N, 6) A1…A6 [rad], KUKA signs, continuous along the path (turns included).

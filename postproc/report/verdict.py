@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.correction import Result
 from postproc.robot import JOINTS, RobotModel
@@ -29,8 +29,7 @@ SOLID = "link masses"
 """An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(Struct, frozen=True):
     """What to think of a result.
 
     :param state: ``"failed"`` must not be run as it is, ``"warning"`` needs a look, ``"ok"`` neither.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
@@ -21,8 +22,7 @@ from postproc.robot.spring_parameters import LINK_AXES, LinkSpring
 from postproc.robot.value_sources import SourcedValue
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Covariance:
+class Covariance(Struct, frozen=True, eq=False):
     """Covariance of identified parameters.
 
     :param parameters: (n,) of them.
@@ -45,8 +45,7 @@ class Covariance:
         return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Discrepancy:
+class Discrepancy(Struct, frozen=True, eq=False):
     """How far the model was off on configurations it was not fitted to, noise and its own uncertainty taken out.
 
     :param load: (m,) size of the loads there, force [N] and moment [N·m] in one, ascending.
@@ -68,8 +67,7 @@ class Discrepancy:
         return np.where(np.any(wrench != 0.0, axis=1), inside * beyond, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class Measured(Struct, frozen=True, eq=False):
     """What the measurements of an identified model covered.
 
     :param torque: (6,) largest on A1…A6 [N·m].

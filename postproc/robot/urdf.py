@@ -8,10 +8,10 @@ names. Source: the URDF specification (wiki.ros.org/urdf/XML); rpy is R = Rz(yaw
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import ModelError
 from postproc.frames import Array, rotation_from_angles
@@ -37,8 +37,7 @@ def read(text: str, file: str) -> Chain:
         raise ModelError(cause.problem, file=file, advice=cause.advice) from None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AnyArm:
+class AnyArm(Struct, frozen=True, eq=False):
     """A six-axis arm with the names and frames of whoever wrote its URDF.
 
     :param name: of the robot.

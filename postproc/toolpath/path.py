@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.chunks import in_chunks
 from postproc.frames import Array, angle_between, interpolated, norm
@@ -15,8 +15,7 @@ _STILL = 1e-6
 """Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Segments:
+class Segments(Struct, frozen=True, eq=False):
     """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
 
     :param start: tool frames where the motions start.
@@ -35,8 +34,7 @@ class Segments:
     arcs: Arcs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arcs:
+class Arcs(Struct, frozen=True, eq=False):
     """The geometry of A arcs: at angle φ = sweep·t the TCP is at
 
         centre + (1 + growth·t)·(cos φ·radial + sin φ·across) + climb·t.
@@ -75,8 +73,7 @@ class Arcs:
         return np.asarray(along[:, None] * self.radial[arc] + out[:, None] * self.across[arc] + self.climb[arc])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Toolpath:
+class Toolpath(Struct, frozen=True, eq=False):
     """N samples of the nominal path.
 
     :param motion: (N,) row of `Motions`.

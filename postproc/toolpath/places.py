@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
@@ -39,8 +40,7 @@ _CERTAIN = 0.2
 """Of the tolerance, what a piece may miss by this estimate without being measured."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DisplacementEstimate:
+class DisplacementEstimate(Struct, frozen=True, eq=False):
     """How the displacement of the tool by its force changes along M motions: roughly, to tell where to look.
 
     :param motion: (K,) row of `Motions` of each place where the force is given, in order along the path.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from postproc import forces, toolpath
 from postproc.forces import ForceSource, PathForces
@@ -16,8 +16,7 @@ SHARE_OF_TOLERANCE = 0.4
 """Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionsUnderLoad:
+class MotionsUnderLoad(Struct, frozen=True, eq=False):
     """The motions of a program with the forces along them, in the cell of a robot.
 
     :param program: the program.

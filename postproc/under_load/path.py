@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics, toolpath
 from postproc.frames import Array
@@ -16,8 +15,7 @@ from postproc.under_load.motions import MotionsUnderLoad
 from postproc.under_load.setting import RobotInCell
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PathUnderLoad:
+class PathUnderLoad(Struct, frozen=True, eq=False):
     """N samples of the nominal path of a program. Row i of every array is the same sample.
 
     :param motions: the motions and the forces along them.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics, kinematics
 from postproc.cell import Cell
@@ -14,8 +13,7 @@ from postproc.frames import M_PER_MM, Array
 from postproc.robot import RobotModel
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotInCell:
+class RobotInCell(Struct, frozen=True, eq=False):
     """A robot in its cell.
 
     :param robot: the robot with the cell's payload.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,11 @@ FILES = {"gcode": ("pocket.nc",), "krl": ("inline.src", "inline.dat")}
 
 
 def arrays(record, where=""):
-    for each in fields(record):
-        value, name = getattr(record, each.name), f"{where}.{each.name}"
+    for field in type(record).__match_args__:  # of dataclasses and Structs
+        value, name = getattr(record, field), f"{where}.{field}"
         if isinstance(value, np.ndarray):
             yield name, value
-        elif is_dataclass(value):
+        elif hasattr(type(value), "__match_args__"):
             yield from arrays(value, name)
 
 

@@ -12,10 +12,10 @@ An offset of zero across the plane (K0 in G17, as FreeCAD writes it), which Linu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import MOST
 from postproc.frames import Array
@@ -33,8 +33,7 @@ PLANE_AXES = {17.0: (0, 1, 2), 18.0: (2, 0, 1), 19.0: (1, 2, 0)}
 """First and second axis of the plane, and the axis about which G3 turns right-handed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ArcWords:
+class ArcWords(Struct, frozen=True, eq=False):
     """A arcs as they are programmed, lengths in mm, in the program frame.
 
     :param start: (A, 3) where each begins.
@@ -85,8 +84,7 @@ class ArcFault(NamedTuple):
     placed: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arcs:
+class Arcs(Struct, frozen=True, eq=False):
     """A arcs, lengths in mm, in the program frame; see `postproc.program.Motions`.
 
     :param centre: (A, 3) at the height of the start.

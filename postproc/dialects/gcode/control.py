@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.gcode.blocks import BlockError, Fault
 from postproc.dialects.gcode.expressions import Reader, Value, whole
@@ -54,8 +54,7 @@ def is_controlled(source: Source) -> bool:
     return b"O" in code and _O_WORD.search(code) is not None
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
+class Block(Struct, frozen=True):
     """A line whose words are known when it is executed.
 
     :param settings: parameters that the line sets, when all its values are known.
@@ -77,8 +76,7 @@ class Block:
         return text
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(Struct, frozen=True):
     """A line with an O-word.
 
     :param keyword: ``SUB``, ``CALL`` …; empty for a number alone.
@@ -91,8 +89,7 @@ class Order:
     values: tuple[Value, ...] = ()
 
 
-@dataclass(slots=True, eq=False)
-class Unit:
+class Unit(Struct, eq=False):
     """A file as a control executes it.
 
     :ivar notable: rows at which the order of execution or parameters matter, ascending.
@@ -104,12 +101,12 @@ class Unit:
 
     document: Document
     source: Source
-    lines: dict[int, Order | Block | None] = field(default_factory=dict)
-    following: list[int] = field(default_factory=list)
-    subs: dict[str, int] = field(default_factory=dict)
-    numbers: dict[str, int] = field(default_factory=dict)
-    links: dict[int, tuple[int, ...]] = field(default_factory=dict)
-    faults: list[Fault] = field(default_factory=list)
+    lines: dict[int, Order | Block | None] = {}
+    following: list[int] = []
+    subs: dict[str, int] = {}
+    numbers: dict[str, int] = {}
+    links: dict[int, tuple[int, ...]] = {}
+    faults: list[Fault] = []
 
     @classmethod
     def of(cls, document: Document, source: Source) -> Unit:

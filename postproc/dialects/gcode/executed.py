@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.control import Unit
@@ -14,8 +14,7 @@ from postproc.dialects.gcode.words import Source
 from postproc.program import Document, Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Executed:
+class Executed(Struct, frozen=True, eq=False):
     """A program as it is executed.
 
     :param source: its lines in order, each as often as it is executed.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.cell import Rotary
 from postproc.dialects.gcode import codes
@@ -14,8 +14,7 @@ from postproc.frames import Array
 from postproc.program import Bools
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LineStates:
+class LineStates(Struct, frozen=True, eq=False):
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
     :param placed: where X, Y or Z is programmed.

@@ -20,7 +20,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.dialects.gcode import codes
@@ -39,8 +40,7 @@ _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Modes:
+class Modes(Struct, frozen=True, eq=False):
     """What the blocks that are not plain say besides coordinates.
 
     :param rows: number of lines that belong to the program (up to M2, M30 or the closing ``%``); lines after the first

@@ -6,9 +6,9 @@ Rows are lines of the program as executed. Lengths are mm in the program frame u
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.cell import Rotary
 from postproc.dialects.gcode.added import approached, chords
@@ -31,8 +31,7 @@ _STILL = 1e-9
 _S_PER_MIN = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Speeds:
+class Speeds(Struct, frozen=True):
     """What the cell says of speeds and corners.
 
     :param rapid: speed of G0 [m/s].
@@ -49,8 +48,7 @@ class Speeds:
     chord: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class Path(Struct, frozen=True, eq=False):
     """The motions of a program, and what was noticed.
 
     :param motions: see `Motions`; their lines are rows + 1.

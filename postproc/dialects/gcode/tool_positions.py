@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
@@ -29,8 +30,7 @@ LEVEL = 0.2
 """A tool whose direction has less than this in Z of `$BASE` lies nearly level: along it no height is reached."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Setting:
+class Setting(Struct, frozen=True, eq=False):
     """What the cell says about a program.
 
     :param start: (4, 4) pose of the tool frame in `$BASE` when the program starts [m].

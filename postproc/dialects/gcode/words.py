@@ -12,9 +12,9 @@ and of most controls); only a comment separates.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.decimals import numbers_in, parsed
@@ -54,8 +54,7 @@ _WRONG_PAIR = bytes(p & 7 not in _FOLLOWERS.get(p >> 3, ()) for p in range(256))
 _TO_NUMBERS = bytes(c if c in b"0123456789.+-" else ord(" ") for c in range(256))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class Source(Struct, frozen=True, eq=False):
     """A G-code file without what means nothing to a control.
 
     :param code: one byte a character, upper case, no white space, every comment one `MARK`; begins with a line feed,

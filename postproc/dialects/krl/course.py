@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from msgspec import Struct
+
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
@@ -64,8 +66,7 @@ class Leave(NamedTuple):
 Step = Lines | Kept | Fork | Branch | Join | Enter | Leave
 
 
-@dataclass(slots=True, eq=False)
-class Body:
+class Body(Struct, eq=False):
     """Lines first … last − 1 of the course that stand together in a file.
 
     :ivar parts: what is written out in them, in order.
@@ -73,11 +74,10 @@ class Body:
 
     first: int
     last: int = 0
-    parts: list[Repeated | Called] = field(default_factory=list)
+    parts: list[Repeated | Called] = []
 
 
-@dataclass(slots=True, eq=False)
-class Repeated:
+class Repeated(Struct, eq=False):
     """A loop, written out.
 
     :ivar opener: text of its first line, with its line end; `closer` that of its last.
@@ -93,11 +93,10 @@ class Repeated:
     left: bool
     first: int
     last: int = 0
-    bodies: list[Body] = field(default_factory=list)
+    bodies: list[Body] = []
 
 
-@dataclass(slots=True, eq=False)
-class Called:
+class Called(Struct, eq=False):
     """A routine in place of its call.
 
     :ivar line: of the course, with the call; `name` the span of the routine's name in it.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.correction import Result, Statistics, statistics
 from postproc.frames import norm
@@ -15,8 +15,7 @@ _MOST = 60
 """More operations than this are not told apart by comments, but by tools and frames alone."""
 
 
-@dataclass(frozen=True, slots=True)
-class Operation:
+class Operation(Struct, frozen=True):
     """A run of targets.
 
     :param name: comment before it, or empty.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.correction import Result
@@ -22,8 +21,7 @@ _SINGULAR_AT = 2_000
 """At so many places at most the Jacobian is decomposed; between them its smallest singular value is interpolated."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class Places(Struct, frozen=True, eq=False):
     """The places of a page. Row i of `columns` is place i.
 
     :param row: (P,) row of the result that each place is.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.frames import Array
@@ -14,8 +14,7 @@ from postproc.frames import Array
 _TYPES = {"f": "<f4", "i": "<i4", "b": "|u1"}
 
 
-@dataclass(frozen=True, slots=True)
-class Described:
+class Described(Struct, frozen=True):
     """A column in the bytes: its name, type and number of values (1 = the same everywhere)."""
 
     name: str
@@ -23,8 +22,7 @@ class Described:
     count: int
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+class Columns(Struct, frozen=True):
     """Columns of one length.
 
     :param length: of each.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
+
+from msgspec import Struct
 
 from postproc.report.kit.columns import Columns
 from postproc.report.kit.parts import Note, Part, Section
@@ -21,8 +22,7 @@ _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
 
 
-@dataclass(frozen=True, slots=True)
-class Page:
+class Page(Struct, frozen=True):
     """A page.
 
     :param kind: what kind of page it is.
@@ -41,7 +41,7 @@ class Page:
     sections: tuple[Section, ...]
     footer: tuple[Note, ...] = ()
     facts: object = None
-    columns: Mapping[str, Columns] = field(default_factory=dict)
+    columns: Mapping[str, Columns] = {}
     scripts: tuple[tuple[str, str], ...] = ()
 
     drawn: ClassVar[frozenset[str]] = frozenset({"plot", "view"})

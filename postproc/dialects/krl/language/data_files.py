@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.declarations import declared
 from postproc.dialects.krl.language.names import DECLARING, NAME
@@ -13,8 +14,7 @@ from postproc.dialects.krl.language.statements import word_at
 _GLOBAL = re.compile(r"(?:DECL[ \t]+)?GLOBAL\b", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DataLine:
+class DataLine(Struct, frozen=True, eq=False):
     """A line of a `.dat` between DEFDAT and ENDDAT.
 
     :param line: 1-based.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from postproc.dialects.krl.language.positions import Position
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Point:
+class Point(Struct, frozen=True, eq=False):
     """One point of a motion statement.
 
     :param position: its numbers, as far as they are given.
@@ -29,8 +28,7 @@ class Point:
         return aggregate is not None and not self.name and aggregate.start == self.start
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionStatement:
+class MotionStatement(Struct, frozen=True, eq=False):
     """One motion statement.
 
     :param line: 1-based line.

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import PurePath
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.data_files import data_lines
 from postproc.dialects.krl.language.source import Source
@@ -30,8 +32,7 @@ _CALL = re.compile(r"([A-Za-z_$][\w$]*)[ \t]*\([ \t]*\)", re.ASCII)
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Joined:
+class Joined(Struct, frozen=True, eq=False):
     """A program in several files as one.
 
     :param documents: its `.src` as one text, and one `.dat` if any of the files has one.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.declarations import declared
 from postproc.dialects.krl.language.source import Source
@@ -28,8 +29,7 @@ class Parameter(NamedTuple):
     by_value: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Routine:
+class Routine(Struct, frozen=True, eq=False):
     """A DEF or DEFFCT.
 
     :param source: its file.
@@ -59,8 +59,7 @@ class Routine:
         return self.plain[0] if self.plain else 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Module:
+class Module(Struct, frozen=True, eq=False):
     """A `.src` and its `.dat`.
 
     :param routines: by name, upper case, in order.
@@ -81,15 +80,14 @@ class Module:
         return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
 
 
-@dataclass(slots=True, eq=False)
-class _Begun:
+class _Begun(Struct, eq=False):
     """A routine that has no END yet."""
 
     name: str
     line: int
     parameters: tuple[Parameter, ...]
     public: bool
-    lines: list[int] = field(default_factory=list)
+    lines: list[int] = []
 
 
 def routines(

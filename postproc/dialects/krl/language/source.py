@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.text import line_spans
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Origins:
+class Origins(Struct, frozen=True, eq=False):
     """Where the L lines of a text that was put together come from.
 
     :param sources: the files.
@@ -28,8 +27,7 @@ class Origins:
     shown: Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class Source(Struct, frozen=True, eq=False):
     """A document and where its lines are.
 
     :param document: the file; `text` is its content.

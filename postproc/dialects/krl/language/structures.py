@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.names import OPENING
 from postproc.dialects.krl.language.source import Source
@@ -14,8 +15,7 @@ _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL"
 _DIVIDING = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class Part(Struct, frozen=True, eq=False):
     """What stands behind IF, ELSE, CASE, DEFAULT or the head of a loop.
 
     :param head: line of that word.
@@ -28,8 +28,7 @@ class Part:
     nodes: tuple[Node, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class Block(Struct, frozen=True, eq=False):
     """A control structure.
 
     :param word: FOR, WHILE, LOOP, REPEAT, IF or SWITCH.
@@ -58,8 +57,7 @@ Node = int | Block
 """The line of a statement, or a control structure."""
 
 
-@dataclass(slots=True, eq=False)
-class _Open:
+class _Open(Struct, eq=False):
     word: str
     first: int
     parts: list[Part]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.expressions import NUMBER_PATTERN
 from postproc.dialects.krl.language.source import Source
@@ -23,8 +24,7 @@ _NUMBER = re.compile(NUMBER_PATTERN)
 _S_PER_MS = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class Trigger:
+class Trigger(Struct, frozen=True):
     """A TRIGGER statement.
 
     :param line: 1-based line.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import PURE, STANDARD
@@ -235,8 +237,7 @@ class Calls:
                 variables.set(key, value, str(at))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bound:
+class _Bound(Struct, frozen=True, eq=False):
     """A call.
 
     :param written: arguments that the routine may write; `given` the values of all, by place.

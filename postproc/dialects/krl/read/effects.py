@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from postproc.dialects.krl.language.names import DECLARING, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
@@ -44,8 +45,7 @@ _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
 """System variables of which but one component matters, and which."""
 
 
-@dataclass(slots=True, eq=False)
-class Effects:
+class Effects(Struct, eq=False):
     """What may happen.
 
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
@@ -56,10 +56,10 @@ class Effects:
     :ivar resumes: True where RESUME may break off what is running.
     """
 
-    writes: dict[str, Place] = field(default_factory=dict)
-    anytime: dict[str, Place] = field(default_factory=dict)
+    writes: dict[str, Place] = {}
+    anytime: dict[str, Place] = {}
     motion: Place | None = None
-    absent: dict[str, str] = field(default_factory=dict)
+    absent: dict[str, str] = {}
     jumps: bool = False
     resumes: bool = False
 
@@ -86,14 +86,13 @@ class Effects:
 Called = tuple[Module, Routine]
 
 
-@dataclass(slots=True, eq=False)
-class _Direct:
+class _Direct(Struct, eq=False):
     """What a routine does itself, and what it calls; the same of the actions that it declares."""
 
     now: Effects = field(default_factory=Effects)
-    called: list[Called] = field(default_factory=list)
+    called: list[Called] = []
     later: Effects = field(default_factory=Effects)
-    called_later: list[Called] = field(default_factory=list)
+    called_later: list[Called] = []
 
 
 class Analysis:
@@ -175,8 +174,7 @@ class Analysis:
             _Statement(self, *where, place, direct.now, direct.called).read(start, stop)
 
 
-@dataclass(slots=True, eq=False)
-class _Statement:
+class _Statement(Struct, eq=False):
     """Notes what one statement may do."""
 
     analysis: Analysis

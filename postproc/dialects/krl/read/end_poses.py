@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.circles import circles, turned
 from postproc.dialects.krl.language.motion_statements import MotionStatement
@@ -16,8 +16,7 @@ from postproc.program import Bools, Carriage, Ints, Starts
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EndPoses:
+class EndPoses(Struct, frozen=True, eq=False):
     """M targets, complete.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE` where each motion ends.
@@ -34,8 +33,7 @@ class EndPoses:
     resumed: Bools
 
 
-@dataclass(slots=True, eq=False)
-class _Stand:
+class _Stand(Struct, eq=False):
     """Where the robot stands between two motions.
 
     :param joints: (6,) [rad], None behind a Cartesian target.

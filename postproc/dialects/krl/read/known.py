@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import Aggregate, Number, Word
 
 
-@dataclass(frozen=True, slots=True)
-class Unknown:
+class Unknown(Struct, frozen=True):
     """A variable whose value is not known before the program runs.
 
     :param where: what changes it, as text for a message; empty where it has no value at all.
@@ -26,8 +27,7 @@ NOTHING = Unknown()
 Known = Number | Word | Aggregate | Position | Unknown
 
 
-@dataclass(frozen=True, slots=True)
-class Unread:
+class Unread(Struct, frozen=True):
     """A value that stands in a declaration and is read when it is needed."""
 
     source: Source

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePath
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.dialects.krl.course import Course
@@ -83,8 +84,7 @@ def read_program(
             elsewhere |= apart
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reading:
+class _Reading(Struct, frozen=True, eq=False):
     """What is known of a program before it is followed; see `read_program`."""
 
     documents: Sequence[Document]

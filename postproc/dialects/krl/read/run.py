@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
@@ -21,8 +21,7 @@ from postproc.errors import Issue, ProgramError
 SETTING_ADVICE = "Set $BASE, $TOOL and speeds outside of loops, branches and interrupts."
 
 
-@dataclass(slots=True, eq=False)
-class Level:
+class Level(Struct, eq=False):
     """A routine that runs.
 
     :ivar traced: True where its motions are those of the program: the main routine, and what it calls in its course.
@@ -37,15 +36,14 @@ class Level:
     routine: Routine
     scope: Scope
     traced: bool = False
-    open: list[tuple[str, int]] = field(default_factory=list)
+    open: list[tuple[str, int]] = []
     loops: int = 0
     left: bool = False
     returned: int = 0
     result: Known = NOTHING
 
 
-@dataclass(slots=True, eq=False)
-class _Fork:
+class _Fork(Struct, eq=False):
     """Where branches divide.
 
     :ivar values: of all variables there; `state` what is in force.
@@ -55,7 +53,7 @@ class _Fork:
     values: tuple[dict[str, Known | Unread], dict[str, Unknown]]
     state: State
     begun: bool = False
-    ends: list[tuple[tuple[dict[str, Known | Unread], dict[str, Unknown]], State]] = field(default_factory=list)
+    ends: list[tuple[tuple[dict[str, Known | Unread], dict[str, Unknown]], State]] = []
 
 
 class Run:

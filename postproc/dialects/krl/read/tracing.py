@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.course import (
     Body,
@@ -32,8 +33,7 @@ from postproc.program import Document
 _INDENT = re.compile(r"[ \t]*")
 
 
-@dataclass(slots=True, eq=False)
-class _Standing:
+class _Standing(Struct, eq=False):
     """A routine in the course.
 
     :ivar cursor: its first line that is not put down yet.
@@ -43,7 +43,7 @@ class _Standing:
     source: Source
     cursor: int
     shown: int
-    bodies: list[Body] = field(default_factory=list)
+    bodies: list[Body] = []
 
 
 class Trace:

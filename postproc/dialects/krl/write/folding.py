@@ -10,10 +10,11 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct, field
 
 from postproc.dialects.krl.course import Body, Called, Course, Repeated
 from postproc.dialects.krl.language.names import NAME, unused
@@ -60,24 +61,22 @@ class _Piece(NamedTuple):
     lines: tuple[int, ...] = ()
 
 
-@dataclass(slots=True, eq=False)
-class _Version:
+class _Version(Struct, eq=False):
     """A routine as it is written, under one name."""
 
     name: str
     pieces: list[_Piece]
 
 
-@dataclass(slots=True, eq=False)
-class _Folder:
+class _Folder(Struct, eq=False):
     course: Course
     main: Routine
     text: str
     begins: list[int]
     versions: defaultdict[Routine, list[_Version]] = field(default_factory=lambda: defaultdict(list))
-    taken: set[str] = field(default_factory=set)
-    outside: list[Called] = field(default_factory=list)
-    issues: list[Issue] = field(default_factory=list)
+    taken: set[str] = set()
+    outside: list[Called] = []
+    issues: list[Issue] = []
 
     def folded(self) -> Folded:
         pieces = self._body(self.course.body)

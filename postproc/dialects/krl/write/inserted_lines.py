@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.write.replacements import Replacements
 from postproc.program import Ints
 
 
-@dataclass(slots=True, eq=False)
-class InsertedLines:
+class InsertedLines(Struct, eq=False):
     """Collects lines that come in, in order, and lines that go. Line numbers are 1-based and those of the input."""
 
     source: Source
     replacements: Replacements
-    _at: list[int] = field(default_factory=list)
-    _target: list[int] = field(default_factory=list)
-    _removed: list[int] = field(default_factory=list)
+    _at: list[int] = []
+    _target: list[int] = []
+    _removed: list[int] = []
 
     def add(self, at: int, text: str, target: int = -1) -> None:
         """Put a text with its line end before a line, behind what was put there already.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import Point
@@ -17,8 +18,7 @@ from postproc.dialects.krl.write.target_statements import applied, literal_of, r
 from postproc.errors import Issue
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Use:
+class Use(Struct, frozen=True, eq=False):
     """A named point in a statement.
 
     :param line: 1-based line of the statement.
@@ -33,8 +33,7 @@ class Use:
     whole: str
 
 
-@dataclass(slots=True, eq=False)
-class NamedPoints:
+class NamedPoints(Struct, eq=False):
     """Collects the uses of named points and decides where their numbers go.
 
     :ivar issues: what the user should know.
@@ -44,10 +43,10 @@ class NamedPoints:
     layout: Layout
     replacements: Sequence[Replacements]
     mentions: Mapping[str, Sequence[int]]
-    issues: list[Issue] = field(default_factory=list)
+    issues: list[Issue] = []
     _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
-    _taken: set[str] = field(default_factory=set)
-    _elsewhere: dict[str, bool] = field(default_factory=dict)
+    _taken: set[str] = set()
+    _elsewhere: dict[str, bool] = {}
 
     def use(self, use: Use) -> None:
         """Note a use; one of a point whose numbers stand nowhere becomes a literal at once."""

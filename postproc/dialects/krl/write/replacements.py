@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.decimals import Bytes, fixed
@@ -14,18 +13,17 @@ from postproc.program import Ints, distinct
 _CHUNK = 1 << 21
 
 
-@dataclass(slots=True, eq=False)
-class Replacements:
+class Replacements(Struct, eq=False):
     """Pieces of a text to be replaced, in any order; they must not overlap.
 
     Insertions at one place stay in the order in which they were added.
     """
 
-    _starts: list[Ints] = field(default_factory=list)
-    _stops: list[Ints] = field(default_factory=list)
-    _lengths: list[Ints] = field(default_factory=list)
-    _numbers: list[Bytes] = field(default_factory=list)
-    _single: list[tuple[int, int, str]] = field(default_factory=list)
+    _starts: list[Ints] = []
+    _stops: list[Ints] = []
+    _lengths: list[Ints] = []
+    _numbers: list[Bytes] = []
+    _single: list[tuple[int, int, str]] = []
 
     def add(self, start: int, stop: int, text: str) -> None:
         """Replace ``text[start:stop]`` by another text; ``start == stop`` inserts."""

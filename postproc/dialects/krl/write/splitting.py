@@ -16,10 +16,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count, pairwise
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.data_files import data_lines
 from postproc.dialects.krl.language.declarations import declared
@@ -80,8 +81,7 @@ def _as_before(documents: Sequence[Document], written: Written, limit: int) -> W
     return replace(written, documents=tuple(files), issues=tuple(issues))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Places:
+class _Places(Struct, frozen=True, eq=False):
     """Where a program may be cut.
 
     :param begin: line of its DEF.

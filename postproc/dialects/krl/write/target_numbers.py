@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.values import Number
@@ -22,8 +22,7 @@ _EQUAL = 1e-9
 """Numbers closer than this are the same text."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetNumbers:
+class TargetNumbers(Struct, frozen=True, eq=False):
     """K targets as text will command them.
 
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as they stand.

@@ -7,9 +7,9 @@ piece.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.frames import MM_PER_M, Array
@@ -42,8 +42,7 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     return piece, float(place - (begin if trigger.from_start else end)[piece])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class Placed(Struct, frozen=True, eq=False):
     """The TRIGGERs of one divided motion, and where its inserted targets go.
 
     :param at: for each inserted target, the 1-based line before which it stands.
