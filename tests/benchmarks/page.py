@@ -31,6 +31,7 @@ from tests.benchmarks.convert import CELL
 from tests.pages.browser import running
 
 _HZ = 100.0
+_POLLED_MS = 20
 _TEXT = "performance.getEntriesByName('first-contentful-paint').length > 0"
 _ROWS = """typeof stage !== 'undefined' && (() => {
   const row = document.querySelector('#worst tbody tr:nth-child(3)');
@@ -84,7 +85,7 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
 
         page.goto(path.resolve().as_uri(), wait_until="commit")
         for stage, condition in (("text", _TEXT), ("rows", _ROWS), ("picture", _PICTURE)):
-            page.wait_for_function(condition)
+            page.wait_for_function(condition, polling=_POLLED_MS)
             reached(stage)
         page.evaluate("document.getElementById('view3d').scrollIntoView()")
         box = page.locator("#view3d-view").bounding_box()
@@ -101,7 +102,7 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
                 break
         page.wait_for_function("selection.chosen !== window.before")
         reached("path")
-        page.wait_for_function("stage.empty")
+        page.wait_for_function("stage.empty", polling=_POLLED_MS)
         reached("all")
         page.close()
     return out

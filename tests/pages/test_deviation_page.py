@@ -191,8 +191,9 @@ def test_a_click_on_the_plot_shows_the_place_there(page):
     assert found == pytest.approx(wanted, abs=0.02 * axis[1])
     shapes = page.evaluate("document.getElementById('along-view').layout.shapes")
     assert shapes[0]["x0"] == pytest.approx(found)
-    dot = page.evaluate("document.getElementById('view3d-view').data.filter((t) => t.marker?.size === 8)[0].x")
-    assert dot[0] == pytest.approx(page.evaluate("places.at.X[selection.chosen]"), abs=1e-3)
+    dot = page.locator("#view3d circle").last.get_attribute("data-at").split()
+    wanted = page.evaluate("['X', 'Y', 'Z'].map((axis) => places.at[axis][selection.chosen])")
+    np.testing.assert_allclose([float(value) for value in dot], wanted, atol=1e-3)
 
 
 def test_the_keys_step_along_the_path(page):

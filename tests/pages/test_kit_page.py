@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import re
+
+import numpy as np
 
 from postproc.report.kit import (
     Axis,
@@ -99,3 +102,64 @@ def test_every_part_is_shown_and_every_plot_drawn(browser, tmp_path):
 def test_a_page_without_plots_is_small(tmp_path):
     section = Section("notes", "Notes", (Notes((Note("nothing else"),)),))
     assert len(b"".join(Page("Kind", "Title", "", (section,)).render())) < 20_000
+
+
+def test_marks_and_pointing_meet_the_line_that_the_library_drew(browser, tmp_path):
+    """The ends of a line, seen in a picture of the page, are where the marks are and where the pointer finds them."""
+    line = Lines([-40.0, 25.0], [10.0, 60.0], [0.0, 30.0], "", "before", width=6.0, places=[0, 1])
+    box = Lines([-90.0, 90.0], [-80.0, 80.0], [-60.0, 60.0], "", "soft", width=0.1)
+    plot = Plot(label="a line", traces=[box, line], unit="mm", height=500)
+    path = tmp_path / "page.html"
+    path.write_bytes(b"".join(Page("Kind", "Title", "", (Section("plot", "Plot", (plot,)),)).render()))
+    with opened(browser, path) as page:
+        view = page.locator(".plot").first
+        for turned in ("ArrowRight", "ArrowUp", "+"):
+            page.evaluate("selection.choose(null)")
+            view.focus()
+            page.keyboard.press(turned)
+            _shown(page)
+            ends = _ends_of_colour(page, "#b4451f")
+            corner = page.locator(".plot .gl-container").bounding_box()
+            for place in (0, 1):
+                page.evaluate("(place) => selection.choose(place)", place)
+                _shown(page)
+                mark = page.locator("svg.over circle").last
+                seen = np.array([corner[by] + float(mark.get_attribute(f"c{by}")) for by in "xy"])
+                apart = np.linalg.norm(ends - seen, axis=1)
+                assert apart.min() < 5.0, (turned, place, ends, seen)
+                page.mouse.move(corner["x"] + 3, corner["y"] + 3)
+                page.evaluate("selection.choose(null)")
+                page.mouse.move(*(0.9 * ends[apart.argmin()] + 0.1 * ends[apart.argmax()]))
+                page.wait_for_function("(place) => selection.place === place", arg=place)
+
+
+def _shown(page):
+    """Wait until what was asked for is on the screen."""
+    for _ in range(4):
+        page.evaluate("new Promise((next) => requestAnimationFrame(() => setTimeout(next, 50)))")
+
+
+_PIXELS = """async ([picture, colour]) => {
+  const image = new Image();
+  image.src = `data:image/png;base64,${picture}`;
+  await image.decode();
+  const canvas = Object.assign(document.createElement('canvas'), {width: image.width, height: image.height});
+  const context = canvas.getContext('2d');
+  context.drawImage(image, 0, 0);
+  const { data } = context.getImageData(0, 0, image.width, image.height);
+  const found = [];
+  for (let k = 0; k < data.length / 4; k++)
+    if (colour.every((value, c) => Math.abs(data[4 * k + c] - value) < 40))
+      found.push([k % image.width, Math.floor(k / image.width)]);
+  return found;
+}"""
+
+
+def _ends_of_colour(page, colour):
+    """The two pixels of a colour that are farthest apart in a picture of the page: (2, 2), across and down."""
+    picture = base64.b64encode(page.screenshot()).decode()
+    points = np.array(page.evaluate(_PIXELS, [picture, [int(colour[k : k + 2], 16) for k in (1, 3, 5)]]), dtype=float)
+    assert len(points) > 50
+    along = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
+    order = np.argsort(points @ along)
+    return points[order[[0, -1]]]

@@ -63,14 +63,11 @@ class Page(Struct, frozen=True):
             )
             .encode(errors="replace")
         )
-        head, _, rest = text.partition(_LIBRARY)
-        yield head
-        if plots:
-            yield from (b"<script>", library(), b"</script>")
         for columns in self.columns.values():
-            before, _, rest = rest.partition(_COLUMNS)
+            before, _, text = text.partition(_COLUMNS)
             yield from (before, columns.text.encode())
-        yield rest
+        before, drawn, rest = text.partition(_LIBRARY)
+        yield from (before, library() if drawn else b"", rest)
 
 
 def library() -> bytes:

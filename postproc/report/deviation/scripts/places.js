@@ -6,7 +6,11 @@ const places = (() => {
   const joints = ["A1", "A2", "A3", "A4", "A5", "A6"];
 
   const margins = (i) => joints.map((name, k) => Math.min(at[name][i] - facts.lower[k], facts.upper[k] - at[name][i]));
-  at.margin = Float32Array.from({ length: count }, (_, i) => Math.min(...margins(i)));
+  at.margin = new Float32Array(count).fill(Infinity);
+  joints.forEach((name, k) => {
+    const angle = at[name];
+    for (let i = 0; i < count; i++) at.margin[i] = Math.min(at.margin[i], angle[i] - facts.lower[k], facts.upper[k] - angle[i]);
+  });
 
   const compared = facts.mode !== "predict";
   // Values that paths and plots can be coloured by: title, unit and decimals.

@@ -26,38 +26,20 @@
       { ...mesh(untouched), color: theme.colour("soft"), opacity: 0.35, hoverinfo: "skip" },
     ];
   }
-  function layout() {
-    const axis = (title) => theme.axis({ title: { text: title }, backgroundcolor: "rgba(0,0,0,0)", showspikes: false, automargin: undefined });
-    return theme.layout({ height: 520, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: 1,
-      scene: { aspectmode: "data", uirevision: 1, dragmode: "turntable", xaxis: axis("X, mm"), yaxis: axis("Y, mm"), zaxis: axis("Z, mm") } });
-  }
-  const draw = () => {
-    const drawn = Plotly.react(view, traces(), layout(), theme.config);
-    space.photograph(view);
-    return drawn;
-  };
+  // A facet is pointed at by its middle.
+  const middles = { x: new Float32Array(touched.length), y: new Float32Array(touched.length), z: new Float32Array(touched.length),
+    place: touched.map((f) => facets.place[f]), joined: false };
+  touched.forEach((f, k) => {
+    for (const axis of ["x", "y", "z"]) for (let c = 0; c < 3; c++) middles[axis][k] += columns.corners[axis][3 * f + c] / 3;
+  });
+  const bounds = space.reach([columns.corners]);
+  view.style.height = "520px";
+  const { draw } = space.add(view, { reach: () => bounds, unit: "mm", traces, points: () => middles, marks: () =>
+    (selection.place === null ? [] : [{ dot: places.position(selection.place), colour: theme.colour("chosen"), size: 5 }]) });
   document.getElementById("surface-controls").innerHTML = `<label>Colour <select id="surface-colour">${Object.entries(titles)
     .map(([name, title]) => `<option value="${name}">${title}</option>`).join("")}</select></label>`;
   document.getElementById("surface-colour").addEventListener("change", (event) => {
     shown = event.target.value;
     draw();
   });
-  // Corners stand three by three: a facet is known by any of its corners.
-  let under = null;
-  view.style.minHeight = "520px";
-  stage.add(view, () => draw().then(() => {
-    view.on("plotly_hover", ({ points: [{ curveNumber, pointNumber }] }) => {
-      if (curveNumber !== 0) return;
-      under = facets.place[Math.floor(pointNumber / 3)];
-      selection.point(under);
-    });
-    view.on("plotly_unhover", () => {
-      under = null;
-      selection.point(null);
-    });
-    space.clicked(view, () => { if (under !== null) selection.choose(under); });
-    space.hear(view);
-    view.on("plotly_relayout", () => space.photograph(view));
-    theme.onChange(draw);
-  }));
 })();

@@ -6,24 +6,17 @@
   const { at, values, number } = places;
   const drawn = columns.drawn;
   const points = drawn.x.length;
-  const MOST = 12000;
+  const MOST = 8000;
   const dense = points > MOST; // overlays would hide the path
   const paths = {
     b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before", dash: "solid" },
     ...(places.compared && { a: { title: "tool with the program as written", colour: "after", dash: "solid" } }),
     ...(places.compared && { c: { title: "commanded path", colour: "correction", dash: "dash" } }),
   };
-  const extent = Math.max(...["x", "y", "z"].map((axis) => {
-    let [low, high] = [Infinity, -Infinity];
-    for (const value of drawn[axis]) { if (value < low) low = value; if (value > high) high = value; }
-    return high - low;
-  }), 1e-6);
-  const round = (value) => {
-    const power = 10 ** Math.floor(Math.log10(value));
-    return [1, 2, 5, 10].map((step) => step * power).reduce((a, b) => (Math.abs(b - value) < Math.abs(a - value) ? b : a));
-  };
+  const reach = space.reach([drawn]);
+  const extent = Math.max(...reach[1].map((value, r) => value - reach[0][r]), 1e-6);
   const largest = Math.max(at.before[facts.worst.before], 1e-9);
-  const shown = { colour: "before", enlarged: Math.min(Math.max(round((0.06 * extent) / largest), 1), 10000),
+  const shown = { colour: "before", enlarged: Math.min(Math.max(space.round((0.06 * extent) / largest), 1), 10000),
     paths: { b: !dense, a: false, c: places.compared && !dense }, robot: false };
 
   // The points that are drawn: all of a few thousands; of more, from each bit of the path its first and its last, the
@@ -32,30 +25,36 @@
     if (!dense) return Array.from({ length: points }, (_, k) => k);
     const size = Math.ceil((4 * points) / MOST);
     const column = at[shown.colour];
-    const worse = values[shown.colour].low ? (a, b) => a < b : (a, b) => a > b;
+    const sign = values[shown.colour].low ? -1 : 1;
     const out = [];
     for (let begin = 0; begin < points; ) {
       const rapid = at.rapid[drawn.place[begin]];
-      let [worst, end] = [begin, begin];
-      for (; end < points && end - begin < size && at.rapid[drawn.place[end]] === rapid; end++)
-        if (worse(column[drawn.place[end]], column[drawn.place[worst]])) worst = end;
-      out.push(...[...new Set([begin, worst, farthest(begin, end - 1), end - 1])].sort((a, b) => a - b));
+      let [worst, most, end] = [begin, -Infinity, begin];
+      for (; end < points && end - begin < size && at.rapid[drawn.place[end]] === rapid; end++) {
+        const value = sign * column[drawn.place[end]];
+        if (value > most) [worst, most] = [end, value];
+      }
+      const turn = farthest(begin, end - 1);
+      let last = -1;
+      for (const k of [begin, Math.min(worst, turn), Math.max(worst, turn), end - 1]) if (k !== last) out.push(last = k);
       begin = end;
     }
     return out;
   }
 
+  // Between two points of the path the one farthest from the line that joins them.
   function farthest(first, last) {
-    const at = (k) => [drawn.x[k], drawn.y[k], drawn.z[k]];
-    const [begin, end] = [at(first), at(last)];
-    const along = end.map((value, r) => value - begin[r]);
-    const whole = along.reduce((sum, value) => sum + value * value, 0) || 1;
+    const { x, y, z } = drawn;
+    const [u, v, w] = [x[last] - x[first], y[last] - y[first], z[last] - z[first]];
+    const whole = u * u + v * v + w * w || 1;
     let [best, most] = [first, 0];
     for (let k = first + 1; k < last; k++) {
-      const way = at(k).map((value, r) => value - begin[r]);
-      const share = Math.min(Math.max(way.reduce((sum, value, r) => sum + value * along[r], 0) / whole, 0), 1);
-      const off = way.reduce((sum, value, r) => sum + (value - share * along[r]) ** 2, 0);
-      if (off > most) [best, most] = [k, off];
+      const a = x[k] - x[first];
+      const b = y[k] - y[first];
+      const c = z[k] - z[first];
+      const share = Math.min(Math.max((a * u + b * v + c * w) / whole, 0), 1);
+      const off = (a - share * u) ** 2 + (b - share * v) ** 2 + (c - share * w) ** 2;
+      if (off > most) { best = k; most = off; }
     }
     return best;
   }
@@ -119,23 +118,13 @@
     return line;
   }
 
-  const axes = (m, length) => {
-    const line = { x: [], y: [], z: [] };
-    for (let axis = 0; axis < 3; axis++)
-      for (const reach of [0, length, null])
-        ["x", "y", "z"].forEach((name, r) => line[name].push(reach === null ? null : m[r][3] + reach * m[r][axis]));
-    return line;
-  };
   const frame = places.inRoot ? places.bases[0] : [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]];
-
-  // The traces in a fixed order, so that single ones can be changed.
-  const CHOSEN = 1 + 1 + Object.keys(paths).length + 1;
   function traces() {
     const { title, unit } = values[shown.colour];
-    const colour = theme.colour;
+    const { colour } = theme;
     const lines = { type: "scatter3d", mode: "lines", hoverinfo: "skip", connectgaps: false };
     const out = [
-      { ...lines, ...runs.cut, hoverinfo: "none",
+      { ...lines, ...runs.cut,
         line: { width: 5, colorscale: "Cividis", showscale: true, ...coloured(),
           colorbar: { title: { text: `${title}, ${unit}`, side: "right" }, thickness: 12, len: 0.8, exponentformat: "none",
             tickfont: { color: colour("soft") }, outlinewidth: 0 } } },
@@ -143,54 +132,46 @@
     ];
     for (const [prefix, path] of Object.entries(paths))
       out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
-        hoverinfo: "none", visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
-    const worst = Object.entries(facts.worst).filter(([, place]) => place !== null);
-    const where = worst.map(([, place]) => places.position(place));
-    out.push({ type: "scatter3d", mode: "markers", hoverinfo: "text", x: where.map((p) => p[0]), y: where.map((p) => p[1]),
-      z: where.map((p) => p[2]), text: worst.map(([name]) => `worst ${name}`),
-      marker: { size: 6, symbol: "diamond-open", color: colour("before") } });
-    out.push(marker(), arm());
-    for (const { m, length } of frames()) out.push({ ...lines, ...axes(m, length), line: { width: 4, color: colour("ink") } });
+        visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
+    if (shown.robot) out.push({ ...lines, ...room(), line: { width: 1, color: "rgba(0,0,0,0)" } });
     return out;
   }
-  const frames = () => [{ m: frame, length: 0.12 * extent, name: "$BASE" },
-    ...(shown.robot ? [{ m: robot.root, length: 300, name: "robot" }] : [])];
-  const names = () => frames().flatMap(({ m, length, name }) => ["X", "Y", "Z"].map((axis, c) => ({
-    x: m[0][3] + length * m[0][c], y: m[1][3] + length * m[1][c], z: m[2][3] + length * m[2][c],
-    text: `${axis} ${name}`, showarrow: false, font: { color: theme.colour("ink"), size: 11 } })));
-  function marker() {
-    const p = selection.place === null ? [null, null, null] : places.position(selection.place);
-    return { type: "scatter3d", mode: "markers", hoverinfo: "skip", x: [p[0]], y: [p[1]], z: [p[2]],
-      marker: { size: 8, color: theme.colour("chosen"), symbol: "circle" } };
+
+  // The arm at the place, the frames, the worst places and the place itself.
+  const arm = () => robot.points(selection.place ?? facts.worst.before);
+  const room = () => Object.fromEntries(["x", "y", "z"].map((axis, r) => [axis, arm().map((point) => point[r])]));
+  function frames() {
+    const of = [{ m: frame, length: 0.12 * extent, name: "$BASE" }, ...(shown.robot ? [{ m: robot.root, length: 300, name: "robot" }] : [])];
+    return of.flatMap(({ m, length, name }) => ["X", "Y", "Z"].flatMap((axis, c) => {
+      const origin = m.map((row) => row[3]);
+      const end = origin.map((value, r) => value + length * m[r][c]);
+      return [{ line: [origin, end], colour: theme.colour("ink") }, { text: c ? axis : `${axis} ${name}`, at: end, by: [0, -4] }];
+    }));
   }
-  function arm() {
-    const on = shown.robot && selection.place !== null;
-    const line = on ? robot.points(selection.place) : [[null, null, null]];
-    return { type: "scatter3d", mode: "lines+markers", hoverinfo: "skip", visible: shown.robot,
-      x: line.map((p) => p[0]), y: line.map((p) => p[1]), z: line.map((p) => p[2]),
-      line: { width: 8, color: theme.colour("soft") }, marker: { size: 4, color: theme.colour("ink") } };
+  function marks() {
+    const out = frames();
+    if (shown.robot) {
+      const joints = arm();
+      out.push({ line: joints, colour: theme.colour("soft"), width: 6 });
+      out.push(...joints.map((dot) => ({ dot, colour: theme.colour("ink"), size: 2 })));
+    }
+    for (const [name, place] of Object.entries(facts.worst))
+      out.push({ dot: places.position(place), colour: theme.colour(name), size: 6, hollow: true });
+    if (selection.place !== null) out.push({ dot: places.position(selection.place), colour: theme.colour("chosen"), size: 5 });
+    return out;
   }
 
   const eye = { x: -1.1, y: -1.5, z: 1.1 };
-  const camera = { eye: { ...eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: 0 } };
-  function layout() {
-    const axis = (title) => theme.axis({ title: { text: title }, backgroundcolor: "rgba(0,0,0,0)", showspikes: false,
-      color: theme.colour("soft"), automargin: undefined });
-    const of = places.inRoot ? "root" : "$BASE";
-    return theme.layout({ margin: { l: 0, r: 0, t: 0, b: 0 }, hovermode: "closest", uirevision: 1,
-      scene: { aspectmode: "data", camera, xaxis: axis(`X ${of}, mm`), yaxis: axis(`Y ${of}, mm`), zaxis: axis(`Z ${of}, mm`),
-        dragmode: "turntable", uirevision: 1, annotations: names() } });
-  }
-  function draw() {
-    const drawn = Plotly.react(view, traces(), layout(), theme.config);
-    space.photograph(view);
-    return drawn;
-  }
-
-  space.hear(view, {
-    n: () => selection.choose(places.step(selection.chosen, 1)),
-    p: () => selection.choose(places.step(selection.chosen, -1)),
-    w: () => selection.choose(facts.worst.before),
+  const of = places.inRoot ? "root" : "$BASE";
+  const { draw, look } = space.add(view, {
+    reach: () => (shown.robot ? space.reach([drawn, room()]) : reach), unit: "mm", names: ["X", "Y", "Z"].map((axis) => `${axis} ${of}`), traces, marks,
+    points: () => ({ ...runs.cut, joined: true }),
+    camera: { eye: { ...eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.12 } },
+    keys: {
+      n: () => selection.choose(places.step(selection.chosen, 1)),
+      p: () => selection.choose(places.step(selection.chosen, -1)),
+      w: () => selection.choose(facts.worst.before),
+    },
   });
 
   // Controls.
@@ -224,40 +205,6 @@
     draw();
   });
   for (const button of controls.querySelectorAll("button"))
-    button.addEventListener("click", () => space.look(view, { to: sides[button.textContent] }));
-
+    button.addEventListener("click", () => look({ to: sides[button.textContent] }));
   view.style.height = "min(70vh, 640px)";
-  stage.add(view, () => draw().then(() => {
-      view.on("plotly_hover", ({ points: [{ curveNumber, pointNumber }] }) => {
-        const overlay = curveNumber >= 2 && curveNumber < CHOSEN - 1;
-        if (curveNumber !== 0 && !overlay) return;
-        under = overlay ? drawn.place[keep[pointNumber]] : runs.cut.place[pointNumber];
-        selection.point(under);
-      });
-      view.on("plotly_unhover", () => {
-        under = null;
-        selection.point(null);
-      });
-      view.on("plotly_relayout", () => space.photograph(view));
-      theme.onChange(draw);
-      ready = true;
-    }).catch(({ message }) => {
-      view.textContent = `This browser cannot draw in three dimensions (${message}). The plots below show the same numbers.`;
-    }));
-
-  let under = null;
-  space.clicked(view, () => { if (under !== null) selection.choose(under); });
-
-  let ready = false;
-  let asked = false;
-  selection.subscribe(() => {
-    if (asked || !ready) return;
-    asked = true;
-    requestAnimationFrame(() => {
-      asked = false;
-      const [dot, line] = [marker(), arm()];
-      const of = (key) => [dot[key], line[key]];
-      Plotly.restyle(view, { x: of("x"), y: of("y"), z: of("z") }, [CHOSEN, CHOSEN + 1]);
-    });
-  });
 })();

@@ -5,10 +5,16 @@ const facts = JSON.parse(document.getElementById("page-facts").textContent);
 const columns = (() => {
   const kinds = { f4: Float32Array, i4: Int32Array, u1: Uint8Array };
 
-  function unpacked(described, base64) {
+  function decoded(base64) {
+    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(base64); // not in every browser yet
     const text = atob(base64);
     const bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+    return bytes;
+  }
+
+  function unpacked(described, base64) {
+    const bytes = decoded(base64);
     const length = Math.max(0, ...described.map((column) => column.count));
     const table = {};
     let at = 0;

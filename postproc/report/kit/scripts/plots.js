@@ -32,8 +32,8 @@ const plots = (() => {
       hovertemplate: "%{y} – %{x}: %{z:.2f}<extra></extra>",
       colorbar: { title: { text: "correlation" }, tickvals: [-1, 0, 1], thickness: 12 },
     }),
-    lines: ({ x, y, z, name, colour: of, width, dots, places }) => ({
-      type: "scatter3d", x, y, z, name, customdata: places, mode: dots ? "markers" : "lines", hoverinfo: "name", connectgaps: false,
+    lines: ({ x, y, z, name, colour: of, width, dots }) => ({
+      type: "scatter3d", x, y, z, name, mode: dots ? "markers" : "lines", hoverinfo: "skip", connectgaps: false,
       line: { color: colour(of), width }, marker: { color: colour(of), size: width },
     }),
   };
@@ -48,47 +48,30 @@ const plots = (() => {
     const at = chosen(plot);
     return at ? [{ type: "line", xref: "x", yref: "paper", x0: at.x, x1: at.x, y0: 0, y1: 1, line: { color: colour("chosen"), width: 1.5 } }] : [];
   }
-  function marker(plot) {
-    const at = chosen(plot);
-    return { type: "scatter3d", mode: "markers", hoverinfo: "skip", showlegend: false, x: [at?.x ?? null], y: [at?.y ?? null],
-      z: [at?.z ?? null], marker: { size: 7, color: colour("chosen") } };
-  }
+  const stepping = (plot) => {
+    const last = Math.max(...plot.traces.flatMap(({ places }) => places ?? []));
+    return (by) => selection.choose(Math.min(Math.max((selection.chosen ?? 0) + by, 0), last));
+  };
 
   // Points of the plot are places: pointing at one and a click show it in all views, keys step.
-  function link(element, plot, inSpace) {
-    const last = Math.max(...plot.traces.flatMap(({ places }) => places ?? []));
-    const step = (by) => selection.choose(Math.min(Math.max((selection.chosen ?? 0) + by, 0), last));
-    let under = null;
-    element.on("plotly_hover", ({ points: [{ customdata }] }) => {
-      if (typeof customdata !== "number") return;
-      under = customdata;
-      selection.point(under);
+  function link(element, plot) {
+    const step = stepping(plot);
+    element.on("plotly_hover", ({ points: [{ customdata }] }) => { if (typeof customdata === "number") selection.point(customdata); });
+    element.on("plotly_unhover", () => selection.point(null));
+    element.on("plotly_click", ({ points: [{ customdata }] }) => { if (typeof customdata === "number") selection.choose(customdata); });
+    element.addEventListener("keydown", (event) => {
+      const by = { ArrowLeft: -1, ArrowRight: 1, PageUp: -50, PageDown: 50 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      step(by * (event.shiftKey ? 10 : 1));
     });
-    element.on("plotly_unhover", () => {
-      under = null;
-      selection.point(null);
-    });
-    if (inSpace) {
-      space.clicked(element, () => { if (under !== null) selection.choose(under); });
-      space.hear(element, { n: () => step(1), p: () => step(-1) });
-    } else {
-      element.on("plotly_click", ({ points: [{ customdata }] }) => { if (typeof customdata === "number") selection.choose(customdata); });
-      element.addEventListener("keydown", (event) => {
-        const by = { ArrowLeft: -1, ArrowRight: 1, PageUp: -50, PageDown: 50 }[event.key];
-        if (!by) return;
-        event.preventDefault();
-        step(by * (event.shiftKey ? 10 : 1));
-      });
-    }
     let asked = false;
     selection.subscribe(() => {
       if (asked) return;
       asked = true;
       requestAnimationFrame(() => {
         asked = false;
-        const { x, y, z } = marker(plot);
-        if (inSpace) Plotly.restyle(element, { x: [x], y: [y], z: [z] }, [plot.traces.length]);
-        else Plotly.relayout(element, { shapes: figure(plot)[1].shapes });
+        Plotly.relayout(element, { shapes: figure(plot)[1].shapes });
       });
     });
   }
@@ -102,29 +85,21 @@ const plots = (() => {
   }
 
   function figure(plot) {
-    const inSpace = plot.traces.some(({ type }) => type === "lines");
     const square = plot.traces.some(({ type }) => type === "matrix");
     const layout = theme.layout({ showlegend: plot.traces.filter(({ name }) => name).length > 1 });
     layout.legend = { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 };
     layout.hovermode = "closest";
     const data = plot.traces.map((trace) => traced[trace.type](trace));
-    if (inSpace) {
-      if (plot.traces.some(({ places }) => places)) data.push(marker(plot));
-      const of = (title) => theme.axis({ title: { text: title }, backgroundcolor: "rgba(0,0,0,0)" });
-      layout.scene = { aspectmode: "data", ...Object.fromEntries(["X", "Y", "Z"].map((name) => [`${name.toLowerCase()}axis`, of(`${name}, ${plot.unit}`)])) };
-      layout.margin = { l: 0, r: 0, t: 0, b: 0 };
-    } else {
-      layout.xaxis = axis(plot.x, square);
-      layout.yaxis = axis(plot.y, square);
-      if (square || plot.y.categories) layout.yaxis.autorange = "reversed";
-      if (square) Object.assign(layout.xaxis, { tickangle: -60 });
-    }
+    layout.xaxis = axis(plot.x, square);
+    layout.yaxis = axis(plot.y, square);
+    if (square || plot.y.categories) layout.yaxis.autorange = "reversed";
+    if (square) Object.assign(layout.xaxis, { tickangle: -60 });
     const along = (mark) => (mark.level
       ? { x0: 0, x1: 1, xref: "paper", y0: mark.at, y1: mark.at, yref: "y" }
       : { x0: mark.at, x1: mark.at, xref: "x", y0: 0, y1: 1, yref: "paper" });
     layout.shapes = plot.marks.map((mark) => ({
       type: "line", ...along(mark), line: { color: colour(mark.colour), width: 1.5, dash: "dash" },
-    })).concat(inSpace ? [] : cursor(plot));
+    })).concat(cursor(plot));
     layout.annotations = plot.marks.map((mark, i) => {
       const log = (mark.level ? plot.y : plot.x).logarithmic;
       const at = log ? Math.log10(mark.at) : mark.at;
@@ -134,30 +109,41 @@ const plots = (() => {
           : { x: at, xanchor: "left", y: 1 - 0.09 * i, yref: "paper", yanchor: "top" }),
       };
     });
-    if (plot.steps) {
-      data.forEach((trace, i) => { trace.visible = plot.steps[0].includes(i); });
-      layout.sliders = [{
-        pad: { t: 20, b: 30 }, currentvalue: { prefix: "shown: " },
-        steps: plot.steps.map((shown, i) => ({
-          label: plot.step_names[i], method: "restyle", args: [{ visible: data.map((_, k) => shown.includes(k)) }],
-        })),
-      }];
-    }
     return [data, layout];
+  }
+
+  // Lines in space; the chosen place is marked on the first of those that have places.
+  function inSpace(element, plot) {
+    const linked = plot.traces.filter(({ places }) => places);
+    const step = linked.length ? stepping(plot) : null;
+    const all = plot.traces.map((_, i) => i);
+    const layout = { showlegend: plot.traces.filter(({ name }) => name).length > 1, legend: { orientation: "h", y: 1, yanchor: "top", x: 0 } };
+    if (plot.steps) layout.sliders = [{
+      pad: { t: 20, b: 30 }, currentvalue: { prefix: "shown: " },
+      steps: plot.steps.map((shown, i) => ({
+        label: plot.step_names[i], method: "restyle", args: [{ visible: all.map((k) => shown.includes(k)) }],
+      })),
+    }];
+    const bounds = space.reach(plot.traces);
+    space.add(element, {
+      reach: () => bounds, unit: plot.unit, layout,
+      traces: () => plot.traces.map((trace, i) => ({ ...traced.lines(trace), visible: !plot.steps || plot.steps[0].includes(i) })),
+      marks() {
+        const at = chosen(plot);
+        return at ? [{ dot: [at.x, at.y, at.z], colour: colour("chosen"), size: 5 }] : [];
+      },
+      points: linked.length ? () => ({ ...linked.at(-1), place: linked.at(-1).places, joined: true }) : null,
+      keys: step ? { n: () => step(1), p: () => step(-1) } : {},
+    });
   }
 
   for (const element of document.querySelectorAll(".plot")) {
     const plot = JSON.parse(element.nextElementSibling.textContent);
-    const inSpace = plot.traces.some(({ type }) => type === "lines");
-    const draw = () => {
-      const drawn = Plotly.react(element, ...figure(plot), theme.config);
-      if (inSpace) space.photograph(element);
-      return drawn;
-    };
+    if (plot.traces.some(({ type }) => type === "lines")) { inSpace(element, plot); continue; }
+    const draw = () => Plotly.react(element, ...figure(plot), theme.config);
     stage.add(element, () => draw().then(() => {
       theme.onChange(draw);
-      if (inSpace) element.on("plotly_relayout", () => space.photograph(element));
-      if (plot.traces.some(({ places }) => places)) link(element, plot, inSpace);
+      if (plot.traces.some(({ places }) => places)) link(element, plot);
     }));
   }
 })();

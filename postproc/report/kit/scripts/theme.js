@@ -26,6 +26,7 @@ const theme = (() => {
     hoverlabel: { bgcolor: colour("card"), bordercolor: colour("rule"), font: { color: colour("ink") } },
     margin: { l: 56, r: 16, t: 10, b: 40 }, width: printing ? PAPER : undefined, autosize: !printing, ...more,
   });
-  const config = { responsive: true, displaylogo: false, displayModeBar: false };
+  const config = { responsive: true, displaylogo: false, displayModeBar: false,
+    plotGlPixelRatio: Math.min(devicePixelRatio, 2) };
   return { get printing() { return printing; }, colour, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
 })();
