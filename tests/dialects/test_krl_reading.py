@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl
+from postproc.dialects.krl.read import plain_settings
 from postproc.errors import CellError, ForceError, PostprocError, ProgramError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP
@@ -34,6 +36,87 @@ def assert_same(one, other):
     assert one.issues == other.issues
     assert one.notes == other.notes
     assert np.array_equal(one.bases, other.bases)
+
+
+# --- plain settings -----------------------------------------------------------------------------------------------
+
+_SETTINGS = [
+    "$VEL.CP=0.05", " $vel.cp = 1 ;FORCE FX=1", "$VEL.CP=.3", "$VEL.CP=0", "$VEL.CP=101", "$VEL.CP=-1", "$VEL.CP=SPEED",
+    "$VEL.CP=0.1+0.1", "$APO.CDIS=0.8", "\t$APO.CDIS=2. ; $VEL.CP=9", "$APO.CDIS=0", "$APO.CDIS=-1", "$APO.CDIS=NEAR",
+    "$VEL={CP 0.2,ORI1 200}", "$APO.CVEL=50", "$ACC.CP=2", "$OUT[3]=TRUE", "$ANOUT[1]=0.5", "$ORI_TYPE=#CONSTANT",
+    "BAS(#VEL_CP,.4)", "BAS(#CP_PARAMS,0.4)", "$BASE=BASE_DATA[3]", "$TOOL=TOOL_DATA[2]", "$VEL.ORI1=200", "WAIT SEC 0",
+    "; $VEL.CP=3", "$OUT[1]=$IN[2]", "SPEED=0.7", "NEAR=5", "$VEL.CP=0.1 $VEL.CP=0.2", "$ADVANCE=1",
+]  # fmt: skip
+_MOVES = [
+    FULL, f"{FULL} C_DIS", "LIN {X 90,Y 10,Z 30} C_DIS", "LIN P1 C_DIS", "LIN_REL {X 1}",
+    "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}",
+    "CIRC {X 90,Y 10,Z 30},{X 80,Y 20,Z 30} C_DIS", "LIN {X 70,Y 10,Z 30} WITH $VEL.CP=0.5 C_DIS",
+]  # fmt: skip
+_AROUND = [
+    ("IF $IN[1] THEN", "ENDIF"), ("IF TRUE THEN", "ENDIF"), ("FOR I=1 TO 2", "ENDFOR"), ("WHILE $IN[1]", "ENDWHILE"),
+    ("SPLINE", "ENDSPLINE"), ("REPEAT", "UNTIL $IN[2]"), ("IF $IN[1] THEN", "ELSE"), ("RETURN", ""), ("WAY( )", ""),
+    ("ENDIF", ""), ("LOOP", ""),
+]  # fmt: skip
+
+
+@st.composite
+def settings_between_motions(draw):
+    """A program in which settings, motions and control structures alternate, and a routine that it calls."""
+
+    def lines(depth):
+        out = []
+        for _ in range(draw(st.integers(1, 5))):
+            kind = draw(st.integers(0, 9))
+            if kind < 6:
+                out.append(draw(st.sampled_from(_SETTINGS)))
+            elif kind < 9 or depth > 1:
+                out.append(draw(st.sampled_from(_MOVES)))
+            else:
+                opening, closing = draw(st.sampled_from(_AROUND[: len(_AROUND) - 3 * (draw(st.integers(0, 5)) > 0)]))
+                out += [opening, *lines(depth + 1), closing]
+                out += ["ENDIF"] if closing == "ELSE" else []
+        return out
+
+    begin = ["DEF part( )", "DECL INT I", "DECL REAL SPEED,NEAR", "DECL POS P1", "BAS (#INITMOV,0 )"]
+    begin += ["SPEED=0.25", "NEAR=1.5", "P1={X 60,Y 10,Z 30,A 0,B 0,C 180}", FULL]
+    return "\r\n".join([*begin, *lines(0), *lines(0), "END", "DEF WAY( )", *lines(2), "END", ""])
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(settings_between_motions(), st.booleans())
+def test_plain_settings_mean_what_they_mean_as_statements(source, keep):
+    cell = replace(CELL, krl=replace(CELL.krl, keep_unresolved=keep))
+
+    def outcome():
+        try:
+            return read(source, DATA, cell)
+        except PostprocError as error:
+            return str(error)
+
+    one = outcome()
+    with patch.object(plain_settings, "scan", lambda source: plain_settings.no_settings()):
+        other = outcome()
+    if isinstance(one, str) or isinstance(other, str):
+        assert one == other
+    else:
+        assert_same(one, other)
+
+
+@pytest.mark.parametrize("line", ["$VEL.CP=0.25 ;a", "$APO.CDIS=1.5", "$OUT[3]=TRUE"])
+def test_every_single_slip_in_a_plain_setting_is_read_or_refused_as_in_a_statement(line):
+    for at in range(len(line) + 1):
+        for slip in [*_SLIPS, "$", "="]:
+            assert_read_alike(body(FULL, line[:at] + slip + line[at:], f"{FULL} C_DIS"))
+        assert_read_alike(body(FULL, line[:at] + line[at + 1 :], f"{FULL} C_DIS"))
+
+
+def test_settings_between_motions_are_read_in_bulk():
+    speeds = np.random.default_rng(7).uniform(0.01, 1.0, 9_000).round(4)
+    lines = [line for v in speeds for line in (f"$VEL.CP={v}", f"$APO.CDIS={v}", "LIN {X 1,Y 2,Z 3} C_DIS ;FORCE FX=1")]
+    program = read(body(FULL, *lines))
+    assert program.motions.feed[1:].tolist() == speeds.tolist()
+    np.testing.assert_allclose(program.motions.blend[1:], speeds / 1000.0, rtol=1e-12)
+    assert calls_for_each(lambda count: partial(read, body(FULL, *lines[: 3 * count]))) < 25  # one by one: over 300
 
 
 # --- plain lines -------------------------------------------------------------------------------------------------

@@ -40,6 +40,7 @@ class Routine(Struct, frozen=True, eq=False):
     :param last: line of END.
     :param lines: those with code between, plain motions left out.
     :param plain: lines of plain motions, in order.
+    :param settings: those of `lines` that are plain settings.
     :param local: names that it declares, parameters included.
     """
 
@@ -51,6 +52,7 @@ class Routine(Struct, frozen=True, eq=False):
     last: int
     lines: tuple[int, ...]
     plain: Sequence[int]
+    settings: Sequence[int]
     local: frozenset[str]
 
     @property
@@ -91,12 +93,13 @@ class _Begun(Struct, eq=False):
 
 
 def routines(
-    source: Source, lines: Sequence[int], plain: Sequence[int]
+    source: Source, lines: Sequence[int], plain: Sequence[int], settings: Sequence[int] = ()
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
     """Return the routines of a file, and what is wrong with their bounds: no END, a motion outside of DEF … END.
 
-    :param lines: 1-based lines that are not plain motions.
-    :param plain: those that are, in order.
+    :param lines: 1-based lines that are neither plain motions nor plain settings.
+    :param plain: those that are plain motions, in order.
+    :param settings: those that are known to assign something to system variables and to do nothing else, in order.
     """
     found: dict[str, Routine] = {}
     faults: list[ProgramError] = []
@@ -110,10 +113,10 @@ def routines(
         if word in ("DEF", "DEFFCT", "GLOBAL") and (match := _DEF.match(text, start, stop)):
             if begun is not None:
                 faults.append(source.line_error(f"DEF {begun.name} (line {begun.line}) has no END", line))
-                found.setdefault(begun.name, _ended(source, begun, line, plain))
+                found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
             begun = _Begun(match[2].upper(), line, tuple(_parameters(match[3] or "")), match[1] is not None)
         elif word in ("END", "ENDFCT") and begun is not None:
-            found.setdefault(begun.name, _ended(source, begun, line, plain))
+            found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
             begun = None
         elif begun is not None:
             begun.lines.append(line)
@@ -121,7 +124,7 @@ def routines(
             faults.append(source.line_error(f"{word} stands outside of DEF … END", line))
     if begun is not None:
         faults.append(source.line_error(f"DEF {begun.name} has no END", begun.line, _INCOMPLETE))
-        found.setdefault(begun.name, _ended(source, begun, len(source.starts) + 1, plain))
+        found.setdefault(begun.name, _ended(source, begun, len(source.starts) + 1, plain, settings))
     return found, faults
 
 
@@ -131,12 +134,13 @@ def _parameters(text: str) -> Iterator[Parameter]:
             yield Parameter(match[1].upper(), (match[2] or "").upper() == "IN")
 
 
-def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int]) -> Routine:
+def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int], settings: Sequence[int]) -> Routine:
     local = {parameter.name for parameter in begun.parameters}
     for inside in begun.lines:
         start, stop = source.code_span(inside)
         if declares(source.text, start, stop):
             local |= {one.name for one in declared(source, start, stop)}
+    plain, settings = (some[bisect_left(some, begun.line) : bisect_left(some, line)] for some in (plain, settings))
     return Routine(
         source,
         begun.name,
@@ -144,7 +148,8 @@ def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int]) -> Ro
         begun.public,
         begun.line,
         line,
-        tuple(begun.lines),
-        plain[bisect_left(plain, begun.line) : bisect_left(plain, line)],
+        tuple(sorted([*begun.lines, *settings])) if settings else tuple(begun.lines),
+        plain,
+        settings,
         frozenset(local),
     )

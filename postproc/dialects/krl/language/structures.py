@@ -6,9 +6,12 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
+import numpy as np
+
 from postproc.dialects.krl.language.names import OPENING
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.statements import word_at
+from postproc.program import Bools, Ints
 
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
@@ -94,3 +97,19 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
         first = open_[0].first
         out += [line for line in lines if line >= first]
     return tuple(out)
+
+
+def outside(source: Source, lines: Sequence[int], others: Ints) -> Bools:
+    """Return which of other lines (n,) stand outside of the control structures that some lines open and close."""
+    opened: list[int] = []
+    closed: list[int] = []
+    depth = 0
+    for line in lines:
+        word = word_at(source.text, *source.code_span(line))
+        if word in OPENING or word == "REPEAT":
+            opened += [] if depth else [line]
+            depth += 1
+        elif depth and word in _CLOSING:
+            depth -= 1
+            closed += [] if depth else [line]
+    return np.asarray(np.searchsorted(opened, others) == np.searchsorted(closed, others))

@@ -12,9 +12,9 @@ from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join
 from postproc.dialects.krl.language.expressions import operand
 from postproc.dialects.krl.language.names import NAME, fault_of
 from postproc.dialects.krl.language.routines import Routine
-from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import MOTION_WORDS, calls, word_at
-from postproc.dialects.krl.language.structures import Block, nodes_of
+from postproc.dialects.krl.language.structures import Block, nodes_of, outside
 from postproc.dialects.krl.language.values import Call
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.inexact import UnresolvedError
@@ -22,6 +22,8 @@ from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
+from postproc.dialects.krl.read.plain import Plain
+from postproc.dialects.krl.read.plain_settings import Coming
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import SplineBlocks
@@ -44,7 +46,8 @@ def course_of(
     run.elsewhere = elsewhere
     trace = Trace(main)
     flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
-    nodes = run.nodes(main)
+    others = np.setdiff1d(main.lines, main.settings).tolist()
+    nodes = nodes_of(main.source, _one_by_one(main.source, others, np.array(main.settings))[0])
     if not any(flow.moves(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
         return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body)
@@ -86,7 +89,7 @@ class MainRoutine:
     """
 
     def __init__(
-        self, library: Library, main: Routine, settings: Settings, reader: MotionReader, course: Course, plain: Ints
+        self, library: Library, main: Routine, settings: Settings, reader: MotionReader, course: Course, plain: Plain
     ) -> None:
         self.course = course
         self.run = Run(library, main, settings, course.source)
@@ -98,8 +101,8 @@ class MainRoutine:
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
         self._refused: set[int] = set()
-        self._plain = plain
-        self._lines = main.lines if course.straight else _others(course, plain)
+        self._plain, self._given = plain.moving, plain.settings
+        self._lines = np.setdiff1d(main.lines, main.settings).tolist() if course.straight else _others(course, plain)
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Follow the course.
@@ -113,10 +116,10 @@ class MainRoutine:
             raise run.routine.source.line_error(f"{run.routine.name} is not a valid name: {fault}", run.routine.first)
         _submitted(run)
         self._errors += faults
+        lines = self._come_to_settings()
         for step in self.course.steps:
             if isinstance(step, Lines):
-                lines = self._lines[bisect_left(self._lines, step.first) : bisect_right(self._lines, step.last)]
-                self._flow.follow(source, nodes_of(source, lines))
+                self._run(step, lines[step])
             elif isinstance(step, Kept):
                 self._keep(step)
             elif isinstance(step, Fork | Branch | Join):
@@ -137,6 +140,32 @@ class MainRoutine:
             errors.append(source.line_error(f"{word} is not closed", opened, "Check that the file is complete."))
         if errors:
             raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
+
+    def _between(self, step: Lines | Kept) -> tuple[list[int], Ints]:
+        """Return the lines of a step that are not plain, and those that are settings."""
+        lines, given = self._lines, self._given.line
+        own = given[np.searchsorted(given, step.first) : np.searchsorted(given, step.last, "right")]
+        return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], own
+
+    def _come_to_settings(self) -> dict[Lines, list[int]]:
+        """Have plain settings come into force where they stand; return the lines that are run one by one."""
+        found, free = {}, [np.zeros(0, dtype=np.int64)]
+        for step in self.course.steps:
+            if isinstance(step, Lines):
+                found[step], own = _one_by_one(self.run.source, *self._between(step))
+                free.append(own)
+        self.run.settings.coming = Coming(self._given.take(np.isin(self._given.line, np.concatenate(free))))
+        return found
+
+    def _run(self, step: Lines, lines: Sequence[int]) -> None:
+        """Run the lines of a step; `lines` one by one."""
+        run = self.run
+        for node in nodes_of(run.source, lines):
+            run.settings.come_to(node if isinstance(node, int) else node.first)
+            self._flow.follow(run.source, (node,))
+            if run.level.returned:
+                return
+        run.settings.come_to(step.last + 1)
 
     def _never_reached(self, returned: int) -> Iterator[ProgramError]:
         """Yield an error for the first statement behind RETURN that moves."""
@@ -199,8 +228,8 @@ class MainRoutine:
     def _keep(self, step: Kept) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
         source, run = self.run.source, self.run
-        lines = self._lines[bisect_left(self._lines, step.first) : bisect_right(self._lines, step.last)]
-        for node in nodes_of(source, lines):
+        lines, given = self._between(step)
+        for node in nodes_of(source, sorted([*lines, *given.tolist()])):
             if isinstance(node, Block):
                 self._flow.roughly(source, node)
         plain = self._plain[np.searchsorted(self._plain, step.first) : np.searchsorted(self._plain, step.last, "right")]
@@ -248,13 +277,16 @@ class MainRoutine:
             self.motions.add(move, state)
 
 
-def _others(course: Course, plain: Ints) -> list[int]:
-    """Return the lines of a course that have code and are not plain motions."""
-    source = course.source
-    others = np.ones(len(source.starts), dtype=np.bool_)
-    others[plain - 1] = False
-    found = []
-    for line in (np.flatnonzero(others) + 1).tolist():
+def _one_by_one(source: Source, lines: list[int], settings: Ints) -> tuple[list[int], Ints]:
+    """Return the lines that are run one by one: those given and settings in control structures; and other settings."""
+    free = outside(source, lines, settings)
+    return (lines if free.all() else sorted([*lines, *settings[~free].tolist()])), settings[free]
+
+
+def _others(course: Course, plain: Plain) -> list[int]:
+    """Return the lines of a course that have code and are not plain."""
+    source, found = course.source, []
+    for line in (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist():
         start, stop = source.code_span(line)
         if start < stop and source.text[start] != "&":
             found.append(line)

@@ -18,6 +18,7 @@ from postproc.dialects.krl.read.end_poses import EndPoses, end_poses
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
+from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
@@ -34,12 +35,15 @@ class OrderedMotions(NamedTuple):
     :param rows: (R,) motions.
     :param states: all states that are in force anywhere.
     :param state: (R,) which of them.
+    :param numbers: (R, 2) of these, speed and distance of approximation, see `plain_settings.NUMBERS`: plain settings
+        have no states of their own.
     :param moves: row → statement, of those that are not plain.
     """
 
     rows: MotionColumns
     states: list[State]
     state: Ints
+    numbers: Array
     moves: dict[int, MotionStatement]
 
 
@@ -51,15 +55,19 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     """
     statements = main.motions
     line = np.concatenate([rows.line for rows in plain])
-    states, state_plain, state_moves = _states(main.run.settings, line, statements.states)
+    states, state_plain, state_moves, changed = _states(main.run.settings, line, statements.states)
     others = statements.rows()
     place = np.searchsorted(line, others.line) + np.arange(len(others))
     place_plain = np.delete(np.arange(len(line) + len(others)), place)
     places = np.concatenate([place_plain, place])
     state = np.empty(len(places), dtype=np.int64)
     state[places] = np.concatenate([state_plain, state_moves])
+    numbers = np.array([[getattr(one, field) for field in NUMBERS] for one in states])[state]
+    for row in range(len(NUMBERS)):
+        own = numbers[place_plain, row]
+        numbers[place_plain, row] = main.run.settings.coming.at(row, line, changed, own)
     moves = {int(place[index]): move for index, move in statements.special}
-    return OrderedMotions(merged([*plain, others], places), states, state, moves)
+    return OrderedMotions(merged([*plain, others], places), states, state, numbers, moves)
 
 
 def motions_and_layout(
@@ -81,7 +89,7 @@ def motions_and_layout(
         is not what the controller could follow.
     """
     settings = main.run.settings
-    rows, states, state, moves = ordered
+    rows, states, state, numbers, moves = ordered
     block = _column(states, state, lambda s: s.block)
     check_words(source, rows, block)
     rows = replace(rows, approximated=approximated(rows, block != "", main.splines.approximated))
@@ -98,8 +106,7 @@ def motions_and_layout(
     _check_orientation(source, rows, states, state, ends)
     centre, normal, sweep = _arcs(source, rows, ends, moves)
 
-    speed = _column(states, state, lambda s: s.speed)
-    cdis = _column(states, state, lambda s: s.cdis)
+    speed, cdis = numbers.T
     motions = Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
@@ -146,10 +153,13 @@ def motions_and_layout(
     return motions, layout, [*standing, *assumptions, *_by_speed(source, rows), *told(motions)]
 
 
-def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints]:
-    """Return all states, and for plain lines and then statements which one is in force."""
+def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:
+    """Return all states, for plain lines and then statements which one is in force, and where it came into force there.
+
+    The third is told of plain lines only.
+    """
     states = [state for _, state in settings.changes]
-    changed = np.array([line for line, _ in settings.changes])
+    changes = np.array([line for line, _ in settings.changes])
     index: dict[State, int] = {}
     own = []
     for state in own_states:
@@ -157,7 +167,8 @@ def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[li
             index[state] = len(states)
             states.append(state)
         own.append(index[state])
-    return states, np.searchsorted(changed, line) - 1, np.array(own, dtype=np.int64)
+    plain = np.searchsorted(changes, line) - 1
+    return states, plain, np.array(own, dtype=np.int64), changes[plain]
 
 
 def _column(states: list[State], state: Ints, value: Callable[[State], object]) -> np.ndarray:

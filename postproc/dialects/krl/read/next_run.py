@@ -13,9 +13,9 @@ import numpy as np
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
-from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
+from postproc.dialects.krl.read.plain import Plain
 from postproc.dialects.krl.read.settings import Settings
 from postproc.errors import Issue, ProgramError
 from postproc.frames import Array
@@ -25,13 +25,13 @@ _MOST_NAMES = 10
 
 
 def changed_data_issues(
-    main: MainRoutine, first: OrderedMotions, plain: list[MotionColumns], start_joints: tuple[float, ...]
+    main: MainRoutine, first: OrderedMotions, plain: Plain, start_joints: tuple[float, ...]
 ) -> Iterator[Issue]:
     """Yield a warning if the next run, with the values that this one leaves, goes elsewhere or cannot be known.
 
     :param main: has followed the program.
     :param first: its motions.
-    :param plain: its plain motions.
+    :param plain: its plain lines.
     :param start_joints: where the robot stands first [deg].
     """
     kept = main.run.settings.variables.kept()
@@ -45,11 +45,10 @@ def changed_data_issues(
         course = course_of(library, routine, again, reader, main.run.elsewhere)
         line = _elsewhere(main.course, course)
         if line is None:
-            lines = np.concatenate([rows.line for rows in plain])
-            second_run = MainRoutine(library, routine, settings, reader, main.course, lines)
+            second_run = MainRoutine(library, routine, settings, reader, main.course, plain)
             second_run.run.elsewhere = main.run.elsewhere
             second_run.follow([])
-            second = ordered_motions(second_run, plain)
+            second = ordered_motions(second_run, plain.motions)
             line = _first_difference(main.run.settings, first, settings, second)
         line = None if line is None else int(main.course.source.shown(np.array([line]))[0])
     except ProgramError as cause:
@@ -83,6 +82,7 @@ def _first_difference(one: Settings, first: OrderedMotions, other: Settings, sec
         (first.rows.numbers, second.rows.numbers),
         (first.rows.via, second.rows.via),
         (_in_force(one, first)[first.state], _in_force(other, second)[second.state]),
+        (first.numbers, second.numbers),
     ):
         same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
     for row, move in first.moves.items():
@@ -97,14 +97,14 @@ def _same(one: Position, other: Position) -> bool:
 
 
 def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
-    """Return (S, 36) what motions depend on in each state; NaN for what is not known."""
+    """Return (S, 34) what motions depend on in each state, but for numbers; NaN for what is not known."""
     return np.array(
         [
             np.concatenate(
                 [
                     _frame(settings.frames.bases, state.base),
                     _frame(settings.frames.tools, state.tool),
-                    [state.speed, state.cdis, hash(state.orientation), hash(state.circle)],
+                    [hash(state.orientation), hash(state.circle)],
                 ]
             )
             for state in ordered.states

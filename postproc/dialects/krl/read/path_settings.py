@@ -11,7 +11,7 @@ from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.frames import M_PER_MM
 
-_FASTEST = 100.0
+FASTEST = 100.0
 """A speed above this [m/s] is a slip of the unit."""
 _RUN_TIME = "Write it as a number or a constant name, so that it is known before the program runs."
 _MODES = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
@@ -37,8 +37,8 @@ class PathSettings:
         number = self.variables.number(at.source, wanted)
         if number is None:
             return self._unknown(state, "speed", at, "the speed $VEL.CP is not known before the program runs", wanted)
-        if not 0.0 < number <= _FASTEST:
-            raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {_FASTEST:g} m/s.")
+        if not 0.0 < number <= FASTEST:
+            raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
         return state.with_known(speed=number, assumed=False)
 
     def distance(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:

@@ -20,7 +20,6 @@ from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source, comment_start
-from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.folder_files import FolderFiles
@@ -29,10 +28,11 @@ from postproc.dialects.krl.read.inexact import InexactError
 from postproc.dialects.krl.read.issues import issues_of
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
-from postproc.dialects.krl.read.motion_columns import MotionColumns, merged, none
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions
 from postproc.dialects.krl.read.next_run import changed_data_issues
+from postproc.dialects.krl.read.plain import Plain, plain_of
 from postproc.dialects.krl.read.remarks import remarks
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.shared_data import read_shared
@@ -68,8 +68,8 @@ def read_program(
     :raises CellError: the `$config.dat` that the cell names cannot be read.
     """
     source = Source.of(documents[0], 0)
-    plain = plain_lines.scan(source) if _bulk else [none()]
-    module, entry, faults = _main(source, np.concatenate([rows.line for rows in plain]), name)
+    plain = plain_of(source, bulk=_bulk)
+    module, entry, faults = _main(source, plain, name)
     others = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), others))
     reading = _Reading(documents, cell, forward, name, library, entry, faults)
@@ -95,10 +95,10 @@ class _Reading(Struct, frozen=True, eq=False):
     entry: Routine
     faults: list[ProgramError]
 
-    def program(self, plain: list[MotionColumns], elsewhere: frozenset[Routine | Place], *, bulk: bool) -> Program:
+    def program(self, plain: Plain, elsewhere: frozenset[Routine | Place], *, bulk: bool) -> Program:
         """Follow the program, and read what moves.
 
-        :param plain: plain motions of the `.src`, in parts.
+        :param plain: plain lines of the `.src`.
         :param elsewhere: routines of other files whose motions are not those of the program.
         """
         library, entry, cell = self.library, self.entry, self.cell
@@ -106,24 +106,23 @@ class _Reading(Struct, frozen=True, eq=False):
         settings = self._settings()
         course = course_of(library, entry, self._settings(), MotionReader(settings, start), elsewhere)
         if not course.straight:
-            plain = plain_lines.scan(course.source) if bulk else [none()]
+            plain = plain_of(course.source, bulk=bulk)
         source = course.source
-        lines = np.concatenate([rows.line for rows in plain])
         moves = MotionReader(settings, start)
-        main = MainRoutine(library, entry, settings, moves, course, lines)
+        main = MainRoutine(library, entry, settings, moves, course, plain)
         main.run.elsewhere = elsewhere
         try:
             main.follow(self.faults)
         except RecursionError:
             raise source.line_error("brackets are nested too deeply", main.run.line) from None
-        executed = main.executed(lines)
+        executed = main.executed(plain.moving)
         if not executed.all():
-            plain = [merged(plain, np.arange(len(lines))).take(executed)]
+            plain = plain._replace(motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])
         if not executed.any() and not len(main.motions) and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
-        ordered = ordered_motions(main, plain)
+        ordered = ordered_motions(main, plain.motions)
         changed = list(changed_data_issues(main, ordered, plain, start))
         del plain  # what follows needs the memory
         ordered, after, kept = without_unresolved(main, ordered)
@@ -214,11 +213,10 @@ def _config(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _main(source: Source, plain: Ints, name: str) -> tuple[Module, Routine, list[ProgramError]]:
+def _main(source: Source, plain: Plain, name: str) -> tuple[Module, Routine, list[ProgramError]]:
     """Return the routines, the one to follow (that of the program's name, else the first), and faults of bounds."""
-    others = np.ones(len(source.starts), dtype=np.bool_)
-    others[plain - 1] = False
-    found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain.tolist())
+    others = np.flatnonzero(plain.others(len(source.starts))) + 1
+    found, faults = routines(source, others.tolist(), plain.moving.tolist(), plain.settings.line.tolist())
     module = Module(source, found)
     main = module.main(name)
     if main is None and faults:
@@ -257,17 +255,24 @@ def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
 
 def _notes(course: Course, motions: Ints) -> list[tuple[int, ForceNote]]:
     """Return the force comments of a course by its lines; its motions stand on lines (M,) of it."""
-    source, notes = course.source, []
-    for match in _FORCE.finditer(source.text):
-        line = source.line_at(match.start())
-        if course.live is not None and not course.live[line - 1]:
-            continue
-        start, stop = int(source.starts[line - 1]), int(source.stops[line - 1])
-        if (
-            comment_start(source.text, start, stop) == match.start()
-        ):  # else the semicolon stands in a string or a comment
-            origin = source.origin(line)
-            note = parse_force_note(source.text[match.start() + 1 : stop], origin.line, origin.source.document.name)
-            if note is not None:
-                notes.append((line, replace(note, before=int(np.searchsorted(motions, line)))))
+    source = course.source
+    text = source.text
+    places = np.array([match.start() for match in _FORCE.finditer(text)], dtype=np.int64)
+    lines = np.searchsorted(source.starts, places, side="right")
+    if course.live is not None:
+        places, lines = places[course.live[lines - 1]], lines[course.live[lines - 1]]
+    starts, stops = source.starts[lines - 1].tolist(), source.stops[lines - 1].tolist()
+    before = np.searchsorted(motions, lines).tolist()
+    parsed: dict[str, ForceNote | None] = {}
+    notes = []
+    for place, line, start, stop, row in zip(places.tolist(), lines.tolist(), starts, stops, before, strict=True):
+        if comment_start(text, start, stop) != place:
+            continue  # the semicolon stands in a string or a comment
+        comment = text[place + 1 : stop]
+        origin = source.origin(line)
+        if comment not in parsed:
+            parsed[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
+        note = parsed[comment]
+        if note is not None:
+            notes.append((line, ForceNote(origin.line, note.wrench, note.frame, row)))
     return notes

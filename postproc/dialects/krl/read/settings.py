@@ -11,6 +11,7 @@ from postproc.dialects.krl.read.bas import Bas
 from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import Known
 from postproc.dialects.krl.read.path_settings import PathSettings
+from postproc.dialects.krl.read.plain_settings import Coming, no_settings
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
@@ -21,6 +22,8 @@ class Settings:
 
     :ivar state: what is in force now.
     :ivar changes: (line of the program, state in force behind it), in order.
+    :ivar coming: plain assignments that the program comes to: behind the first and the last that it has come to between
+        two statements there is a state of its own.
     :ivar frames: the frames that are used.
     """
 
@@ -28,6 +31,7 @@ class Settings:
         self.variables, self.cell = variables, cell
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
+        self.coming = Coming(no_settings())
         self._reasons = Reasons()
         self.frames = Frames(variables, cell, self._reasons)
         self._path = PathSettings(variables, self._reasons)
@@ -38,6 +42,12 @@ class Settings:
         if state != self.state:
             self.state = state
             self.changes.append((line, state))
+
+    def come_to(self, line: int) -> None:
+        """Put into force what plain assignments before a line set."""
+        for at, field, value in self.coming.before(line):
+            known = {field: value, "assumed": False} if field == "speed" else {field: value}
+            self.change(at, self.state.with_known(**known))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Make uncertain what differs in another state, which may or may not come into force."""

@@ -58,7 +58,9 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> tuple[Orde
     begins = [int(new[row]) for row in sorted(open_) if row < len(rows)]
     after[begins] = begins
     moves = {int(new[row]): move for row, move in ordered.moves.items() if not dropped[row]}
-    left = OrderedMotions(rows.take(~dropped), ordered.states, ordered.state[~dropped], moves)
+    left = OrderedMotions(
+        rows.take(~dropped), ordered.states, ordered.state[~dropped], ordered.numbers[~dropped], moves
+    )
     return left, after, [*_told(main, lost), *_opened(main, left, begins)]
 
 

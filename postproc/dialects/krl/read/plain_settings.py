@@ -1,0 +1,114 @@
+"""Plain assignments to system variables: ``$VEL.CP=0.05`` before each of a hundred thousand motions.
+
+As for motions (`plain_lines`), one expression is the fence; what it leaves out is read statement by statement
+(`interpreter`, `path_settings`), and so could plain assignments be. It lets through numbers that nobody has to refuse,
+TRUE and FALSE.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.read.path_settings import FASTEST
+from postproc.frames import M_PER_MM, Array
+from postproc.program import Bools, Ints
+
+_NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?+"
+_SETTING = re.compile(
+    rf"""\$(?:
+    (VEL\.CP | APO\.CDIS)[ \t]*+=[ \t]*+({_NUMBER})
+    | (?:VEL\.ORI[12] | APO\.(?:CVEL|CPTP|CORI) | ACC\.(?:CP|ORI[12]))[ \t]*+=[ \t]*+{_NUMBER}
+    | (?:OUT|ANOUT|VEL_AXIS|ACC_AXIS)\[[0-9]{{1,4}}+\][ \t]*+=[ \t]*+(?:TRUE | FALSE | {_NUMBER})
+    )[ \t]*+(?:;[^\r\n]*+)?+[\r\n]""",
+    re.ASCII | re.IGNORECASE | re.VERBOSE,
+)
+NUMBERS = ("speed", "cdis")
+"""Fields of the `State` that plain assignments set."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlainSettings:
+    """Plain assignments, S of them.
+
+    :param line: (S,) 1-based lines, in order.
+    :param values: (2, S) what they give the `NUMBERS`, in the unit of the `State`; NaN where they give none.
+    """
+
+    line: Ints
+    values: Array
+
+    def take(self, index: Bools) -> PlainSettings:
+        """Return some of them."""
+        return PlainSettings(self.line[index], self.values[:, index])
+
+    def given(self, row: int) -> tuple[Ints, Array]:
+        """Return the lines (G,) on which one of the `NUMBERS` is given, and what (G,)."""
+        own = ~np.isnan(self.values[row])
+        return self.line[own], self.values[row, own]
+
+
+def no_settings() -> PlainSettings:
+    """Return no assignments."""
+    return PlainSettings(np.zeros(0, dtype=np.int64), np.zeros((len(NUMBERS), 0)))
+
+
+def scan(source: Source) -> PlainSettings:
+    """Return the plain assignments of a document, wherever they stand."""
+    text = source.text
+    found = [(match.start(), match[1], match[2]) for match in _SETTING.finditer(text)]
+    if not found:
+        return no_settings()
+    line = np.searchsorted(source.starts, [start for start, _, _ in found], side="right")
+    begins = source.starts[line - 1].tolist()
+    values = np.full((len(NUMBERS), len(found)), np.nan)
+    plain = np.ones(len(found), dtype=np.bool_)
+    for index, ((start, name, number), begin) in enumerate(zip(found, begins, strict=True)):
+        if begin != start and text[begin:start].strip(" \t"):
+            plain[index] = False
+        elif name is not None:
+            value, distance = float(number), name[0] in "Aa"
+            plain[index] = distance or 0.0 < value <= FASTEST
+            values[int(distance), index] = value * M_PER_MM if distance else value
+    return PlainSettings(line[plain], values[:, plain])
+
+
+class Coming:
+    """Plain assignments that a program comes to.
+
+    :param settings: those that run, in order.
+    """
+
+    def __init__(self, settings: PlainSettings) -> None:
+        self._given = [settings.given(row) for row in range(len(NUMBERS))]
+        self._lines = [lines.tolist() for lines, _ in self._given]
+        self._done = [0] * len(NUMBERS)
+
+    def before(self, line: int) -> list[tuple[int, str, float]]:
+        """Return the first and the last assignment of each field before a line, but behind the line asked for before.
+
+        :returns: (line, field, value), in order.
+        """
+        out = []
+        for row, (lines, (_, values)) in enumerate(zip(self._lines, self._given, strict=True)):
+            first, stop = self._done[row], bisect_left(lines, line, self._done[row])
+            if stop > first:
+                out += [(lines[k], NUMBERS[row], float(values[k])) for k in sorted({first, stop - 1})]
+                self._done[row] = stop
+        return sorted(out)
+
+    def at(self, row: int, line: Ints, changed: Ints, otherwise: Array) -> Array:
+        """Return one of the `NUMBERS` on lines (n,).
+
+        :param changed: (n,) lines on which what is in force there was put together, with all that was assigned before.
+        :param otherwise: (n,) its value then.
+        """
+        lines, values = self._given[row]
+        if not len(lines):
+            return otherwise
+        last = np.searchsorted(lines, line) - 1
+        return np.where((last >= 0) & (lines[last] > changed), values[last], otherwise)
