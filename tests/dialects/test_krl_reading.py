@@ -138,7 +138,10 @@ def test_a_plain_program_gives_its_numbers_in_si_units():
 
 
 def assert_read_alike(source):
-    """Whether plain lines are read all at once or as statements, the program or its refusal is the same."""
+    """Whether plain lines are read all at once or as statements, the program or its refusal is the same.
+
+    How far plain targets are away is looked at only where nothing else is wrong.
+    """
 
     def outcome(bulk):
         try:
@@ -148,7 +151,8 @@ def assert_read_alike(source):
 
     one, other = outcome(True), outcome(False)
     if isinstance(one, str):
-        assert one == other
+        told = other.splitlines()
+        assert one.splitlines() == ([line for line in told if "out of any robot's reach" not in line] or told[:1])
     else:
         assert not isinstance(other, str), other
         assert_same(one, other)
