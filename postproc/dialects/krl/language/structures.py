@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from msgspec import Struct
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.names import OPENING
 from postproc.dialects.krl.language.source import Source

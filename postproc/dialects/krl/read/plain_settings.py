@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.path_settings import FASTEST
@@ -31,8 +31,7 @@ NUMBERS = ("speed", "cdis")
 """Fields of the `State` that plain assignments set."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlainSettings:
+class PlainSettings(Struct, frozen=True, eq=False):
     """Plain assignments, S of them.
 
     :param line: (S,) 1-based lines, in order.
