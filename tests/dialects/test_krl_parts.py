@@ -190,31 +190,186 @@ def test_declarations_go_where_they_are_used():
     assert "DEPTH" in texts["partMain.dat"]
 
 
+OWN = """DEF PART( )
+  DECL INT I, K
+  DECL E6POS Q
+  INTERRUPT DECL 3 WHEN $IN[1]==TRUE DO STOPPED( )
+  BAS(#INITMOV,0)
+  I=1
+  LIN XP1
+  cut(I, 2) ; cut it
+  FOR K=1 TO 2
+    LIN P[K] C_DIS
+  ENDFOR
+  LIN {X 4,Y 0,Z 0,A 0,B 0,C 180} C_DIS
+  Q=XP2
+  Q.Z=Depth(I)
+  LIN Q
+  TRIGGER WHEN DISTANCE=0 DELAY=0 DO STOPPED( )
+  LIN {X 6,Y I,Z 0,A 0,B 0,C 180} C_DIS
+  Cut (I, K)
+  COUNT=COUNT+1
+  LIN {X COUNT,Y 0,Z 0,A 0,B 0,C 180}
+  Second( )
+  LIN {X COUNT,Y I,Z 5,A 0,B 0,C 180}
+END
+
+; cuts
+DEF CUT(N:OUT, K:IN)
+  DECL INT N, K
+  N=N+K
+  LIN_REL {Z 1}
+END
+DEFFCT REAL Depth(N:IN)
+  DECL INT N
+  $OUT[N]=TRUE
+  RETURN (N*1.5)
+ENDFCT
+DEF STOPPED( )
+  $OUT[9]=COUNT>3
+END
+DEF SECOND( )
+  DECL INT I
+  I=7
+  COUNT=COUNT+I
+  LIN P[1]
+END
+"""
+OWN_DATA = """DEFDAT PART
+  DECL E6POS XP1={X 0,Y 0,Z 50,A 0,B 0,C 180}
+  DECL E6POS XP2={X 10,Y 0,Z 50,A 0,B 0,C 180}
+  DECL E6POS P[2]
+  P[1]={X 1,Y 2,Z 3,A 0,B 0,C 180}
+  P[2]={X 2,Y 2,Z 3,A 0,B 0,C 180}
+  INT COUNT=1
+ENDDAT
+"""
+
+
+def in_some_files(limit=13, name="part", source=OWN, data=OWN_DATA):
+    documents = (decode("part.src", source.encode()), decode("part.dat", data.encode()))
+    return in_files(name, (), Written(documents, np.zeros(0, dtype=np.int64), "krl"), limit)
+
+
+@pytest.mark.parametrize("limit", [13, 16, 20])
+def test_a_program_with_routines_variables_and_interrupts_of_its_own_moves_as_before_in_files(limit):
+    files = {"part.src": OWN, "part.dat": OWN_DATA}
+    one = seen(run(files, "PART", 0))
+    written = in_some_files(limit)
+    assert len(one) == 11
+    for chance in range(5):
+        two = run({document.name: document.text for document in written.documents}, "PARTMAIN", chance)
+        assert seen(two) == seen(run(files, "PART", chance))
+    again = back(written)
+    np.testing.assert_array_equal(numbers(again), numbers(read(OWN, OWN_DATA)))
+    sources = [document.text for document in written.documents if document.name.endswith(".src")]
+    assert all(text.count("\n") <= limit for text in sources)
+    assert taken_apart(joined(written.documents).documents[0].text) == sources
+
+
+def test_what_several_files_use_is_global_under_names_that_are_the_programs_own():
+    written = in_some_files()
+    texts = {document.name: document.text for document in written.documents}
+    whole = "".join(texts.values())
+    assert texts["partMain.dat"].startswith("DEFDAT partMain PUBLIC\n")
+    assert re.findall("DECL GLOBAL .*?(?=[\r\n])", texts["partMain.dat"]) == [
+        "DECL GLOBAL INT part_COUNT=1",
+        "DECL GLOBAL INT part_I, part_K",
+        "DECL GLOBAL E6POS part_Q",
+    ]
+    assert "DECL INT I\n  I=7\n  part_COUNT=part_COUNT+I" in whole  # hidden in that routine
+    assert sorted(re.findall(r"GLOBAL DEF\w* ?(?:REAL )?(\w+)", whole)) == [
+        "part_Depth",
+        "part_STOPPED",
+        "part_Second",
+        "part_cut",
+    ]
+    assert "DO part_STOPPED( )" in texts["partMain.src"]
+    assert "; cut it" in texts["partMain.src"] + texts["part1.src"]
+    assert whole.count("DECL E6POS P[2]") == 2  # each file that uses it has its own
+    [told] = [issue for issue in written.issues if issue.kind == "global-routines"]
+    assert "CUT is part_cut" in told.message
+
+
+def test_long_names_stay_valid_and_different():
+    name = "finishing_cavity_left"
+    written = in_some_files(name=name)
+    found = re.findall(r"GLOBAL (?:DEF\w*|INT)(?: REAL)? (\w+)", "".join(d.text for d in written.documents))
+    assert len(found) == len({one.upper() for one in found}) >= 5
+    assert all(len(one) <= 24 and one.startswith(name[:20]) for one in found)
+    done = run({document.name: document.text for document in written.documents}, f"{name[:20]}Main".upper(), 0)
+    assert seen(done) == seen(run({"part.src": OWN, "part.dat": OWN_DATA}, "PART", 0))
+
+
+def test_names_of_other_programs_are_not_taken():
+    documents = (decode("part.src", OWN.encode()), decode("part.dat", OWN_DATA.encode()))
+    whole = Written(documents, np.zeros(0, dtype=np.int64), "krl")
+    text = "".join(d.text for d in in_files("part", (), whole, 13, {"PART_CUT"}).documents)
+    assert "GLOBAL DEF part_cut_2(" in text
+
+
+def test_a_routine_that_other_programs_call_keeps_its_name():
+    written = in_some_files(source=OWN.replace("DEF CUT", "GLOBAL DEF CUT"))
+    assert any("\nGLOBAL DEF CUT(" in document.text for document in written.documents)
+
+
+def test_a_program_in_files_with_routines_of_its_own_is_corrected_in_its_files():
+    written = in_some_files()
+    program = KRL.read(written.documents, CELL, forward, "partMain")
+    keep = in_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 0)
+    assert keep.documents == program.documents
+    wanted = targets(program, np.arange(36.0).reshape(12, 3) * 1e-4, pieces={7: [0.5]})
+    new = in_files("part", program.documents, krl.rewrite(program, wanted), 0)
+    names = [[document.name for document in one.documents if document.name.endswith(".src")] for one in (new, written)]
+    assert names[0] == names[1]
+    np.testing.assert_allclose(back(new).motions.target, wanted.pose, atol=1e-7)
+    assert any("GLOBAL DEF part_cut_2(" in document.text for document in new.documents)  # a copy for another call
+    done = run({document.name: document.text for document in new.documents}, "PARTMAIN", 0)
+    np.testing.assert_allclose([m.numbers[:3] for m in done], wanted.pose[:, :3, 3] * 1e3, atol=2e-4)
+
+
+def test_targets_in_routines_of_its_own_are_numbered_from_file_to_file():
+    program = read(OWN, OWN_DATA)
+    wanted = targets(program, np.full((12, 3), 1e-4))
+    written = in_files("part", program.documents, krl.rewrite(program, wanted), 13)
+    again = back(written)
+    np.testing.assert_allclose(again.motions.target, wanted.pose, atol=1e-7)
+    np.testing.assert_array_equal(again.motions.line, written.output_line)
+
+
+def test_a_main_routine_that_only_calls_is_divided_too():
+    calls = "".join(f"op{n % 3}( )\n" for n in range(30))
+    ops = "".join(f"DEF op{n}( )\nLIN {{X {n},Y 0,Z 0,A 0,B 0,C 180}}\nEND\n" for n in range(3))
+    source = f"DEF part( )\nDECL INT I\nBAS(#INITMOV,0)\n{calls}END\n{ops}"
+    written = in_some_files(source=source, data="DEFDAT part\nENDDAT\n")
+    texts = [document.text for document in written.documents if document.name.endswith(".src")]
+    assert "part_op" not in texts[0]
+    assert len(texts) > 5
+    assert seen(run({d.name: d.text for d in written.documents}, "PARTMAIN", 0)) == seen(
+        run({"part.src": source}, "PART", 0)
+    )
+
+
+def test_a_routine_longer_than_a_file_is_told_and_not_cut():
+    source = OWN.replace("  I=7\n", "  I=7\n" * 20)
+    assert any("a routine of its own, at line" in issue.message for issue in in_some_files(source=source).issues)
+
+
 @pytest.mark.parametrize(
     ("lines", "says"),
     [
-        (["I=1", *map(line, range(30)), "$OUT[I]=TRUE"], "I is a variable of it and used in several"),
-        (["DEPTH=3", *map(line, range(30)), "HEIGHT=DEPTH"], "DEPTH is a variable of it"),
-        (
-            ["INTERRUPT DECL 3 WHEN $IN[1] DO DEPTH=DEPTH+1", *map(line, range(30)), "HEIGHT=DEPTH"],
-            "DEPTH is a variable of it",
-        ),
-        (
-            ["TRIGGER WHEN DISTANCE=0 DELAY=0 DO DEPTH=3", *map(line, range(30)), "HEIGHT=DEPTH"],
-            "DEPTH is a variable of it",
-        ),
         ([*map(line, range(30)), "RETURN"], "RETURN leads to another place"),
         ([*map(line, range(30)), "INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO FOO( )"], "not GLOBAL"),
-        ([*map(line, range(30)), "END", "DEF other( )"], "routines of its own"),
+        ([*map(line, range(30)), "END", "DEF other( )", "RESUME"], "RESUME would break off the whole file"),
+        (["S.A=1", *map(line, range(30)), "S.A=2"], "its type KIND is not GLOBAL"),
+        ([*map(line, range(30)), "END", "DEF other(T)", "KIND T"], "what OTHER takes or gives"),
         ([";FOLD A", *map(line, range(30)), ";ENDFOLD"], "which are not cut"),
     ],
 )
 def test_what_would_mean_something_else_in_several_files_is_refused(lines, says):
-    written = Written(read(body(line(1)), DATA).documents[:1], np.zeros(0, dtype=np.int64), "krl")
-    written = replace(
-        written,
-        documents=(replace(written.documents[0], text=body("DECL INT I", *lines)), decode("part.dat", DATA.encode())),
-    )
+    data = DATA.replace("ENDDAT", "STRUC KIND INT A\r\nDECL KIND S={A 1}\r\nENDDAT")
+    documents = decode("part.src", body("DECL INT I", *lines).encode()), decode("part.dat", data.encode())
+    written = Written(documents, np.zeros(0, dtype=np.int64), "krl")
     if "not cut" in says:
         assert says in in_files("part", (), written, 12).issues[0].message
         return
@@ -250,6 +405,17 @@ def test_renamed_files_call_each_other():
     assert seen(executed(new, "JOBMAIN")) == seen(executed(program.documents, "PART"))
 
 
+def test_renamed_files_with_routines_of_their_own_have_global_names_of_the_new_name():
+    written = in_some_files()
+    new = krl.renamed(written.documents, "a_much_longer_name_than_that")
+    assert not re.search(r"(?i)\bpart(\d|_|Main)", "".join(document.text for document in new))
+    name = new[0].name.removesuffix(".src")
+    assert name == "a_much_longer_name_tMain"
+    assert seen(run({d.name: d.text for d in new}, name.upper(), 0)) == seen(
+        run({"part.src": OWN, "part.dat": OWN_DATA}, "PART", 0)
+    )
+
+
 def test_a_new_program_is_divided():
     program = milling()
     cell = changed(CELL, output=changed(CELL.output, lines_per_file=10))
@@ -276,7 +442,7 @@ def test_random_programs_make_the_same_motions_in_files(seed, tmp_path):
     count = len(files["part.src"].splitlines())
     try:
         krl.read_program(documents, attack.cell(tmp_path), forward, "part")
-        written = in_files("part", (), whole, max(count // 2, 14))
+        written = in_files("part", (), whole, max(count // 3, 12))
     except PostprocError:
         return
     others = {name: text for name, text in files.items() if name not in ("part.src", "part.dat")}

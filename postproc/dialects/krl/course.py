@@ -120,7 +120,7 @@ class Course:
     :param inlined: routines that stand in it, and no longer where they stood.
     :param pinned: True where they may also run as they stood: in what is kept as it is.
     :param files: other files than that of the program from which these are, and their data.
-    :param taken: names, upper case, of programs and GLOBAL routines of all folders.
+    :param taken: names, upper case, of programs and GLOBAL routines of all folders, as far as new names are needed.
     :param users: file of a routine that stands in it → other programs of the folders that name it.
     """
 

@@ -12,7 +12,7 @@ from postproc import provenance
 from postproc.cell import Cell
 from postproc.dialects.krl import write
 from postproc.dialects.krl.language.names import fault_of, valid
-from postproc.dialects.krl.language.parts import MAIN, called, joined
+from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
 from postproc.dialects.text import decode
@@ -24,12 +24,21 @@ _COMMENT = ";"
 _DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
 
 
-def _parts(path: Path) -> list[str]:
-    """Return the names of the files that a program in several files calls."""
+def _parts(path: Path, names: Sequence[str]) -> list[str]:
+    """Return the names of the files that a program in several files calls, and of those with its routines.
+
+    :param names: of the files beside it.
+    """
     if not path.stem.lower().endswith(MAIN.lower()):
         return []
+
+    def find(name: str) -> Document | None:
+        found = next((other for other in names if other.lower() == name.lower()), None)
+        return None if found is None else decode(found, path.with_name(found).read_bytes())
+
     try:
-        return [name for name, _ in called(decode(path.name, path.read_bytes()))]
+        main = decode(path.name, path.read_bytes())
+        return [*(name for name, _ in called(main)), *(PurePath(other.name).stem for other in beyond(main, find))]
     except (OSError, ProgramError):
         return []
 
@@ -63,7 +72,7 @@ class _Writer:
         whole = write.rewrite(program, targets, comments)
         own = replace(whole, documents=tuple(d for d in whole.documents if d.name not in apart))
         files = [document for document in program.documents if document.name not in apart]
-        written = write.in_files(program.name, files, own, cell.output.lines_per_file)
+        written = write.in_files(program.name, files, own, cell.output.lines_per_file, program.layout.course.taken)
         others = tuple(document for document in whole.documents if document.name in apart)
         return replace(written, documents=(*written.documents, *others))
 
@@ -94,7 +103,7 @@ class Krl:
             names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
         except OSError:
             return []
-        stems = [path.stem, *_parts(path)]
+        stems = [path.stem, *_parts(path, names)]
         wanted = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
         found: dict[str, Path] = {}
         for name in sorted(names):

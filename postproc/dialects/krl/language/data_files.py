@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.declarations import declared
 from postproc.dialects.krl.language.names import DECLARING, NAME
@@ -44,7 +45,8 @@ def data_lines(data: Source) -> list[DataLine]:
         public = any(one.public for one in stated) or bool(_GLOBAL.match(data.text, start, stop))
         text = data.text[begin:beyond] if beyond > end else data.text[begin:end] + "\r\n"
         found.append(DataLine(line, text, names, public))
-    return found
+    everywhere = frozenset().union(*(one.names for one in found if one.public))
+    return [one if one.public or one.names.isdisjoint(everywhere) else replace(one, public=True) for one in found]
 
 
 def _declared_otherwise(code: str, word: str) -> frozenset[str]:

@@ -3,18 +3,21 @@
 Such files are read, corrected and written as one text. The lines that only divide it (headers, DEF, END, calls) are
 comments there, with a mark before them, so that every line keeps its place, counted on from file to file, and the text
 can be taken apart again to the byte.
+
+Its own routines, which all parts see, stand in further files of the row that nobody calls: `part4.src` … . They say
+themselves of what they are a part; their first routine, of the name of the file, is empty.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import PurePath
 
 from msgspec import Struct
 
-from postproc.dialects.krl.language.data_files import data_lines
+from postproc.dialects.krl.language.data_files import DataLine, data_lines
 from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
 from postproc.program import FORCE_COMMENT, Document
@@ -23,12 +26,13 @@ MAIN = "Main"
 """What the name of the program that calls the others ends with."""
 _DIVIDES, _BEGINS, _UNENDED = ";\x01", ";\x02", ";\x03"
 """Before lines that only divide; before the first line of each file but the main one; before a last one without end."""
-_END = "END\r\n"
-"""Behind the one text, which has no END of its own."""
+_END = "END ;\x04\r\n"
+"""Behind the one text where no routines stand behind its parts: it has no END of its own then."""
 _UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
 _DEF = re.compile(r"(?:GLOBAL[ \t]+)?DEF(FCT)?[ \t]+([\w$]+)[ \t]*\([ \t]*\)", re.IGNORECASE | re.ASCII)
 _BEGIN = re.compile(r"(?:GLOBAL[ \t]+)?DEF(?:FCT)?\b", re.IGNORECASE)
 _CALL = re.compile(r"([A-Za-z_$][\w$]*)[ \t]*\([ \t]*\)", re.ASCII)
+_PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
 
@@ -78,6 +82,22 @@ def called(main: Document) -> list[tuple[str, int]]:
     return found if [name.lower() for name, _ in found] == wanted else []
 
 
+def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
+    """Return the files with routines of a main program of several files, which stand behind those that it calls.
+
+    :param find: returns a file by its name, None if there is none.
+    """
+    found: list[Document] = []
+    stem, calls = PurePath(main.name).stem, called(main)
+    while calls:
+        document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(found) + 1}.src")
+        says = None if document is None else _PART_OF.search(document.text)
+        if document is None or says is None or says[1].lower() != stem.lower():
+            break
+        found.append(document)
+    return found
+
+
 def joined(documents: Sequence[Document]) -> Joined | None:
     """Return the files of a program as one; None if it is a program of one file.
 
@@ -94,15 +114,18 @@ def joined(documents: Sequence[Document]) -> Joined | None:
         advice = "All files of the program must stand beside it."
         raise Source.of(main, 0).line_error(f"{missing[0][0]}.src is not there", missing[0][1], advice)
     parts = [known[f"{name}.src".lower()] for name, _ in calls]
-    texts = [_main_text(main, [line for _, line in calls]), *map(_part_text, parts)]
+    more = beyond(main, lambda name: known.get(name.lower()))
+    texts = [_main_text(main, [line for _, line in calls]), *(_part_text(part) for part in parts[:-1])]
+    texts += [_part_text(parts[-1], ends=bool(more)), *(_part_text(part, several=True) for part in more)]
     first = 1
     files = []
+    parts += more
     for document in (main, *parts):
         files.append((document.name, first))
         first += len(Source.of(document, 0).starts)
     stems = [PurePath(document.name).stem.lower() for document in (main, *parts)]
     data = [known[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in known]
-    whole = replace(main, text="".join([*texts, _END]))
+    whole = replace(main, text="".join([*texts, *([] if more else [_END])]))
     return Joined((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
 
 
@@ -124,26 +147,32 @@ def _main_text(main: Document, calls: Sequence[int]) -> str:
     return _with_marks(source, [*calls, end])
 
 
-def _part_text(part: Document) -> str:
-    """Return a part with its header, DEF and END as comments."""
+def _part_text(part: Document, *, ends: bool = False, several: bool = False) -> str:
+    """Return a part with its header, DEF and END as comments.
+
+    :param ends: its END is that of the whole program, and stays.
+    :param several: other routines stand behind its END.
+    """
     source = Source.of(part, 0)
-    begin = _only_def(source)
+    begin = _only_def(source, several=several)
     text = source.text
     header = [line for line in range(1, begin) if text[source.starts[line - 1]] == "&"]
-    ends = [line for line in range(begin, len(source.starts) + 1) if _is_end(source, line)]
-    if not ends:
+    found = (line for line in range(begin, len(source.starts) + 1) if _is_end(source, line))
+    end = next(found, None) if several else max(found, default=None)
+    if end is None:
         raise source.line_error("DEF has no END", begin, "Check that the file was transferred completely.")
-    return _BEGINS + _with_marks(source, [*header, begin, ends[-1]])
+    return _BEGINS + _with_marks(source, [*header, begin, *([] if ends else [end])])
 
 
-def _only_def(source: Source) -> int:
-    """Return the line of the DEF of a file."""
+def _only_def(source: Source, *, several: bool = False) -> int:
+    """Return the line of the DEF of a file; of several that of the first."""
     found = []
     for match in re.finditer(r"DEF", source.text, re.IGNORECASE):
         line = source.line_at(match.start())
         start, stop = source.code_span(line)
         if _BEGIN.match(source.text, start, stop):
             found.append(line)
+    found = found[:1] if several else found
     if len(found) != 1 or not _DEF.match(source.text, *source.code_span(found[0])):
         problem = f"a program in several files has one DEF without parameters in each, and here are {len(found)}"
         raise source.line_error(problem, found[-1] if found else 1, "Join the files by hand.")
@@ -177,15 +206,19 @@ def _joined_data(main: Document, data: Sequence[Document]) -> Document:
     :raises ProgramError: one name stands for different values.
     """
     lines: dict[str, str] = {}
-    names: dict[str, str] = {}
+    known: dict[str, list[str]] = {}
     for document in data:
+        stated: dict[str, list[DataLine]] = {}
         for line in data_lines(Source.of(document, 1)):
             for name in line.names:
-                if names.setdefault(name, line.text.strip()) != line.text.strip():
-                    problem = f"{name} has another value than in the file before"
-                    advice = "Give it another name: the parts are corrected as one program."
-                    raise ProgramError(problem, file=document.name, line=line.line, text=line.text, advice=advice)
+                stated.setdefault(name, []).append(line)
             lines.setdefault(line.text.strip() if line.names else f"{document.name}:{line.line}", line.text)
+        for name, own in stated.items():
+            texts = [line.text.strip() for line in own]
+            if known.setdefault(name, texts) != texts:
+                problem = f"{name} has another value than in the file before"
+                advice = "Give it another name: the parts are corrected as one program."
+                raise ProgramError(problem, file=document.name, line=own[0].line, text=own[0].text, advice=advice)
     end = "\r\n"
     text = "".join([f"DEFDAT {PurePath(main.name).stem}{end}", *lines.values(), f"ENDDAT{end}"])
     return replace(data[0], name=f"{PurePath(main.name).stem}.dat", text=text)

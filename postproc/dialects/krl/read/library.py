@@ -49,12 +49,14 @@ class Library:
         """Yield the files that were read."""
         yield from (module for module in self._modules.values() if module is not None)
 
+    def programs(self) -> frozenset[str]:
+        """Return the names of the programs of all folders, upper case."""
+        return frozenset(path.stem.upper() for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
+
     def names(self) -> frozenset[str]:
         """Return the names of the programs and GLOBAL routines of all folders, upper case."""
-        paths = [path for path in self.files.paths.values() if path.suffix.upper() != ".DAT"]
-        return frozenset(path.stem.upper() for path in paths).union(
-            *(self.files.declared(path, _GLOBAL) for path in paths)
-        )
+        paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
+        return self.programs().union(*(self.files.declared(path, _GLOBAL) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
         """Return which programs that were not read name routines, by the file of these."""

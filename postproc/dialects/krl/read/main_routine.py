@@ -45,18 +45,19 @@ def course_of(
     run = Run(library, main, settings)
     run.elsewhere = elsewhere
     trace = Trace(main)
+    taken = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
     flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
     others = np.setdiff1d(main.lines, main.settings).tolist()
     nodes = nodes_of(main.source, _one_by_one(main.source, others, np.array(main.settings))[0])
     if not any(flow.moves(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
-        return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body)
+        return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=taken)
     _submitted(run)
     flow.follow(main.source, nodes)
     if not run.level.returned:
         trace.run_to(main.last - 1)
     trace.pass_to(main.last - 1, live=False)
-    course = trace.course()
+    course = replace(trace.course(), taken=taken)
     others = {routine for routine in course.inlined if routine.source is not main.source}
     return replace(course, taken=library.names(), users=library.users(others)) if others else course
 

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath
 
-from postproc.dialects.krl.language.names import MAX_LENGTH
-from postproc.dialects.krl.language.parts import MAIN, called
+from postproc.dialects.krl.language.names import MAX_LENGTH, NAME, unused
+from postproc.dialects.krl.language.parts import MAIN, beyond, called
 from postproc.program import Document
 
 _HEAD = re.compile(r"((?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?(?:DEF|DEFDAT)[ \t]+)[A-Za-z_$][\w$]*", re.IGNORECASE)
+_PUBLIC = re.compile(r"^[ \t]*(?:DECL[ \t]+)?GLOBAL\b[^;\r\n]*", re.IGNORECASE | re.MULTILINE)
 
 
 def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
@@ -32,17 +33,36 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         )
     old = PurePath(documents[0].name).stem[: -len(MAIN)]
     new = name[: MAX_LENGTH - len(MAIN)]
-    names = {f"{old}{MAIN}": f"{new}{MAIN}"} | {call: f"{new}{call[len(old) :]}" for call, _ in calls}
-    inside = re.compile(rf"\b(?:{'|'.join(map(re.escape, names))})(?=[ \t]*\([ \t]*\)|[ \t]*[\r\n])", re.IGNORECASE)
-    spelt = {one.lower(): other for one, other in names.items()}
+    known = {document.name.lower(): document for document in documents}
+    more = beyond(documents[0], lambda name: known.get(name.lower()))
+    parts = [*(call for call, _ in calls), *(PurePath(document.name).stem for document in more)]
+    stems = {f"{old}{MAIN}": f"{new}{MAIN}"} | {part: f"{new}{part[len(old) :]}" for part in parts}
+    spelt = {one.lower(): other for one, other in stems.items()}
+    family = [document for document in documents if PurePath(document.name).stem.lower() in spelt]
+    inside = re.compile(rf"\b(?:{'|'.join(map(re.escape, stems))})(?=[ \t]*\([ \t]*\)|[ \t]*[\r\n])", re.IGNORECASE)
+    public = _public_names(family, old, new)
     out = []
     for document in documents:
-        text = document.text
-        if document is documents[0] or f"of={old}{MAIN}" in text:
-            text = inside.sub(lambda match: spelt[match[0].lower()], text)
-        stem = spelt.get(PurePath(document.name).stem.lower())
-        out.append(_renamed(replace(document, text=text), stem) if stem else document)
+        if document not in family:
+            out.append(document)
+            continue
+        text = inside.sub(lambda match: spelt[match[0].lower()], document.text)
+        if public:
+            text = NAME.sub(lambda match: public.get(match[0].upper(), match[0]), text)
+        out.append(_renamed(replace(document, text=text), spelt[PurePath(document.name).stem.lower()]))
     return tuple(out)
+
+
+def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str, str]:
+    """Return new names for GLOBAL ones, upper case, that begin with the name of their program."""
+    found: dict[str, str] = {}
+    lines = (line for document in documents for line in _PUBLIC.findall(document.text))
+    for name in (word for line in lines for word in NAME.findall(line)):
+        if name.upper().startswith(f"{old}_".upper()) and name.upper() not in found:
+            fresh = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
+            taken = {other.upper() for other in found.values()}
+            found[name.upper()] = unused(fresh, taken) if fresh.upper() in taken else fresh
+    return found
 
 
 def with_name(text: str, name: str) -> str:
