@@ -391,6 +391,8 @@ class Program:
         is not known where it begins: it is taken to begin at its end. None: each begins where the one before ends.
     :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.
     :param carriage: the linear axis that carries the robot; None: there is none.
+    :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
+        there is what changes by one rotation. None: there are none.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
@@ -407,6 +409,7 @@ class Program:
     after: Ints | None = None
     swivel: Swivel | None = None
     carriage: Carriage | None = None
+    with_path: Bools | None = None
     layout: Layout | None = field(default=None, repr=False)
 
     @property

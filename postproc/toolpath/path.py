@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import in_chunks
-from postproc.frames import Array, angle_between, interpolated, norm
+from postproc.frames import Array, angle_between, interpolated, norm, rotation_from_vector
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
 
 _STILL = 1e-6
@@ -22,7 +22,8 @@ class Segments(Struct, frozen=True, eq=False):
     :param begin: (M, 3) positions there [m].
     :param length: (M,) path length of the TCP; 0 for PTP, of a piece of a spline the chord.
     :param way: (M,) `length`, or how far the robot is carried meanwhile if that is farther [m].
-    :param turn: (M,) angle between the orientations at start and end [rad].
+    :param turn: (M,) angle between the orientations at start and end [rad], or how far the tool turns at
+        most where it turns with the path or by rotary axes.
     :param arcs: the geometry of the arcs among them.
     """
 
@@ -125,6 +126,10 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     begin, length, turn = in_chunks(chord, np.arange(len(m)))
     if program.swivel is not None:
         turn = np.maximum(turn, program.swivel.travel)
+    if program.with_path is not None:
+        rows = np.flatnonzero(program.with_path)
+        relative = _turned_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
+        turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], relative)
     arcs = _arcs(program, begin)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
@@ -148,8 +153,9 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """Return the nominal path at places (motion, t).
 
     LIN: position linear, orientation by one rotation, or as rotary axes turn (`Program.swivel`). CIRC: rotation about
-    the arc's axis with a linear rise, the orientation as for LIN. PTP: only its end (t = 1) is known here; so it is of
-    a piece of a spline, whose chord stands for it.
+    the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
+    (`Program.with_path`). PTP: only its end (t = 1) is known here; so it is of a piece of a spline, whose chord stands
+    for it.
     """
     m = program.motions
     pose = m.target[motion]
@@ -163,11 +169,29 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         active = program.swivel.active[motion[turning]]
         swivelling, turning = turning[active], turning[~active]
         pose[swivelling, :3, :3] = program.swivel.at(motion[swivelling], t[swivelling])
+    if program.with_path is not None:
+        led = program.with_path[motion[turning]]
+        with_path, turning = turning[led], turning[~led]
+        pose[with_path, :3, :3] = _with_path(program, path, motion[with_path], t[with_path])
     if len(turning):
         rows = motion[turning]
         pose[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])
     pose[:, :3, 3] = positions(program, path, motion, t)
     return Toolpath(motion, t, pose, path.length[motion] * t)
+
+
+def _with_path(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
+    """Return the orientations (n, 3, 3) on arcs with which the tool turns."""
+    m = program.motions
+    end = m.target[rows]
+    end[:, :3, :3] = _turned_back(program, rows, m.sweep[rows], end[:, :3, :3])
+    relative = interpolated(path.start.at(rows), end, t)[:, :3, :3]
+    return _turned_back(program, rows, -t * m.sweep[rows], relative)
+
+
+def _turned_back(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
+    """Return orientations (n, 3, 3) turned back by angles (n,) about the axes of arcs (n,)."""
+    return np.asarray(rotation_from_vector(-angle[:, None] * program.motions.normal[rows]) @ orientation)
 
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:

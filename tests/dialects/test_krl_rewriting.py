@@ -520,18 +520,6 @@ def test_a_ptp_to_a_shared_point_keeps_its_status_and_turn():
     assert dat[2].endswith(",S 2,T 10,E1 5.0}")
 
 
-# --- what the controller would not follow ------------------------------------------------------------------------
-
-
-def test_turning_the_tool_under_a_constant_orientation_is_an_error():
-    program = read(body(FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 1,Y 2,Z 3,A 10,B 20,C 170}"))
-    moved = krl.rewrite(program, targets(program, up(program, 1)))
-    assert moved.issues == ()
-    turned = krl.rewrite(program, targets(program, turn=np.array([0.0, 1e-3])))
-    (issue,) = turned.issues
-    assert (issue.level, issue.kind, issue.source_line) == ("error", "constant-orientation", 6)
-
-
 # --- size --------------------------------------------------------------------------------------------------------
 
 

@@ -35,6 +35,7 @@ def read(src, dat="", home=None):
     ):
         points[name.upper()] = body
     moves, base, tool, last = [], None, None, None
+    modes = {"ORI": "VAR", "CIRC": "BASE"}
     for number, raw in enumerate(re.split(r"\r\n|\n|\r", src), 1):
         line = raw.split(";")[0].strip()
         setting = re.match(r"(?i)\$(BASE|TOOL)\s*=\s*(\{.*\})", line)
@@ -42,7 +43,10 @@ def read(src, dat="", home=None):
             frame = _frame(_parts(setting[2]))
             base, tool = (frame, tool) if setting[1].upper() == "BASE" else (base, frame)
             continue
+        own = {name.upper(): word.upper() for name, word in re.findall(r"(?i)\$(ORI|CIRC)_TYPE\s*=\s*#(\w+)", line)}
         motion = re.match(r"(?i)S?(PTP|LIN|CIRC)\s+(.*)", line)
+        if not motion:
+            modes |= own
         if not motion:
             continue
         kind, rest = motion[1].upper(), motion[2]
@@ -50,7 +54,7 @@ def read(src, dat="", home=None):
             points[n.upper()] for n in re.split(r"[,\s]+", rest) if n.upper() in points
         ]
         parts = [_parts(body) for body in bodies]
-        move = {"kind": kind, "line": number, "base": base, "tool": tool}
+        move = {"kind": kind, "line": number, "base": base, "tool": tool, "modes": modes | own}
         if "A1" in parts[-1]:
             move["joints"] = [parts[-1][f"A{n}"] for n in range(1, 7)]
         else:
@@ -86,6 +90,9 @@ class Cell:
     def between(move, begin, share):
         end = abc(*move["frame"])
         pose = np.eye(4)
+        held = move["modes"]["ORI"] == "CONSTANT"
+        if held:
+            end[:3, :3] = begin[:3, :3]
         turn = Slerp([0, 1], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))
         pose[:3, :3] = turn(share).as_matrix()
         pose[:3, 3] = begin[:3, 3] + share * (end[:3, 3] - begin[:3, 3])
@@ -100,7 +107,12 @@ class Cell:
             angle = np.arctan2(np.dot(np.cross(a - centre, c - centre), axis), np.dot(a - centre, c - centre)) % (
                 2 * np.pi
             )
-            pose[:3, 3] = centre + Rotation.from_rotvec(axis * angle * share).apply(a - centre)
+            here, there = (Rotation.from_rotvec(axis * angle * way) for way in (share, 1.0))
+            pose[:3, 3] = centre + here.apply(a - centre)
+            if move["modes"]["CIRC"] == "PATH":  # what changes is the orientation that a rider on the path sees
+                first, last = Rotation.from_matrix(begin[:3, :3]), there.inv() * Rotation.from_matrix(end[:3, :3])
+                change = (first.inv() * last).as_rotvec() * (0.0 if held else share)
+                pose[:3, :3] = (here * first * Rotation.from_rotvec(change)).as_matrix()
         return pose
 
     def tip(self, move, q, wrench_base):

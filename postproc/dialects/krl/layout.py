@@ -36,6 +36,8 @@ class Layout:
     :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
     :param resumed: (M,) True where the controller's previous position is an axis target or the start.
     :param constant: (M,) True where ``$ORI_TYPE=#CONSTANT`` makes the controller ignore A, B, C.
+    :param ignored: (M,) True where it does, and the text says others than are commanded.
+    :param with_path: (M,) True for circles with which the tool turns (``$CIRC_TYPE=#PATH``).
     :param passed: (M,) True in spline blocks, where the robot passes the targets without approximation.
     :param statements: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
         axis targets.
@@ -60,6 +62,8 @@ class Layout:
     via_target: Ints
     resumed: Bools
     constant: Bools
+    ignored: Bools
+    with_path: Bools
     passed: Bools
     statements: Mapping[int, MotionStatement]
     types: Mapping[str, str]

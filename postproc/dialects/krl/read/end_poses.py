@@ -10,10 +10,34 @@ from msgspec import Struct
 from postproc.dialects.krl.language.circles import circles, turned
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
-from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, xyzabc_from_pose
+from postproc.frames import (
+    M_PER_MM,
+    MM_PER_M,
+    RAD_PER_DEG,
+    Array,
+    inverse,
+    pose_from_xyzabc,
+    rotation_from_vector,
+    xyzabc_from_pose,
+)
 from postproc.program import Bools, Carriage, Ints, Starts
 
+_SAME = 1e-9
+"""Angles closer than this [deg] are the same text."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
+
+
+class Led(Struct, frozen=True, eq=False):
+    """How the orientation of M motions is led, where that is not from their start to their own A, B, C.
+
+    :param constant: (M,) True where that of the start stays: ``$ORI_TYPE=#CONSTANT``.
+    :param with_path: (M,) True where it does so as seen from the path: circles under ``$CIRC_TYPE=#PATH``.
+    :param via: (M, 3) auxiliary points of circles [mm], NaN where missing.
+    """
+
+    constant: Bools
+    with_path: Bools
+    via: Array
 
 
 class EndPoses(Struct, frozen=True, eq=False):
@@ -24,6 +48,7 @@ class EndPoses(Struct, frozen=True, eq=False):
     :param joints: (M, 6) of axis targets [rad], NaN elsewhere.
     :param start: where each motion starts.
     :param resumed: (M,) True where the previous position is an axis target or the start.
+    :param ignored: (M,) True where A, B, C of the text are not those of the target.
     """
 
     numbers: Array
@@ -31,6 +56,7 @@ class EndPoses(Struct, frozen=True, eq=False):
     joints: Array
     start: Starts
     resumed: Bools
+    ignored: Bools
 
 
 class _Stand(Struct, eq=False):
@@ -131,6 +157,24 @@ class _Follower:
         self.numbers[row, :3] = MM_PER_M * self._arc_end(move, start)
         self.arrive(row)
 
+    def constant(self, row: int, move: MotionStatement | None, led: Led) -> None:
+        """Take a motion that keeps the orientation of its start, in its own frames or as seen from its path."""
+        start = self.here(row).copy()
+        self.numbers[row, 3:] = start[3:]
+        self.absolute(row, row + 1)
+        angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
+        if led.with_path[row] or angle is not None:
+            begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
+            via = np.where(np.isnan(led.via[row]), begin, led.via[row] * M_PER_MM)
+            centre, axis, swept = circles(self.source, self.line[row : row + 1], begin[None], via[None], end[None])
+            if angle is not None:
+                self.numbers[row, :3] = MM_PER_M * turned(begin, centre[0], axis[0], angle)
+            if led.with_path[row]:
+                pose = pose_from_xyzabc(self.numbers[row])
+                pose[:3, :3] = rotation_from_vector(axis[0] * (swept[0] if angle is None else angle)) @ pose[:3, :3]
+                self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
+        self.arrive(row)
+
     def _axes(self, row: int, move: MotionStatement) -> None:
         """Take an axis target, missing axes kept."""
         angles, known = np.array(move.end.position.values) * RAD_PER_DEG, self.stand.joints
@@ -192,6 +236,7 @@ def end_poses(
     moves: Mapping[int, MotionStatement],
     start_joints: Array,
     forward: Callable[[Array], Array],
+    led: Led,
     carriage: Carriage | None = None,
     after: Ints | None = None,
 ) -> EndPoses:
@@ -204,6 +249,7 @@ def end_poses(
     :param moves: row → statement, for axis and relative targets and circles with CA.
     :param start_joints: (6,) where the robot stands first [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
+    :param led: how the orientation is led.
     :param carriage: the linear axis that carries the robot.
     :param after: (M,) at the end of which motion each begins, see `Program.after`.
     :raises ProgramError: a component is missing where its previous value is not certain; a relative target cannot
@@ -213,14 +259,45 @@ def end_poses(
     if carriage is not None:
         start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
     follower = _Follower(source, line, given, frames, _Stand(start_flange, start_joints), forward, carriage)
+    follower.numbers[led.constant, 3:] = np.nan  # missing components keep their previous value
+    special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
+    anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
-    for at, move in sorted(moves.items()):
-        if move.end.position.axis or move.relative or move.angle is not None:
-            follower.absolute(row, at)
-            follower.special(at, move)
-            row = at + 1
+    for at in sorted(special | set(np.flatnonzero(led.constant & (anew | led.with_path)).tolist())):
+        follower.absolute(row, at)
+        if led.constant[at] and not (at in moves and moves[at].relative):
+            follower.constant(at, moves.get(at), led)
+        else:
+            follower.special(at, moves[at])
+        row = at + 1
     follower.absolute(row, len(line))
 
     pose = pose_from_xyzabc(follower.numbers)
     start = Starts.of(frames, pose.__getitem__, start_flange, after)
-    return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed)
+    ignored = led.constant & (np.abs(given - follower.numbers)[:, 3:] > _SAME).any(axis=1)
+    _check_ignored(source, line, given, moves, led.constant, ignored)
+    return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored)
+
+
+def _check_ignored(
+    source: Source, line: Ints, given: Array, moves: Mapping[int, MotionStatement], constant: Bools, ignored: Bools
+) -> None:
+    """Refuse A, B, C that are missing behind such as were ignored: which of them the controller keeps is not certain.
+
+    :raises ProgramError: there are some.
+    """
+    if not ignored.any():
+        return
+    row = np.arange(len(line))
+    last_ignored = np.maximum.accumulate(np.where(ignored, row, -1))
+    last_free = np.maximum.accumulate(np.where(constant, -1, row))
+    missing = np.asarray(np.isnan(given[:, 3:]).any(axis=1))
+    missing[[at for at, move in moves.items() if move.end.position.axis]] = False
+    behind = np.flatnonzero(missing[1:] & ~constant[1:] & (last_ignored > last_free)[:-1]) + 1
+    if len(behind):
+        raise source.line_error(
+            "A, B, C are missing behind targets under $ORI_TYPE=#CONSTANT whose own A, B, C were ignored: which of "
+            "them stay is not certain",
+            int(line[behind[0]]),
+            "Write all of A, B, C in this target.",
+        )

@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.end_poses import EndPoses, end_poses
+from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
@@ -26,6 +26,10 @@ from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
+_BY_ROTATION = ("#VAR", "#CONSTANT")
+"""Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
+_AT_THE_END = 1e-6
+"""A circle with CA that ends this close [rad] to its end point ends there."""
 _BY_SPEED = re.compile(r"\bC_(?:VEL|ORI)\b", re.IGNORECASE)
 
 
@@ -101,10 +105,10 @@ def motions_and_layout(
     standing, carriage = external_axes(source, rows, relative, settings.cell.carriage)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     given = rows.numbers[:, :6]
-    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, carriage, after)
-    constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
+    led = _led(source, rows, states, state)
+    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
     _check_orientation(source, rows, states, state, ends)
-    centre, normal, sweep = _arcs(source, rows, ends, moves)
+    centre, normal, sweep = _arcs(source, rows, ends, moves, led)
 
     speed, cdis = numbers.T
     motions = Motions(
@@ -139,7 +143,9 @@ def motions_and_layout(
         via_spans=rows.via_spans,
         via_target=rows.via_target,
         resumed=ends.resumed,
-        constant=constant,
+        constant=led.constant,
+        ignored=ends.ignored,
+        with_path=led.with_path,
         passed=block != "",
         statements=moves,
         types=dict(settings.variables.types),
@@ -193,22 +199,49 @@ def _check_settings(
             settings.refuse_uncertain(used, fields)
 
 
+def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) -> Led:
+    """Return how the orientation is led: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
+
+    Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle takes
+    the tool along: what stays, or changes by one rotation, is the orientation as seen from the path. `$CIRC_TYPE` means
+    nothing under #JOINT.
+
+    :raises ProgramError: `$CIRC_TYPE` has a value that is not known.
+    """
+    round_ = rows.kind == CIRC
+    other = np.flatnonzero(round_ & _column(states, state, lambda s: s.circle not in ("#BASE", "#PATH")))
+    if len(other):
+        problem = f"$CIRC_TYPE={states[state[other[0]]].circle} is not known"
+        raise source.line_error(problem, int(rows.line[other[0]]), "It is #BASE or #PATH.")
+    constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
+    with_path = _column(states, state, lambda s: s.circle == "#PATH" and s.orientation in _BY_ROTATION)
+    return Led(constant, round_ & with_path, rows.via)
+
+
 def _check_orientation(source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses) -> None:
-    """Refuse motions on which the controller would lead the orientation another way than modelled."""
-    advice = "Use $ORI_TYPE=#VAR and $CIRC_TYPE=#BASE."
-    along = np.flatnonzero(_column(states, state, lambda s: s.circle != "#BASE") & (rows.kind == CIRC))
-    if len(along):
-        problem = f"$CIRC_TYPE={states[state[along[0]]].circle}: the tool turns with the path"
-        raise source.line_error(problem, int(rows.line[along[0]]), advice)
-    other = np.flatnonzero(_column(states, state, lambda s: s.orientation != "#VAR") & (rows.kind != PTP))
-    turned = other[~same_orientation(ends.start.at(other)[:, :3, :3], ends.pose[other, :3, :3])]
-    if len(turned):
-        problem = f"the orientation changes under $ORI_TYPE={states[state[turned[0]]].orientation}"
-        raise source.line_error(problem, int(rows.line[turned[0]]), advice)
+    """Refuse motions on which the controller would lead the orientation in a way that is not known."""
+    own = np.flatnonzero(_column(states, state, lambda s: s.orientation not in _BY_ROTATION) & (rows.kind != PTP))
+    if not len(own):
+        return
+    kinds = [states[index].orientation for index in state[own]]
+    behind = np.minimum(own + 1, len(rows) - 1)
+    turned, turned_behind = (
+        ~same_orientation(ends.start.at(each)[:, :3, :3], ends.pose[each, :3, :3]) for each in (own, behind)
+    )
+    turned |= turned_behind & np.array([kind == "#IGNORE" for kind in kinds])
+    if not turned.any():
+        return
+    first = int(np.argmax(turned))
+    problem = {
+        "#JOINT": "the orientation changes under $ORI_TYPE=#JOINT: it follows the wrist axes, not one rotation",
+        "#IGNORE": "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
+    }.get(kinds[first], f"the orientation changes under $ORI_TYPE={kinds[first]}")
+    advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
+    raise source.line_error(problem, int(rows.line[own[first]]), advice)
 
 
 def _arcs(
-    source: Source, rows: MotionColumns, ends: EndPoses, moves: Mapping[int, MotionStatement]
+    source: Source, rows: MotionColumns, ends: EndPoses, moves: Mapping[int, MotionStatement], led: Led
 ) -> tuple[Array, Array, Array]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
     nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
@@ -225,12 +258,13 @@ def _arcs(
         own[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
     own = own[circular]
     angled = ~np.isnan(own)
-    turning = angled & ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
+    turning = led.with_path[circular] | ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
+    turning &= angled & ~led.constant[circular] & ~(np.abs(own - angle) < _AT_THE_END)
     if turning.any():
         raise source.line_error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
             int(line[turning][0]),
-            "Give the end of the arc as its end point, without CA.",
+            "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
         )
     normal[circular] = np.where(angled, np.sign(own), 1.0)[:, None] * axis
     sweep[circular] = np.where(angled, np.abs(own), angle)

@@ -6,7 +6,7 @@ from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.frames import M_PER_MM
@@ -16,6 +16,8 @@ FASTEST = 100.0
 _RUN_TIME = "Write it as a number or a constant name, so that it is known before the program runs."
 _MODES = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
 """Modes, and what they are where a function that gives them says nothing."""
+_MODE_OF = {"SIPO_MODE": "IPO_FRAME", "SORI_TYP": "ORI_TYP", "SCIRC_TYP": "CIRC_TYP"}
+"""These functions, which inline forms use, and which component of their argument they return."""
 
 
 class PathSettings:
@@ -62,17 +64,19 @@ class PathSettings:
 
         :raises ProgramError: the robot moves the workpiece then.
         """
-        if isinstance(value, Call) and value.name in ("SIPO_MODE", "SORI_TYP"):
-            data = self.variables.argument(at, value, "IPO_FRAME" if value.name == "SIPO_MODE" else "ORI_TYP")
-            word = data.text if isinstance(data, Word) else _MODES[name]
+        known: Value | Known
+        if isinstance(value, Call) and value.name in _MODE_OF:
+            known = self.variables.argument(at, value, _MODE_OF[value.name])
+            word = known.text if isinstance(known, Word) else _MODES[name]
+            certain = not isinstance(known, Unknown) or not known.where
         else:
             known = self.variables.evaluate(at.source, value)
-            if not isinstance(known, Word):
-                problem = at.error(f"{name} is not known before the program runs", _RUN_TIME)
-                if name == "$IPO_MODE":
-                    raise problem
-                return self.reasons.unknown(state, FIELDS[name], problem)
-            word = known.text
+            word, certain = (known.text, True) if isinstance(known, Word) else ("", False)
+        if not certain:
+            problem = at.error(f"{name} is not known before the program runs", _RUN_TIME)
+            if name == "$IPO_MODE":
+                raise problem
+            return self.reasons.unknown(state, FIELDS[name], problem)
         if name == "$IPO_MODE":
             check_frame_mode(word, at)
             return state

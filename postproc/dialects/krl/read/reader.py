@@ -164,6 +164,7 @@ class _Reading(Struct, frozen=True, eq=False):
             still=source.shown(np.unique(np.array(main.still, dtype=np.int64))),
             issues=tuple(issues),
             carriage=layout.carriage,
+            with_path=layout.with_path if layout.with_path.any() else None,
             after=after,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )

@@ -11,7 +11,7 @@ from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
-from postproc.program import CIRC, SPL, Ints
+from postproc.program import CIRC, PTP, SPL, Ints
 
 _BEGIN = "where it begins is not known, and it depends on that: it goes along with a correction before it"
 _OPEN = (
@@ -82,6 +82,8 @@ def _uncertain(settings: Settings, ordered: OrderedMotions) -> Iterator[tuple[in
 def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
     """Return whether the target of a motion, or the shape of an arc, depends on where it begins."""
     move = ordered.moves.get(row)
+    if ordered.rows.kind[row] != PTP and ordered.states[ordered.state[row]].orientation == "#CONSTANT":
+        return True
     if move is not None and (move.via_incomplete or move.angle is not None):
         return True
     kind = ordered.rows.kind[row]

@@ -29,6 +29,13 @@ class InsertedLines(Struct, eq=False):
         self._at.append(at)
         self._target.append(target)
 
+    def behind(self, line: int, text: str) -> None:
+        """Put a text without line end on a line of its own behind a line, before what is put before the next."""
+        stop = int(self.source.stops[line - 1])
+        self.replacements.add(stop, stop, self.source.text[stop : self.source.starts[line]] + text)
+        self._at.append(line + 1)
+        self._target.append(-1)
+
     def move(self, line: int, at: int, text: str) -> None:
         """Take a line away and put a text, in its place, before another."""
         self.replacements.add(int(self.source.starts[line - 1]), int(self.source.starts[line]), "")

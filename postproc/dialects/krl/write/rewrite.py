@@ -5,6 +5,7 @@ What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 - Inserted targets stand directly before the motion's line, or around the TRIGGERs that belong to it, so that each of
   these switches where it did; they repeat its approximation and its WITH (frames and speed of the motion stand there).
 - A relative target that is corrected, or whose predecessor is, becomes an absolute one.
+- A motion under ``$ORI_TYPE=#CONSTANT`` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR`` (`freed`).
 - CA is dropped when a circle is corrected: its end point is then where the arc ends.
 - A point used by several motions with different corrections gets a new name beside the old one in the `.dat`; where
   that is not possible (array elements, points assigned in the `.src`, chains of frames) numbers take its place.
@@ -21,12 +22,13 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.dialects.force_comments import needed, texts
-from postproc.dialects.krl.language.circles import same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
+from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.write.folding import folded
+from postproc.dialects.krl.write.freed import CONSTANT, FREE, runs
 from postproc.dialects.krl.write.inserted_lines import InsertedLines
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
 from postproc.dialects.krl.write.replacements import Replacements
@@ -96,10 +98,13 @@ class _Rewriter:
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
+        for row in np.flatnonzero(self.commanded.freed).tolist():
+            if self.statements.is_spline(row):
+                start, stop = self.layout.tail[row].tolist()
+                self.replacements[0].add(start, stop, self.statements.tail(row))
         if self.layout.statements:
             self._special()
         output_line = self._insert()
-        self._check_orientation()
         documents, output_line = self._files(output_line)
         return Written(documents, output_line, "krl", group_issues(self.issues))
 
@@ -129,8 +134,9 @@ class _Rewriter:
         return tuple(files.values()), back.line[origin] + np.where(back.inside[origin], line - first, 0)
 
     def _added(self) -> Bools:
-        """Return which targets get components that their text lacks, (K,)."""
-        return np.asarray((self.commanded.written & self.layout.missing[self.row]).any(axis=1))
+        """Return which targets get components that their text lacks, or says wrongly, (K,)."""
+        missing = self.commanded.written & self.layout.missing[self.row]
+        return np.asarray(missing.any(axis=1) | (self.targets.keep & self.commanded.written.any(axis=1)))
 
     def _bits(self) -> Bools:
         """Return which targets may get another S or T, (K,)."""
@@ -153,11 +159,12 @@ class _Rewriter:
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], self.commanded.via[circles].reshape(-1), decimals)
 
     def _complete(self, row: int, k: int) -> None:
-        """Add components to a plain line, and change its S and T; its other numbers are replaced already."""
+        """Add components to a plain line, and change its S and T; the other numbers of a changed one are replaced."""
         literal = self.statements.literal(row)
         if literal is not None:
             texts = self.statements.texts(k, literal)
-            rest = {name: text for name, text in texts.items() if name in "ST" or name not in literal.places}
+            done = () if self.targets.keep[k] else CARTESIAN
+            rest = {name: text for name, text in texts.items() if name not in done or name not in literal.places}
             for piece in replaced_numbers(literal, rest):
                 self.replacements[0].add(*piece)
 
@@ -219,8 +226,12 @@ class _Rewriter:
         lines = InsertedLines(self.source, self.replacements[0])
         at, moved = self._around_triggers()
         forces = self._forces(line, at)
-        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), [*moved, *forces])).tolist():
+        free, bound = self._freed()
+        own = [*moved, *forces, *free, *bound]
+        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), own)).tolist():
             before = at.get(k, int(line[k]))
+            if k in free:
+                lines.add(before, self._indent(k) + FREE + self.statements.line_end(int(line[k])))
             for trigger, text in moved.get(k, ()):
                 lines.move(trigger.line, before, text)
             if k in forces and not self._replaced_comment(k, forces[k]):
@@ -231,7 +242,22 @@ class _Rewriter:
                 stops = self.targets.blend[k] == 0.0 and not self.layout.passed[self.row[k]]
                 if stops and not APPROXIMATION.search(text):
                     self._tell("stop-inserted", _STOP, int(line[k]))
+            if k in bound:
+                lines.behind(int(line[k]), self._indent(k) + CONSTANT)
         return lines.numbers(line)
+
+    def _freed(self) -> tuple[set[int], set[int]]:
+        """Return before which targets `$ORI_TYPE` is set for `freed` motions, and behind which it is as it was."""
+        rows = np.flatnonzero(self.commanded.freed)
+        pairs = runs(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
+        first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
+        return set(begins.tolist()), set(ends.tolist())
+
+    def _indent(self, k: int) -> str:
+        """Return what stands before the instruction on the line of a motion."""
+        keyword = int(self.layout.keyword[self.row[k]])
+        return self.text[self.source.starts[self.layout.line[self.row[k]] - 1] : keyword]
 
     def _forces(self, line: Ints, at: Mapping[int, int]) -> dict[int, str]:
         """Return the force comments that targets need beyond those of the program."""
@@ -287,16 +313,6 @@ class _Rewriter:
         if path is None or trigger.path is None:
             return self.text[start:stop]
         return self.text[start : trigger.path[0]] + path + self.text[trigger.path[1] : stop]
-
-    def _check_orientation(self) -> None:
-        """Refuse corrections of the orientation that the controller would ignore."""
-        rows = np.flatnonzero(self.layout.constant[self.row] & ~self.targets.keep)
-        nominal = self.program.motions.target[self.row[rows], :3, :3]
-        ignored = rows[~same_orientation(self.targets.pose[rows, :3, :3], nominal)]
-        if len(ignored):
-            message = "The corrected orientation would be ignored under $ORI_TYPE=#CONSTANT: set $ORI_TYPE=#VAR."
-            line = int(self.layout.line[self.row[ignored[0]]])
-            self.issues.append(Issue("error", "constant-orientation", message, line, count=len(ignored)))
 
     def _tell(self, kind: str, message: str, line: int) -> None:
         self.issues.append(Issue("info", kind, message, line))

@@ -33,6 +33,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN where there are none.
     :param changed: (K,) True where the target's text or statement changes.
     :param moved: (M,) True where a motion's predecessor is commanded elsewhere than in the input.
+    :param freed: (M,) True where a motion under ``$ORI_TYPE=#CONSTANT`` must not keep the orientation of its start.
     """
 
     numbers: Array
@@ -42,6 +43,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     via: Array
     changed: Bools
     moved: Bools
+    freed: Bools
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
         """Return the numbers of a target as printed, by component."""
@@ -69,16 +71,18 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
 
     first = np.append(True, row[1:] != row[:-1]) if len(row) else last
     elsewhere = np.asarray((np.abs(numbers - layout.numbers[row]) > _EQUAL).any(axis=1))
-    moved = np.zeros(len(motions), dtype=np.bool_)
-    follower = row[last] + 1
-    inside = follower < len(motions)
-    moved[follower[inside]] = elsewhere[last][inside]
-    moved &= ~layout.resumed
+    moved = _behind(row[last], elsewhere[last], layout)
+    turned = np.asarray((np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL).any(axis=1))
+    freed = _behind(row[last], turned[last], layout)
+    freed[row[turned | (layout.with_path[row] & ~keep)]] = True
+    freed &= layout.constant
 
     before = np.concatenate([numbers[:1], numbers[:-1]])
     fresh = first & layout.resumed[row]
     before[fresh] = layout.numbers[row[fresh]]
     added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
+    incomplete = layout.ignored | layout.missing[:, 3:].any(axis=1)
+    added[:, 3:] |= (freed & incomplete)[row, None]
     written = np.where(keep[:, None], added, ~layout.missing[row] | added)
     return TargetNumbers(
         numbers,
@@ -88,7 +92,17 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
         _rounded(targets.via * MM_PER_M, DECIMALS[:3]),
         ~keep | added.any(axis=1),
         moved,
+        freed,
     )
+
+
+def _behind(row: Ints, changed: Bools, layout: Layout) -> Bools:
+    """Return which motions (M,) begin where one of some motions (n,) ends, of those that changed (n,)."""
+    out = np.zeros(len(layout.line), dtype=np.bool_)
+    follower = row + 1
+    inside = follower < len(out)
+    out[follower[inside]] = changed[inside]
+    return np.asarray(out & ~layout.resumed)
 
 
 def printed(number: float, decimals: int, least: int) -> str:

@@ -12,6 +12,7 @@ from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNA
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.write.freed import freed_tail
 from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
 from postproc.frames import MM_PER_M
 from postproc.program import CIRC, LIN, PTP, Targets
@@ -214,10 +215,19 @@ class TargetStatements:
         keyword = int(layout.keyword[row])
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
-        tail = self.text[slice(*layout.tail[row].tolist())]
+        tail = self.tail(row)
         if self.targets.blend[k] > 0.0 and not layout.passed[row] and not APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
+
+    def tail(self, row: int) -> str:
+        """Return what stands behind the target of a motion and holds for inserted targets too."""
+        tail = self.text[slice(*self.layout.tail[row].tolist())]
+        return freed_tail(tail) if self.commanded.freed[row] and self.is_spline(row) else tail
+
+    def is_spline(self, row: int) -> bool:
+        """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
+        return self.text[int(self.layout.keyword[row])] in "sS"
 
     def line_end(self, line: int) -> str:
         """Return how a line ends."""

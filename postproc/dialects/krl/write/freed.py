@@ -1,0 +1,51 @@
+"""Motions under ``$ORI_TYPE=#CONSTANT`` that are corrected: their orientation must be led to A, B, C of their own.
+
+The controller keeps the orientation that a motion starts with, so that a correction of it, or of the one before, would
+be ignored. Such motions get ``$ORI_TYPE=#VAR`` for themselves alone: spline motions by WITH, others by lines around as
+many of them as stand one behind the other.
+"""
+
+from __future__ import annotations
+
+import re
+
+from postproc.dialects.krl.layout import Layout
+from postproc.program import Ints
+
+FREE, CONSTANT = "$ORI_TYPE=#VAR", "$ORI_TYPE=#CONSTANT"
+_WITH = re.compile(r"[ \t]*WITH\b", re.IGNORECASE)
+_MODE = re.compile(r"(\$ORI_TYPE[ \t]*=[ \t]*)(?:#\w+|[\w$]+[ \t]*(?:\([^()]*\))?)", re.IGNORECASE)
+
+
+def freed_tail(tail: str) -> str:
+    """Return what follows the target of a spline motion, with its orientation freed.
+
+    >>> freed_tail(" WITH $VEL.CP=0.1, $ORI_TYPE=SORI_TYP(LCPDAT1) C_SPL"), freed_tail(" C_SPL")
+    (' WITH $VEL.CP=0.1, $ORI_TYPE=#VAR C_SPL', ' WITH $ORI_TYPE=#VAR C_SPL')
+    """
+    word = _WITH.match(tail)
+    if word is None:
+        return f" WITH {FREE}{tail}"
+    if _MODE.search(tail):
+        return _MODE.sub(r"\1#VAR", tail)
+    return f"{word[0]} {FREE},{tail[word.end() :]}"
+
+
+def runs(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
+    """Return the first and last of motions (n,) that stand one behind the other, with comments at most between."""
+    out: list[tuple[int, int]] = []
+    for row in rows.tolist():
+        if out and out[-1][1] == row - 1 and _adjoin(layout, row):
+            out[-1] = out[-1][0], row
+        else:
+            out.append((row, row))
+    return out
+
+
+def _adjoin(layout: Layout, row: int) -> bool:
+    """Return whether a motion stands behind the one before, in the same round of the same loop of the same routine."""
+    source, before, line = layout.course.source, int(layout.line[row - 1]), int(layout.line[row])
+    one, other = source.origin(before), source.origin(line)
+    if one.source is not other.source or other.line - one.line != line - before:
+        return False
+    return all(start == stop for start, stop in map(source.code_span, range(before + 1, line)))

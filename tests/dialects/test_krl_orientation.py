@@ -1,0 +1,211 @@
+"""Orientation under `$ORI_TYPE` and `$CIRC_TYPE`, against a controller that shares no code with the package."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from postproc import cell as cells
+from postproc import correction, robot, toolpath
+from postproc.dialects import krl
+from postproc.dialects.text import decode
+from postproc.program import CIRC
+from tests.correction.test_end_to_end import SAMPLES, check_targets, rows_of, simulator
+from tests.dialects.krl_programs import CELL, body, check_commands, forward, read, targets
+from tests.dialects.test_krl_rewriting import keep_unmoved, up
+from tests.oracle import cell_sim
+from tests.oracle.arm import abc
+
+FULL = "LIN {X 0,Y 0,Z 0,A 10,B 20,C 170}"
+FRAMES = ("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}")
+ARCS = (
+    "CIRC {X 50,Y 50,Z 0},{X 100,Y 0,Z 0,A 80,B 5,C 150} C_DIS",
+    "CIRC {X 120,Y -20,Z 5},{X 100,Y -40,Z 10,A -40,B 30,C 170}",
+    "LIN {X 60,Y -40,Z 10,A -30,B 25,C 160} C_DIS",
+)
+MODES = [(kind, circle) for kind in ("#VAR", "#CONSTANT") for circle in ("#BASE", "#PATH")]
+
+
+def simulated(text, shares):
+    """Poses (moves, shares, 4, 4) of a program that begins at its first target, by the oracle."""
+    moves, out, stand = cell_sim.read(text), [], None
+    for move in moves:
+        begin = abc(*move["frame"]) if stand is None else stand
+        out.append([cell_sim.Cell.between(move, begin, share) for share in shares])
+        stand = cell_sim.Cell.between(move, begin, 1.0)
+    return np.array(out)
+
+
+def path_of(program, shares):
+    """The same of a program as it was read."""
+    motion = np.repeat(np.arange(len(program.motions)), len(shares))
+    t = np.tile(np.array(shares), len(program.motions))
+    path = toolpath.segments(program, forward(CELL.start_joints))
+    return toolpath.at(program, path, motion, t).pose.reshape(len(program.motions), len(shares), 4, 4)
+
+
+@pytest.mark.parametrize(("kind", "circle"), MODES)
+@pytest.mark.parametrize("bulk", [True, False])
+def test_the_orientation_is_led_as_the_controller_leads_it(kind, circle, bulk):
+    text = body(*FRAMES, FULL, f"$ORI_TYPE={kind}", f"$circ_type = {circle.lower()}", *ARCS)
+    shares = (0.2, 0.5, 0.9, 1.0)
+    program = read(text, bulk=bulk)
+    np.testing.assert_allclose(path_of(program, shares)[1:], simulated(text, shares)[1:], rtol=0, atol=1e-12)
+
+
+def test_a_constant_orientation_stays_while_base_and_tool_change():
+    lines = ("$ORI_TYPE=#CONSTANT", "$BASE={X 1400,Y 0,Z 650,A 30,B 10,C -20}", "LIN {X 5,Y 6,Z 7,A 1,B 2,C 3}")
+    program = read(body(*FRAMES, FULL, *lines, "$TOOL={X 5,Y 0,Z 300,A 0,B 45,C 0}", "LIN {X 8,Y 6,Z 7,A 1,B 2,C 3}"))
+    m = program.motions
+    flange = program.bases[m.base] @ m.target @ np.linalg.inv(program.tools[m.tool])
+    np.testing.assert_allclose(flange[1:, :3, :3], flange[[0, 0], :3, :3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(m.target[2, :3, 3], [0.008, 0.006, 0.007], atol=1e-12)
+
+
+def test_the_next_motion_starts_with_the_orientation_that_was_kept():
+    program = read(body(FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 9,A 90}", "$ORI_TYPE=#VAR", "LIN {X 20,A 50,B 20,C 170}"))
+    half = path_of(program, (0.5,))[:, 0, :3, :3]
+    wanted = abc(0, 0, 0, 30, 20, 170)[:3, :3]  # A turns about Z of the base: half of the way is half of A
+    np.testing.assert_allclose(half[2], wanted, atol=1e-12)
+    assert program.layout.ignored.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("angle", [60.0, 360.0, -90.0, 500.0])
+def test_a_circle_with_ca_takes_a_constant_orientation_along(angle):
+    start = "LIN {X 0,Y 0,Z 0,A 10,B 20,C 170}"
+    circle = f"SCIRC {{X 50,Y -50,Z 0}},{{X 100,Y 0,Z 0,A 5,B 5,C 5}},CA {angle} WITH $CIRC_TYPE=#PATH"
+    program = read(body(start, "$ORI_TYPE=#CONSTANT", circle, "LIN {X 5,Y 6,Z 7}"))
+    turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()  # it runs counter-clockwise seen from above
+    wanted = turn @ abc(0, 0, 0, 10, 20, 170)[:3, :3]
+    np.testing.assert_allclose(program.motions.target[1:, :3, :3], [wanted, wanted], atol=1e-12)
+
+
+def test_a_circle_with_ca_that_ends_at_its_end_point_may_turn_the_tool():
+    for circle in ("#BASE", "#PATH"):
+        lines = (FULL, f"$CIRC_TYPE={circle}", "CIRC {X 50,Y 50,Z 0},{X 100,Y 0,Z 0,A 40,B 20,C 170}")
+        one, other = read(body(*lines)), read(body(*lines[:2], f"{lines[2]},CA=180"))
+        np.testing.assert_allclose(path_of(one, (0.3, 1.0)), path_of(other, (0.3, 1.0)), atol=1e-12)
+
+
+def test_inline_forms_name_the_modes_by_their_data():
+    data = "DEFDAT part\nDECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,ORI_TYP #CONSTANT,CIRC_TYP #PATH}\nENDDAT\n"
+    circle = "SCIRC {X 50,Y 50,Z 0},{X 100,Y 0,Z 0,A 1,B 2,C 3} WITH $ORI_TYPE=SORI_TYP(LCPDAT1), "
+    program = read(body(FULL, f"{circle}$CIRC_TYPE=SCIRC_TYP(LCPDAT1), $CIRC_MODE=SCIRC_M(LCPDAT1)"), data)
+    assert program.with_path.tolist() == [False, True]
+    assert program.layout.constant.tolist() == [False, True]
+
+
+# --- writing -----------------------------------------------------------------------------------------------------
+
+
+def corrected(lines, turned=(), raised=(), data=None, pieces=None, end="\r\n"):
+    """Lines of a program in which some motions are turned by 0.05° and raised by 1 mm, checked by reading."""
+    program = read(body(*lines, end=end), data)
+    count = len(program.motions)
+    shift = up(program, *raised, by=1.0)
+    turn = np.zeros(count)
+    turn[list(turned)] = 1e-3
+    wanted = targets(program, shift, turn, pieces=pieces)
+    wanted = keep_unmoved(program, wanted, shift, turn)
+    written = krl.rewrite(program, wanted)
+    assert {issue.kind for issue in written.issues} <= {"relative-made-absolute", "point-duplicated"}
+    check_commands(program, wanted, written, approximated=False)
+    return [document.text.split(end) for document in written.documents]
+
+
+def test_corrected_motions_are_freed_and_the_one_behind_them_comes_back():
+    lines = ("  $ORI_TYPE=#CONSTANT", *(f"  LIN {{X {x},Y 2,Z 3,A 10,B 20,C 170}} C_DIS" for x in range(1, 7)))
+    (src,) = corrected((FULL, *lines), turned=(2, 3))
+    assert [line.split("{")[0].strip() for line in src[4:14]] == [
+        "$ORI_TYPE=#CONSTANT",
+        "LIN",
+        "$ORI_TYPE=#VAR",
+        "LIN",
+        "LIN",
+        "LIN",
+        "$ORI_TYPE=#CONSTANT",
+        "LIN",
+        "LIN",
+        "END",
+    ]
+    assert src[6] == "  $ORI_TYPE=#VAR"
+    assert src[9:13] == [lines[4], "  $ORI_TYPE=#CONSTANT", *lines[5:]]
+
+
+def test_a_target_whose_angles_were_ignored_gets_the_ones_that_were_meant():
+    (src,) = corrected((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "lin {x 9,a 44}"), turned=(1,))
+    assert src[7] == "lin {x 9,a 10.00000,b 20.00000,c 170.00000}"
+
+
+def test_a_position_alone_is_corrected_without_freeing():
+    (src,) = corrected((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "LIN {X 9}"), raised=(1, 2))
+    assert not any("#VAR" in line for line in src)
+
+
+def test_spline_motions_are_freed_by_with():
+    lines = (
+        "SPLINE WITH $ORI_TYPE=#CONSTANT",
+        "SLIN {X 5,A 80}",
+        "SCIRC {X 9,Y 4,Z 0},{X 13,Y 0,Z 0} WITH $ORI_TYPE=SORI_TYP(LCPDAT1),$VEL.CP=0.1",
+        "SLIN {X 30} WITH $VEL.CP=0.2",
+        "SLIN {X 40}",
+        "SPL {X 50} ;last",
+        "ENDSPLINE",
+    )
+    data = "DEFDAT part\nDECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,ORI_TYP #CONSTANT,CIRC_TYP #PATH}\nENDDAT\n"
+    src, _ = corrected((FULL, *lines), turned=(1, 2, 5), raised=(1, 2), data=data, pieces={1: [0.5]})
+    assert src[5].endswith("} WITH $ORI_TYPE=#VAR")
+    assert src[6].endswith("} WITH $ORI_TYPE=#VAR")
+    assert src[7].endswith("} WITH $ORI_TYPE=#VAR,$VEL.CP=0.1")
+    assert src[8] == "SLIN {X 30,Z 0.0000,A 10.00000,B 20.00000,C 170.00000} WITH $ORI_TYPE=#VAR, $VEL.CP=0.2"
+    assert src[9] == "SLIN {X 40}"
+    assert src[10].endswith("} WITH $ORI_TYPE=#VAR ;last")
+
+
+@pytest.mark.parametrize("end", ["\r\n", "\n"])
+def test_named_relative_and_divided_motions_are_freed(end):
+    data = "DEFDAT part\nDECL E6POS XP1={X 5,Y 0,Z 0,A 1,B 2,C 3,S 2,T 10}\nENDDAT\n"
+    lines = (FULL, "$ORI_TYPE=#CONSTANT", "LIN XP1 C_DIS", ";FORCE OFF", "LIN_REL {Y 30}", "CIRC {X 9,Y 40},{X 5,Y 50}")
+    corrected(lines, turned=(1, 2, 3), raised=(1,), data=data, pieces={2: [0.3, 0.6], 3: [0.5]}, end=end)
+
+
+def test_a_loop_of_corrected_rounds_stays_a_loop():
+    loop = ("FOR I=1 TO 3", "LIN {X 5} C_DIS", "LIN {X 0} C_DIS", "ENDFOR")
+    program = read(body("INT I", FULL, "$ORI_TYPE=#CONSTANT", *loop, "LIN {X 30}").replace("INT I\r\n", ""))
+    turn = np.full(len(program.motions), 1e-3)
+    written = krl.rewrite(program, targets(program, turn=turn))
+    text = written.documents[0].text
+    assert text.count("LIN ") == 4
+    assert text.count("#VAR") == text.count("#CONSTANT") - 1 == 2
+
+
+def test_programs_that_need_no_correction_come_back_to_the_byte():
+    for kind, circle in MODES:
+        program = read(body(*FRAMES, FULL, f"$ORI_TYPE={kind}", f"$CIRC_TYPE={circle}", *ARCS))
+        written = krl.rewrite(program, targets(program, keep=True))
+        assert written.documents[0].text == program.documents[0].text
+
+
+@pytest.mark.parametrize(("kind", "circle"), MODES)
+def test_corrected_programs_hold_the_tool_where_it_was_in_the_cell(kind, circle):
+    arcs = (
+        "CIRC {X 3.75,Y 16.9,Z 0},{X 17,Y 32.8,Z 0,A 160,B 5,C 175} C_DIS",
+        "CIRC {X 34,Y 39,Z 1},{X 50,Y 36,Z 0,A 140,B 8,C 170}",
+        "LIN {X 70,Y 30,Z 5,A 150,B 5,C 165} C_DIS",
+        ";FORCE OFF",
+        "LIN {X 40,Y -60,Z 10,A 165,B 5,C 165}",
+    )
+    modes = (f"$ORI_TYPE={kind}", f"$CIRC_TYPE={circle}")
+    force = ";FORCE FX=-110 FY=190 FZ=130"
+    text = body(*FRAMES, "$VEL.CP=0.05", "LIN {X 0,Y 0,Z 0,A 180,B 0,C 180}", *modes, force, *arcs)
+    cell = cells.load(SAMPLES / "cell_kr270.toml")
+    model = robot.load(robot.find(cell.robot))
+    program = correction.read([decode("part.src", text.encode())], model, cell, "part", "krl")
+    result = correction.process(program, model, cell)
+    assert not result.failed, result.issues
+    moves = cell_sim.read(result.documents[0].text)
+    check_targets(result, simulator("cell_kr270.toml"), moves, 1)
+    again = krl.read_program(result.documents, cell, forward, "part")
+    assert (again.motions.kind == CIRC).sum() >= 3
+    nominal = np.array([abc(*(row[name] for name in "XYZABC"))[:3, :3] for row in rows_of(result)])
+    off = np.degrees(Rotation.from_matrix(nominal.transpose(0, 2, 1) @ again.motions.target[:, :3, :3]).magnitude())
+    assert 0.001 < off.max() < 0.2  # the correction of the orientation
