@@ -103,8 +103,8 @@ def solve_equilibrium(
     :param wrench: (6, n).
     :param guess: (nv, n).
     """
-    balanced = held(robot, x0)
-    theta = np.zeros_like(x0) if guess is None else guess
+    balanced, wrench = held(robot, x0), np.ascontiguousarray(wrench)
+    theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
     previous = np.full(x0.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
         state = Balance.at(robot, x0 + theta, balanced, tool, wrench)
