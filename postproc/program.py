@@ -237,7 +237,7 @@ class Starts:
         later = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
         before = later - 1
         if after is not None:
-            later = np.union1d(later, np.flatnonzero(after != np.arange(len(base)) - 1))
+            later = distinct(np.append(later, np.flatnonzero(after != np.arange(len(base)) - 1)))
             later = later[after[later] >= 0]
             before = after[later]
         first = later[:1] > 0 if len(later) else np.array([True])

@@ -39,7 +39,6 @@ from postproc.dialects.gcode.blocks import Fault
 from postproc.dialects.gcode.codes import WORK_OFFSETS
 from postproc.dialects.gcode.executed import Executed
 from postproc.dialects.gcode.execution import executed
-from postproc.dialects.gcode.foreign import recognised
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.path import CHORD, Path, Speeds, read_path
 from postproc.dialects.gcode.rotary import axes_of
@@ -145,6 +144,8 @@ def _line(run: Executed, line: int | None) -> int | None:
 
 def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     """Return faults as errors; where they show that this is a program of another kind, that alone."""
+    from postproc.dialects.gcode.foreign import recognised  # its patterns are compiled where there are faults
+
     spans = [line_spans(document.text) for document in run.documents]
     places: dict[tuple[int, int], Fault] = {}
     for fault in faults:

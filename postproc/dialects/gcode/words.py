@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from postproc.decimals import numbers_in, parsed
 from postproc.frames import Array
-from postproc.program import Document, Ints
+from postproc.program import Document, Ints, distinct
 
 COLUMNS = "GXYZABCIJKRFPQL"
 _PLAIN = "GXYZABCIJKRF"
@@ -79,7 +79,7 @@ class Source(Struct, frozen=True, eq=False):
     def coordinates(self, row: int) -> Ints:
         """Return the rows behind a line that hold coordinates."""
         found = [match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))]
-        return np.unique(np.searchsorted(self.ends, np.array(found, dtype=np.int64)) - 1)
+        return distinct(np.searchsorted(self.ends, np.array(found, dtype=np.int64)) - 1)
 
     def goes_on(self, row: int) -> bool:
         """Return whether coordinates stand behind a line that begins with %, which would end the program there."""

@@ -41,7 +41,7 @@ from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, largest
-from postproc.program import FORCE_COMMENT, Document, ForceNote, Ints, Program, parse_force_note
+from postproc.program import FORCE_COMMENT, Document, ForceNote, Ints, Program, distinct, parse_force_note
 
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
@@ -161,7 +161,7 @@ class _Reading(Struct, frozen=True, eq=False):
             *frames,
             events=remarks(source, layout.line),
             notes=tuple(note for _, note in notes),
-            still=source.shown(np.unique(np.array(main.still, dtype=np.int64))),
+            still=source.shown(distinct(np.array(main.still, dtype=np.int64))),
             issues=tuple(issues),
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
