@@ -810,7 +810,8 @@ ERRORS = [
     (["LIN_REL {E1 5}"], 4, "external axis"),
     (["ASYPTP {E1 5}"], 4, "external axes"),
     (["LIN_REL {A 5}"], 4, "relative A, B, C"),
-    (["CIRC_REL {X 1},{X 2}"], 4, "CIRC_REL is not supported"),
+    (["CIRC_REL {X 1},{X 2}"], 4, "lie on a line"),
+    ([FULL, "SCIRC_REL {X 1,Y 1},{X 2,A 5}"], 5, "relative A, B, C"),
     ([FULL, "CIRC {X 1,Y 2,Z 3}"], 5, "auxiliary point and an end point"),
     ([FULL, "LIN_REL $POS_ACT"], 5, "where the robot stands"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},$POS_ACT"], 5, "where the robot stands"),
@@ -951,3 +952,27 @@ def test_what_an_interrupt_changes_is_told_with_its_line_once():
     with pytest.raises(ProgramError) as caught:
         read(body("INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO XP1=XP2", "INTERRUPT ON 4", "LIN XP1"), DATA)
     assert "(by INTERRUPT in line 4)" in str(caught.value)
+
+
+def _frame(x, y, z):
+    """X…C in a base that stands at `FULL`, with its axes."""
+    start = pose_from_xyzabc([100, 20, 30, 10, 20, 170])
+    return (start @ [x / 1000, y / 1000, z / 1000, 1.0])[:3] * 1000
+
+
+@pytest.mark.parametrize("axes", ["", " #BASE", " #TOOL"])
+@pytest.mark.parametrize("word", ["CIRC_REL", "scirc_rel"])
+def test_both_points_of_a_relative_circle_count_from_its_start(word, axes):
+    via, end = ([10, 12, 3], [25, -4, 8])
+    if axes == " #TOOL":
+        spots = _frame(*via), _frame(*end)
+    else:
+        spots = np.add(via, [100, 20, 30]), np.add(end, [100, 20, 30])
+    absolute = ",".join(f"{{X {x!r},Y {y!r},Z {z!r}}}" for x, y, z in (map(float, spot) for spot in spots))
+    for angle in ("", ",CA 200"):
+        relative = f"{word} {{X 10,Y 12,Z 3}},{{X 25,Y -4,Z 8}}{angle}{axes} C_DIS"
+        one = read(body(FULL, relative, "LIN_REL {X 5}"))
+        other = read(body(FULL, f"CIRC {absolute}{angle} C_DIS", "LIN_REL {X 5}"))
+        for name in ("target", "centre", "normal", "sweep", "blend"):
+            mine, its = (getattr(program.motions, name) for program in (one, other))
+            np.testing.assert_allclose(mine, its, rtol=0, atol=1e-9, err_msg=name)

@@ -520,6 +520,18 @@ def test_a_ptp_to_a_shared_point_keeps_its_status_and_turn():
     assert dat[2].endswith(",S 2,T 10,E1 5.0}")
 
 
+def test_relative_circles_become_absolute_where_they_are_corrected():
+    circles = ("CIRC_REL {X 10,Y 12},{X 25,Y -4} C_DIS ;in", "SCIRC_REL {y 9,x 3},{x 6},CA 400", "CIRC_REL {Y 5},{X 5}")
+    (src,), written = rewritten(body(FULL, *circles), raised=[1, 2], pieces={2: [0.25, 0.5, 0.75]})
+    assert src[4].startswith("CIRC {X 1")
+    assert "},{X 125.0000,Y 16.0000,Z 31.0000," in src[4]
+    assert src[4].endswith(" C_DIS ;in")
+    assert sum(line.startswith("SCIRC {y ") for line in src) == 4
+    assert "relative-made-absolute" in kinds(written)
+    same = read(body(FULL, *circles))
+    assert krl.rewrite(same, targets(same, keep=True)).documents[0].text == body(FULL, *circles)
+
+
 # --- size --------------------------------------------------------------------------------------------------------
 
 

@@ -95,15 +95,56 @@ def test_targets_inserted_into_a_block_have_no_approximation():
         (["SLIN {X 50}", "ENDSPLINE"], "ENDSPLINE without SPLINE"),
         (["SPLINE", "SPLINE", "SLIN {X 50}", "ENDSPLINE"], "inside of a spline block"),
         (["SPLINE", "SLIN {X 50}", "ENDSPLINE C_DIS"], "'C_DIS' is not understood"),
-        (["SPLINE", "TIME_BLOCK START", "SLIN {X 50}", "ENDSPLINE"], "TIME_BLOCK of spline blocks"),
-        (["SPLINE", "CONST_VEL START=10", "SLIN {X 50}", "ENDSPLINE"], "CONST_VEL of spline blocks"),
-        (["SPLINE", "STOP WHEN PATH=10 IF $IN[1]", "SLIN {X 50}", "ENDSPLINE"], "STOP of spline blocks"),
+        (["TIME_BLOCK START", "SLIN {X 50}"], "TIME_BLOCK outside of a spline block"),
+        (["CONST_VEL START=10", "SLIN {X 50}"], "CONST_VEL outside of a spline block"),
+        (["SPLINE", "CONST_VEL BEGIN=10", "SLIN {X 50}", "ENDSPLINE"], "not understood"),
+        (["SPLINE", "STOP WHEN PATH=10", "SLIN {X 50}", "ENDSPLINE"], "not understood"),
     ],
 )
 @pytest.mark.parametrize("bulk", [True, False])
 def test_what_is_no_spline_block_is_refused(lines, says, bulk):
     with pytest.raises(ProgramError, match=says):
         read(body(*HEAD, START, *lines, "LIN {Z 30}"), bulk=bulk)
+
+
+TIMED = (
+    "TIME_BLOCK START",
+    "SLIN {X 50}",
+    "TIME_BLOCK PART = 40",
+    "const_vel start = 20 onstart ;from here",
+    "SLIN {X 80}",
+    "STOP WHEN PATH = -12.5 IF $IN[3]==FALSE",
+    "SLIN {X 120}",
+    "CONST_VEL END = 0",
+    "SLIN {X 200}",
+    "TIME_BLOCK END = 2.5",
+)
+
+
+def test_statements_of_time_change_no_path_and_are_kept():
+    untimed = [line for line in TIMED if line.startswith("SLIN")]
+    one, other = read(block(*TIMED)), read(block(*untimed))
+    np.testing.assert_array_equal(numbers(one), numbers(other))
+    assert krl.rewrite(one, targets(one, keep=True)).documents[0].text == one.documents[0].text
+
+
+def test_what_counts_from_the_end_of_a_motion_stays_before_its_last_piece():
+    program = read(block(*TIMED))
+    wanted = targets(program, np.full((6, 3), 1e-3), pieces={row: [0.4, 0.7] for row in range(1, 5)})
+    written = krl.rewrite(program, wanted)
+    assert [issue.level for issue in written.issues if issue.kind == "trigger"] == []
+    text = written.documents[0].text.splitlines()
+    inside = text[text.index("SPLINE") + 1 : text.index("ENDSPLINE")]
+    expected = [TIMED[0], *"123", *TIMED[2:4], *"123", *"12", TIMED[5], "3", *"12", TIMED[7], "3", TIMED[9]]
+    assert [line if line in expected else "SLIN" for line in inside] == [
+        "SLIN" if line in "123" else line for line in expected
+    ]
+    np.testing.assert_allclose(read(written.documents[0].text).motions.target, wanted.pose, atol=1e-7)
+
+
+def test_a_stop_of_a_motion_that_stands_alone_is_kept():
+    lines = ("STOP WHEN PATH=5 ONSTART IF $IN[1]", "SLIN {X 50} WITH $VEL.CP=0.1")
+    assert len(read(body(*HEAD, START, *lines)).motions) == 2
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,17 @@ from postproc.dialects.krl.language.values import Call, Reference, Value
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
 SPLINES = {"SPLINE": ("SPL", "SLIN", "SCIRC"), "PTP_SPLINE": ("SPTP",)}
 """Spline blocks, and the instructions that may stand in them; ENDSPLINE closes both."""
-TIMED = frozenset({"CONST_VEL", "TIME_BLOCK", "STOP"})
-"""Statements of spline blocks that refer to places on a path, which inserted targets would divide otherwise."""
+TIMED = {
+    word: re.compile(pattern, re.IGNORECASE)
+    for word, pattern in {
+        "CONST_VEL": r"CONST_VEL[ \t]+(?:START|END)[ \t]*=[ \t]*[^=].*",
+        "STOP": r"STOP[ \t]+WHEN[ \t]+PATH[ \t]*=[ \t]*[^=].*\bIF\b.+",
+        "TIME_BLOCK": r"TIME_BLOCK[ \t]+(?:START|(?:PART|END)[ \t]*=[ \t]*[^=].*|PART)",
+    }.items()
+}
+"""Statements of spline motions that say how fast the path is driven, or whether it is left: not where it leads."""
+REFERRING = frozenset({"CONST_VEL", "STOP"})
+"""Those that count from the start or the end of the motion that follows."""
 _UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
 """A declaration without DECL: type and name."""
 _CALL = re.compile(r"(?<![\w$#.])([A-Za-z_]\w*)[ \t]*\(", re.A)

@@ -1,7 +1,9 @@
 """TRIGGER statements and what they refer to.
 
 A TRIGGER refers to the motion that follows it: to its start (``DISTANCE=0``, ``PATH=… ONSTART``) or to its end
-(``DISTANCE=1``, ``PATH=…``), and switches within it.
+(``DISTANCE=1``, ``PATH=…``), and switches within it. ``CONST_VEL`` and ``STOP WHEN PATH`` of spline motions refer
+to it in the same way, and may count beyond it: they stay before its first or its last piece (KUKA, KSS 8.x, 'spline
+motion').
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ _WHEN = re.compile(
     re.IGNORECASE,
 )
 _NUMBER = re.compile(NUMBER_PATTERN)
+_OTHER = re.compile(r"CONST_VEL\b|STOP\b", re.IGNORECASE)
+_FROM_START = re.compile(r"\bONSTART\b", re.IGNORECASE)
 _S_PER_MS = 1e-3
 
 
@@ -54,7 +58,12 @@ def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Arr
     :param length: (n,) of these motions [m].
     """
     for (line, row, attached), metres in zip(found, length.tolist(), strict=True):
-        match = _WHEN.match(source.text, *source.code_span(line))
+        start, stop = source.code_span(line)
+        if _OTHER.match(source.text, start, stop):
+            from_start = _FROM_START.search(source.text, start, stop) is not None
+            yield Trigger(line, row, attached, from_start, 0.0, None, 0.0, metres)
+            continue
+        match = _WHEN.match(source.text, start, stop)
         offset = delay = float("nan")
         from_start, path = False, None
         if match:

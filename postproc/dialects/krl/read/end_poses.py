@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from postproc.dialects.krl.language.circles import circles, turned
 from postproc.dialects.krl.language.motion_statements import MotionStatement
+from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import (
     M_PER_MM,
@@ -49,6 +50,7 @@ class EndPoses(Struct, frozen=True, eq=False):
     :param start: where each motion starts.
     :param resumed: (M,) True where the previous position is an axis target or the start.
     :param ignored: (M,) True where A, B, C of the text are not those of the target.
+    :param circles: row → auxiliary and end point (2, 3) [mm] of relative circles.
     """
 
     numbers: Array
@@ -57,6 +59,7 @@ class EndPoses(Struct, frozen=True, eq=False):
     start: Starts
     resumed: Bools
     ignored: Bools
+    circles: Mapping[int, Array]
 
 
 class _Stand(Struct, eq=False):
@@ -86,8 +89,11 @@ class _Follower:
         stand: _Stand,
         forward: Callable[[Array], Array],
         carriage: Carriage | None,
+        led: Led,
     ) -> None:
         self.source, self.line, self.forward, self.carriage = source, line, forward, carriage
+        self.led = led
+        self.circles: dict[int, Array] = {}
         self.base, self.tool, self.bases, self.tools = frames
         self.stand = stand
         self.numbers = given.copy()
@@ -142,38 +148,39 @@ class _Follower:
             problem = "components are missing right after $BASE or $TOOL changed: their values are not certain"
             raise self.source.line_error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
 
-    def special(self, row: int, move: MotionStatement) -> None:
-        """Take an axis or relative target, or a circle with CA."""
-        if move.end.position.axis:
+    def special(self, row: int, move: MotionStatement | None) -> None:
+        """Take an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start."""
+        if move is not None and move.end.position.axis:
             self._axes(row, move)
             return
-        if move.relative:
+        start, led = self.here(row).copy(), self.led
+        if move is not None and move.relative:
             self.resumed[row] = self.stand.numbers is None
-            self.numbers[row] = self._relative(move, self.here(row))
-            self.arrive(row)
-            return
-        start = self.here(row)[:3] * M_PER_MM
-        self.absolute(row, row + 1)
-        self.numbers[row, :3] = MM_PER_M * self._arc_end(move, start)
+            self.numbers[row] = self._relative(move, start)
+            if move.via is not None:
+                via = start[:3] + _step(move.via.position, move.relative, start)
+                self.circles[row] = np.stack([via, self.numbers[row, :3]])
+        else:
+            if led.constant[row]:
+                self.numbers[row, 3:] = start[3:]
+            self.absolute(row, row + 1)
+        angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
+        if angle is not None or (led.constant[row] and led.with_path[row]):
+            self._round(row, start, angle)
         self.arrive(row)
 
-    def constant(self, row: int, move: MotionStatement | None, led: Led) -> None:
-        """Take a motion that keeps the orientation of its start, in its own frames or as seen from its path."""
-        start = self.here(row).copy()
-        self.numbers[row, 3:] = start[3:]
-        self.absolute(row, row + 1)
-        angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
-        if led.with_path[row] or angle is not None:
-            begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
-            via = np.where(np.isnan(led.via[row]), begin, led.via[row] * M_PER_MM)
-            centre, axis, swept = circles(self.source, self.line[row : row + 1], begin[None], via[None], end[None])
-            if angle is not None:
-                self.numbers[row, :3] = MM_PER_M * turned(begin, centre[0], axis[0], angle)
-            if led.with_path[row]:
-                pose = pose_from_xyzabc(self.numbers[row])
-                pose[:3, :3] = rotation_from_vector(axis[0] * (swept[0] if angle is None else angle)) @ pose[:3, :3]
-                self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
-        self.arrive(row)
+    def _round(self, row: int, start: Array, angle: float | None) -> None:
+        """Go round a circle: to where CA [rad] ends, and with the tool where that turns with the path."""
+        begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
+        via = self.circles[row][0] if row in self.circles else self.led.via[row]
+        via = np.where(np.isnan(via), begin, via * M_PER_MM)
+        centre, axis, swept = circles(self.source, self.line[row : row + 1], begin[None], via[None], end[None])
+        if angle is not None:
+            self.numbers[row, :3] = MM_PER_M * turned(begin, centre[0], axis[0], angle)
+        if self.led.constant[row] and self.led.with_path[row]:
+            pose = pose_from_xyzabc(self.numbers[row])
+            pose[:3, :3] = rotation_from_vector(axis[0] * (swept[0] if angle is None else angle)) @ pose[:3, :3]
+            self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
 
     def _axes(self, row: int, move: MotionStatement) -> None:
         """Take an axis target, missing axes kept."""
@@ -202,17 +209,13 @@ class _Follower:
             raise self.source.line_error(
                 "an external axis moves", move.line, "Only axes that stand still are supported."
             )
-        step = offset[:3]
-        if move.relative == "#TOOL":
-            step = pose_from_xyzabc(numbers)[:3, :3] @ step
-        return np.concatenate([numbers[:3] + step, numbers[3:]])
+        return np.concatenate([numbers[:3] + _step(position, move.relative, numbers), numbers[3:]])
 
-    def _arc_end(self, move: MotionStatement, start: Array) -> Array:
-        """Return where a circle with CA ends (3,) [m]."""
-        via, end = (np.where(np.isnan(point), start, point) for point in arc_points(move))
-        line = np.array([move.line])
-        centre, normal, _ = circles(self.source, line, start[None], via[None], end[None])
-        return turned(start, centre[0], normal[0], (move.angle or 0.0) * RAD_PER_DEG)
+
+def _step(position: Position, axes: str, numbers: Array) -> Array:
+    """Return how far a relative point leads (3,) [mm] from X…C; `axes` ``#BASE`` or ``#TOOL``."""
+    step = np.nan_to_num(np.array(position.values[:3]))
+    return np.asarray(pose_from_xyzabc(numbers)[:3, :3] @ step) if axes == "#TOOL" else step
 
 
 def carried(flange: Array, carriage: Carriage, place: float) -> Array:
@@ -220,12 +223,6 @@ def carried(flange: Array, carriage: Carriage, place: float) -> Array:
     out = flange.copy()
     out[:3, 3] += place * carriage.direction
     return out
-
-
-def arc_points(move: MotionStatement) -> tuple[Array, Array]:
-    """Return auxiliary and end point of a CIRC statement as written, (3,) each [m]."""
-    via = np.array(move.via.position.values[:3]) if move.via else np.full(3, np.nan)
-    return via * M_PER_MM, np.array(move.end.position.values[:3]) * M_PER_MM
 
 
 def end_poses(
@@ -258,17 +255,14 @@ def end_poses(
     start_flange = forward(start_joints)
     if carriage is not None:
         start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
-    follower = _Follower(source, line, given, frames, _Stand(start_flange, start_joints), forward, carriage)
+    follower = _Follower(source, line, given, frames, _Stand(start_flange, start_joints), forward, carriage, led)
     follower.numbers[led.constant, 3:] = np.nan  # missing components keep their previous value
     special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
     anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
     for at in sorted(special | set(np.flatnonzero(led.constant & (anew | led.with_path)).tolist())):
         follower.absolute(row, at)
-        if led.constant[at] and not (at in moves and moves[at].relative):
-            follower.constant(at, moves.get(at), led)
-        else:
-            follower.special(at, moves[at])
+        follower.special(at, moves.get(at))
         row = at + 1
     follower.absolute(row, len(line))
 
@@ -276,7 +270,7 @@ def end_poses(
     start = Starts.of(frames, pose.__getitem__, start_flange, after)
     ignored = led.constant & (np.abs(given - follower.numbers)[:, 3:] > _SAME).any(axis=1)
     _check_ignored(source, line, given, moves, led.constant, ignored)
-    return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored)
+    return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored, follower.circles)
 
 
 def _check_ignored(

@@ -13,7 +13,16 @@ from collections.abc import Callable
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.names import DECLARING, OPENING, TYPES, WITHOUT_MOTION
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, TIMED, assignment, calls, declares, word_at
+from postproc.dialects.krl.language.statements import (
+    MOTION_WORDS,
+    REFERRING,
+    SPLINES,
+    TIMED,
+    assignment,
+    calls,
+    declares,
+    word_at,
+)
 from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.dialects.krl.read.calls import Calls
@@ -87,7 +96,7 @@ class Interpreter:
         elif word == "RETURN":
             self._return(at)
         elif word in TIMED:
-            raise at.error(f"{word} of spline blocks is not supported", "Leave it out, or write SLIN and SCIRC alone.")
+            self._timed(at, word)
         elif word in _ASYNCHRONOUS:
             raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
@@ -95,6 +104,23 @@ class Interpreter:
         if word in _CONDITIONS:
             self._condition(at, word)
         return True
+
+    def _timed(self, at: Place, word: str) -> None:
+        """Follow a statement that says how fast spline motions are driven: it stays as it is.
+
+        :raises ProgramError: it is not understood, or stands where none can.
+        """
+        start, stop = at.source.code_span(at.line)
+        if not TIMED[word].fullmatch(at.source.text, start, stop):
+            raise at.error("the statement is not understood", "Check its spelling.")
+        for call in calls(at.source, start, stop):
+            self.calls.call(at, call, certain=False)
+        if not self.run.in_main:
+            return
+        if word != "STOP" and not self.run.settings.state.block:
+            raise at.error(f"{word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
+        if word in REFERRING:
+            self.run.triggers.append(at.line)
 
     def _return(self, at: Place) -> None:
         level = self.run.level

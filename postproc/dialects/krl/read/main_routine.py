@@ -199,6 +199,10 @@ class MainRoutine:
             raise self.run.source.line_error("the motion stands outside of DEF … END", int(plain[outside[0]]))
         return out
 
+    def in_one_block(self, first: int, last: int) -> bool:
+        """Return whether no spline block ends between two lines."""
+        return not any(first < line < last for line in self.splines.ended)
+
     def only_comments(self, first: int, last: int) -> bool:
         """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""
         for line in range(first, last + 1):

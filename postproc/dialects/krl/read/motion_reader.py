@@ -59,8 +59,6 @@ class MotionReader:
         """
         text, name = at.source.text, word.removesuffix("_REL")
         kind, relative = KINDS[name], "#BASE" if word != name else ""
-        if relative and kind == CIRC:
-            raise at.error(f"{word} is not supported", "Write the circle with absolute points.")
         names: list[int] = []
         via = angle = behind = None
         position = start + len(word)

@@ -251,6 +251,9 @@ def _arcs(
     centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
     line, start = rows.line[circular], ends.start.at(circular)
     given = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
+    for row, points in ends.circles.items():
+        at = np.searchsorted(circular, row)
+        given[0][at], given[1][at] = points * M_PER_MM
     via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in given)
     centre[circular], axis, angle = circles(source, line, start[:, :3, 3], via, end)
     own = np.full(len(rows), np.nan)
@@ -276,6 +279,8 @@ def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, s
     lines = np.array(main.run.triggers, dtype=np.int64)
     rows = np.searchsorted(line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
+    own = [main.in_one_block(at, int(line[row])) for at, row in zip(lines.tolist(), rows.tolist(), strict=True)]
+    lines, rows = lines[own], rows[own]
     if not len(rows):
         return ()
     following = line[rows].tolist()

@@ -40,12 +40,14 @@ class SplineBlocks:
 
     :ivar open: the one that is open.
     :ivar approximated: lines of ENDSPLINE C_SPL.
+    :ivar ended: lines of ENDSPLINE.
     """
 
     def __init__(self, settings: Settings, reader: MotionReader) -> None:
         self.settings, self.reader = settings, reader
         self.open: Opened | None = None
         self.approximated: list[int] = []
+        self.ended: list[int] = []
 
     def statement(self, at: Place, word: str, start: int, stop: int) -> None:
         """Take a line that opens or closes a block.
@@ -67,6 +69,7 @@ class SplineBlocks:
         if tail:
             self.approximated.append(at.line)
         self.settings.change(at.line, self.open.before)
+        self.ended.append(at.line)
         self.open = None
 
 

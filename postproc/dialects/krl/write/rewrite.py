@@ -300,7 +300,7 @@ class _Rewriter:
                     self.replacements[0].add(*trigger.path, path)
             for trigger in places.lost:
                 message = (
-                    "Targets must be inserted into the motion that follows this TRIGGER, and it cannot be kept right. "
+                    "Targets must be inserted into the motion that follows this statement, which cannot be kept right. "
                     "Put it directly before the motion, with numbers for DISTANCE, PATH and DELAY that switch on one "
                     "piece of it, or raise tolerance_mm so that no targets are needed."
                 )
