@@ -22,6 +22,15 @@ def of_origin(program: Program, mode: Mode) -> list[Issue]:
             f"frames and speed, is said there. Name {origin.part_of} instead."
         )
         return [Issue("error", "part-of-program", message, origin.line)]
+    if writer is not None and mode != "predict":
+        for document in program.documents[1:]:
+            called = writer.origin([document])
+            if called.mode == "corrected" and (origin is None or origin.mode != "corrected"):
+                message = (
+                    f"{document.name}, which this program calls, was corrected by postproc {called.version} before: "
+                    "its targets are commands already, and would be corrected twice. Put the original there."
+                )
+                return [Issue("error", "corrected-before", message)]
     if origin is None or origin.state == "none":
         return []
     if mode != "predict" and origin.mode != "nominal":

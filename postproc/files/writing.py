@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import filecmp
 import os
 import shutil
 import sys
@@ -35,7 +36,10 @@ _STAGE, _LOCK = (".postproc-", ".tmp"), "lock"
 
 
 def write_whole(
-    folder: Path, contents: Mapping[str, bytes | Iterable[bytes]], obsolete: Sequence[str] = ()
+    folder: Path,
+    contents: Mapping[str, bytes | Iterable[bytes]],
+    obsolete: Sequence[str] = (),
+    shared: Mapping[str, bytes | None] | None = None,
 ) -> list[Path]:
     """Write files so that all are replaced, or none.
 
@@ -47,6 +51,8 @@ def write_whole(
     :param folder: where to write.
     :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written, in this order.
     :param obsolete: names of files that are removed with those that are replaced, if they are there.
+    :param shared: files that another process may write at the same time, and what stood there when it was looked at
+        (None: nothing). What came there since, and is not what is written here, is not replaced.
     :returns: the paths written.
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
@@ -64,7 +70,13 @@ def write_whole(
                         at = folder / name
                         _write(stage / "new" / name, content)
                 at = folder
-                _replace(stage, folder, list(contents), obsolete)
+                _replace(stage, folder, list(contents), obsolete, shared or {})
+        except FileExistsError as cause:
+            raise InputError(
+                "a file of another program came there meanwhile",
+                file=str(cause.filename),
+                advice="Nothing was written. Write this program into another folder with -o.",
+            ) from cause
         except OSError as cause:
             name = Path(cause.filename or "").name
             raise InputError(
@@ -109,16 +121,22 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
         os.fsync(file.fileno())
 
 
-def _replace(stage: Path, folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
+def _replace(
+    stage: Path, folder: Path, names: Sequence[str], obsolete: Sequence[str], shared: Mapping[str, bytes | None]
+) -> None:
     """Put new files in the place of old ones; a single one in one step."""
     aside: list[str] = []
     placed: list[str] = []
     try:
+        for name, known in shared.items():
+            _refuse_newer(folder / name, known, stage / "new" / name)
         for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():
                 (folder / name).rename(stage / "old" / name)
                 aside.append(name)
         for name in reversed(names):
+            if name in shared and not _claimed(folder / name, stage / "new" / name):
+                continue
             (stage / "new" / name).replace(folder / name)
             placed.append(name)
     except BaseException as cause:
@@ -133,6 +151,27 @@ def _replace(stage: Path, folder: Path, names: Sequence[str], obsolete: Sequence
             raise InputError(problem, file=str(stage / "old"), advice=f"Move them to {folder} by hand.") from cause
         raise
     shutil.rmtree(stage / "old", ignore_errors=True)
+
+
+def _refuse_newer(path: Path, known: bytes | None, new: Path) -> None:
+    """Raise `FileExistsError` if a file is neither as it was known nor the new one."""
+    there = path.read_bytes() if path.exists() else known
+    if there != known and there != new.read_bytes():
+        raise FileExistsError(errno.EEXIST, "another file came there", str(path))
+
+
+def _claimed(path: Path, new: Path) -> bool:
+    """Make an empty file; False where the same as the new one stands there already.
+
+    :raises FileExistsError: something else stands there.
+    """
+    try:
+        path.open("xb").close()
+    except FileExistsError:
+        if filecmp.cmp(path, new, shallow=False):
+            return False
+        raise
+    return True
 
 
 def toml(content: object, comment: str) -> bytes:

@@ -17,7 +17,7 @@ from postproc.frames import M_PER_MM
 from postproc.jobs import outputs
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
-from postproc.jobs.marking import marked
+from postproc.jobs.marking import marked, subprograms
 from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.program import Program
 from postproc.report import Summary
@@ -41,7 +41,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
             program = read_program(job.program, robot, cell, job.dialect, name)
             result, process = _result(job, settings, cell, robot, program)
             if not result.failed:
-                content, contents = _contents(job, settings, cell, result, process)
+                content, contents, shared = _contents(job, settings, cell, result, process)
                 old = outputs.obsolete(job, [*contents], settings.mode, overwrite=settings.overwrite)
     except Exception as cause:
         if isinstance(cause, SubprogramError) and not job.named:
@@ -51,7 +51,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
     if result.failed:
         return Outcome(file, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
     try:
-        written = files.write_whole(job.output, contents, old)
+        written = files.write_whole(job.output, contents, old, shared)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.left([job], settings.mode))
     exceeded = settings.mode != "predict" and content["tolerance_held"] is False
@@ -109,8 +109,8 @@ def _result(
 
 def _contents(
     job: Job, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None
-) -> tuple[Summary, dict[str, bytes | Iterable[bytes]]]:
-    """Return the summary, and what to write: file name → content."""
+) -> tuple[Summary, dict[str, bytes | Iterable[bytes]], dict[str, bytes | None]]:
+    """Return the summary, what to write: file name → content, and what stands there of subprograms."""
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     content = report.summary(result, tolerance)
@@ -136,13 +136,16 @@ def _contents(
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
     read = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
     outputs.protect(read, job.output, contents)  # files of subprograms too
-    outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite)
+    texts = {document.name: document.to_bytes() for document in result.documents if job.keeps_text}
+    shared = outputs.check_shared(job, texts, subprograms(result, job), settings.mode)
+    same = [file for file, content in shared.items() if content == texts[file]]
+    outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite, same=same)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
         content["files"] = entries
         return report.to_json(content)
 
-    return content, files.with_record(contents, name, rendered)
+    return content, files.with_record(contents, name, rendered), shared
 
 
 def failure(job: Job, cause: Exception) -> Outcome:

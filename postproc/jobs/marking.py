@@ -24,9 +24,33 @@ def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
         return result
     mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
-    documents, moved = job.writer.marked(result.documents, origin)
+    documents, moved = job.writer.marked(_subprograms_marked(result, job, origin), origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
+
+
+def subprograms(result: Result, job: Job) -> list[str]:
+    """Return the names of the files that are written beside a program because it calls what stands in them."""
+    own = {path.name for path in job.reads()}
+    called = {document.name for document in result.program.documents} - own
+    return [document.name for document in result.documents if document.name in called]
+
+
+def _subprograms_marked(result: Result, job: Job, origin: provenance.Origin) -> list[Document]:
+    """Return the files of a program; those of subprograms that differ from what was read say so themselves.
+
+    What they say does not depend on the program that calls them: two programs may be given the same file.
+    """
+    before = {document.name: document for document in result.program.documents}
+    after = {document.name: document for document in result.documents}
+    for name in subprograms(result, job):
+        files = [other for other in after if Path(other).stem.lower() == Path(name).stem.lower()]
+        files.sort(key=lambda other: other != name)
+        if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != before[n].text for n in files):
+            source = provenance.digest(before[other].to_bytes() for other in files)
+            own, _ = job.writer.marked([after[other] for other in files], replace(origin, source=source, forces="-"))
+            after[name] = own[0]
+    return list(after.values())
 
 
 def origin_of(

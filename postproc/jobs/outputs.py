@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from postproc.correction import Mode
@@ -47,8 +47,11 @@ def check(jobs: Sequence[Job], cell: Path, mode: Mode, *, overwrite: bool) -> No
         refuse(found + [path for folder in overviews for path in foreign_single(folder / overview.NAME)])
 
 
-def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -> None:
-    """Look again when the names of the files to be written are known; see `check`."""
+def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool, same: Collection[str] = ()) -> None:
+    """Look again when the names of the files to be written are known; see `check`.
+
+    :param same: those that stand there as they would be written.
+    """
     protect(job.reads(), job.output, names)
     foreseen = job.writes(mode)
     more = [name for name in names if name not in foreseen]
@@ -60,7 +63,46 @@ def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool) -
                 advice="Rename one, or convert them one by one with different -o folders.",
             )
     if not overwrite:
-        refuse(_foreign(job, more, mode))
+        refuse(_foreign(job, [name for name in more if name not in same], mode))
+
+
+def check_shared(job: Job, contents: Mapping[str, bytes], called: Sequence[str], mode: Mode) -> dict[str, bytes | None]:
+    """Refuse to replace what was written for another program, which calls it too: it would move by what is not its own.
+
+    :param contents: files of the program as it was read, and of its subprograms: name → content.
+    :param called: those of its subprograms.
+    :returns: what stands there of them now; None: nothing.
+    :raises InputError: a file of that name and another content was written for another program, or is one of this run.
+    """
+    for name in called:
+        if Path(name).stem.lower() in job.others:
+            raise InputError(
+                f"{job.program} calls {name}, which is also converted as a program of its own in this run",
+                advice=f"Name the main programs instead of their folder, or move {name} into a folder that [krl] "
+                "search in the cell names.",
+            )
+    there = {name: path.read_bytes() for name in contents if (path := job.output / name).exists()}
+    own = recorded(job.output / job.report(mode)) if there else {}
+    differ = [name for name, content in there.items() if content != contents[name]]
+    others = _of_others(job, [name for name in differ if name in called or name not in own], mode)
+    for name, other in others.items():
+        raise InputError(
+            f"this file was written for {other}, which calls it too, and is corrected otherwise for {job.stem}",
+            file=str(job.output / name),
+            advice="Nothing was written. Write this program into another folder with -o, or give each of the programs "
+            f"a {name} of its own.",
+        )
+    return {name: there.get(name) for name in called}
+
+
+def _of_others(job: Job, names: Collection[str], mode: Mode) -> dict[str, str]:
+    """Return which of some files were written for other programs too, and for which."""
+    found: dict[str, str] = {}
+    for record in sorted(job.output.glob("*.report.json")) if names else ():
+        if record.name != job.report(mode):
+            program = record.name.removesuffix(".report.json")
+            found |= dict.fromkeys(recorded(record).keys() & set(names) - found.keys(), program)
+    return found
 
 
 def obsolete(job: Job, names: Iterable[str], mode: Mode, *, overwrite: bool) -> list[str]:
@@ -80,6 +122,8 @@ def obsolete(job: Job, names: Iterable[str], mode: Mode, *, overwrite: bool) -> 
         for name in _there(job, known)
         if name.lower() not in kept and name.lower().endswith(endings) and _key(job.output / name) not in inputs
     ]
+    shared = _of_others(job, _not_own(job, left), mode)
+    left = [name for name in left if name not in shared]
     if not overwrite:
         refuse(foreign(job.output, left, job.report(mode)))
     return left
@@ -106,6 +150,8 @@ def set_aside(job: Job, mode: Mode) -> str:
     :returns: a sentence for the user; empty if there was nothing.
     """
     there = _there(job, _of_run(job, mode))
+    shared = _of_others(job, _not_own(job, there), mode)
+    there = [name for name in there if name not in shared]
     inputs = {_key(path) for path in job.reads()}
     if not there or _foreign(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
         return left([job], mode)
@@ -122,6 +168,11 @@ def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs that stand in the output folders and are not of this run; empty if none do."""
     there = [job.output / name for job in jobs for name in _there(job, _programs(job, mode))]
     return f"There before, not of this run: {listed(there)}." if there else ""
+
+
+def _not_own(job: Job, names: Iterable[str]) -> list[str]:
+    """Return the names of files that are not called like the program: those of subprograms."""
+    return [name for name in names if not name.lower().startswith(job.stem.lower())]
 
 
 def _of_one_family(name: str, other: str) -> bool:
