@@ -330,3 +330,58 @@ def test_a_point_of_a_subprogram_that_also_runs_as_it_stands_is_not_changed_for_
     assert "DECL E6POS Q_2={X 51.0000," in data.text
     assert sub in source.text
     assert "LIN Q_2" in source.text
+
+
+# --- force comments hold in the order in which lines run --------------------------------------------------------------
+
+ONE, TWO, THREE = (f"; FORCE FX={n}" for n in (1, 2, 3))
+HARD = f"DEF HARD()\r\n{THREE}\r\nEND\r\n"
+MOVING = f"DEF HARD()\r\n{THREE}\r\n{FULL}\r\nEND\r\n"
+HELD = [
+    # lines, subprograms, force on the motions
+    ([ONE, FULL, "HARD()", FULL], HARD, [0, 1, 3]),
+    ([ONE, "IF OK THEN", TWO, "ELSE", THREE, "ENDIF", FULL], "", [0, 2]),
+    ([ONE, "IF NOT OK THEN", TWO, "ENDIF", FULL], "", [0, 1]),
+    ([ONE, "FOR I=2 TO 1", TWO, "ENDFOR", FULL], "", [0, 1]),
+    ([ONE, "FOR I=1 TO 2", FULL, TWO, "ENDFOR", FULL], "", [0, 1, 2, 2]),
+    ([ONE, "FOR I=1 TO 2", "IF I==2 THEN", "HARD()", "ENDIF", FULL, "ENDFOR"], HARD, [0, 1, 3]),
+]
+
+
+@pytest.mark.parametrize(("lines", "subprograms", "forces"), HELD, ids=[" / ".join(lines)[:60] for lines, *_ in HELD])
+def test_a_force_comment_holds_from_where_it_runs(lines, subprograms, forces):
+    program = read(body(FULL, *lines) + subprograms, DATA)
+    held = [0.0] * len(program.motions)
+    for note in program.notes:
+        held[note.before :] = [note.wrench[0]] * len(held[note.before :])
+    assert held == forces
+    assert krl.rewrite(program, targets(program, keep=True)).documents == program.documents
+
+
+UNHELD = [
+    (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", CELL, 5, "a force comment"),
+    (["WHILE $IN[1]", TWO, "ENDWHILE", FULL], "", CELL, 5, "force comment stands inside WHILE"),
+    (["WHILE $IN[1]", "HARD()", "ENDWHILE", FULL], HARD, CELL, 5, "inside WHILE: its condition is not known"),
+    (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", KEEPING, 8, "which force acts is not known: a force comment"),
+    (["WHILE $IN[1]", TWO, FULL, "ENDWHILE", FULL], "", KEEPING, 9, r"not known: a force comment .*line 6"),
+    (
+        ["WHILE $IN[1]", "HARD()", "ENDWHILE", FULL],
+        MOVING,
+        KEEPING,
+        8,
+        "not known: HARD is called, which holds a force",
+    ),
+]
+
+
+@pytest.mark.parametrize(("lines", "subs", "cell", "line", "problem"), UNHELD, ids=[p for *_, p in UNHELD])
+def test_a_motion_under_a_force_that_is_not_known_is_refused(lines, subs, cell, line, problem):
+    with pytest.raises(ProgramError, match=problem) as caught:
+        read(body(FULL, *lines) + subs, DATA, cell)
+    assert caught.value.line == line
+
+
+def test_behind_what_is_kept_a_comment_says_which_force_acts():
+    program = read(body(FULL, "WHILE $IN[1]", TWO, FULL, "ENDWHILE", "PTP Q", THREE, FULL), DATA, KEEPING)
+    assert [(note.before, note.wrench[0]) for note in program.notes] == [(2, 3.0)]
+    assert program.motions.line.tolist() == [4, 9, 11]

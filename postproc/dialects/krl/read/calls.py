@@ -127,6 +127,8 @@ class Calls:
 
     def _check_motion(self, at: Place, call: Call, effects: Effects) -> None:
         """Refuse motions in routines of the program itself; behind those of another file the robot is elsewhere."""
+        if effects.force is not None and self.run.in_main:
+            self.run.unforced[self.run.line] = f"{call.name} is called, which holds a force comment ({effects.force})"
         place = effects.motion
         if place is None or not self.run.in_main:
             return
@@ -146,11 +148,15 @@ class Calls:
         self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
 
     def moving(self, call: Call) -> tuple[Module, Routine] | None:
-        """Return the routine that a call goes to if it moves the robot in the course of the program, else None."""
+        """Return the routine that a call goes to if the course of the program leads through it, else None.
+
+        It does where the routine moves the robot, or says which force acts.
+        """
         found = self.run.library.find(call.name, self.run.level.module)
-        if found is None or found[1] in self.run.elsewhere or self.run.analysis.of(*found).motion is None:
+        if found is None or found[1] in self.run.elsewhere:
             return None
-        return found
+        effects = self.run.analysis.of(*found)
+        return found if effects.motion is not None or effects.force is not None else None
 
     def enter(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
         """Go into a routine that moves; what runs next runs in it, up to `leave`.

@@ -8,13 +8,14 @@ actions of the interrupts and triggers that it declares. Nothing is executed: a 
 from __future__ import annotations
 
 import re
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 
 from msgspec import Struct, field
 
 from postproc.dialects.krl.language.names import DECLARING, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
-from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import (
     MOTION_WORDS,
     SPLINES,
@@ -26,6 +27,7 @@ from postproc.dialects.krl.language.statements import (
 )
 from postproc.dialects.krl.language.values import Call
 from postproc.dialects.krl.read.bas import BAS_SETS
+from postproc.dialects.krl.read.force_notes import noted_lines
 from postproc.dialects.krl.read.known import Scope
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.state import RELEVANT
@@ -51,6 +53,7 @@ class Effects(Struct, eq=False):
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
+    :ivar force: where a force comment stands; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
     :ivar jumps: True where it may not run line by line: GOTO, RESUME.
     :ivar resumes: True where RESUME may break off what is running.
@@ -59,6 +62,7 @@ class Effects(Struct, eq=False):
     writes: dict[str, Place] = {}
     anytime: dict[str, Place] = {}
     motion: Place | None = None
+    force: Place | None = None
     absent: dict[str, str] = {}
     jumps: bool = False
     resumes: bool = False
@@ -69,6 +73,7 @@ class Effects(Struct, eq=False):
             self.writes.setdefault(name, place)
         for name, place in other.anytime.items():
             self.anytime.setdefault(name, place)
+        self.force = self.force or other.force
         self._add_rest(other)
 
     def add_action(self, other: Effects) -> None:
@@ -105,6 +110,7 @@ class Analysis:
         self.library, self.scope_of = library, scope_of
         self._direct: dict[Routine, _Direct] = {}
         self._all: dict[Routine, Effects] = {}
+        self._noted: dict[Source, tuple[int, ...]] = {}
 
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return what a routine may do, all that it calls included."""
@@ -116,6 +122,12 @@ class Analysis:
                 self._add_later(total, direct)
             self._all[routine] = total
         return self._all[routine]
+
+    def noted(self, source: Source) -> tuple[int, ...]:
+        """Return the lines of a file with force comments."""
+        if source not in self._noted:
+            self._noted[source] = noted_lines(source)
+        return self._noted[source]
 
     def of_action(self, module: Module, routine: Routine, place: Place, start: int, stop: int) -> Effects:
         """Return what an interrupt or a trigger that stands in a routine may do."""
@@ -150,6 +162,9 @@ class Analysis:
             known = self._direct[routine] = _Direct()
             if routine.motion:
                 known.now.motion = Place(routine.source, routine.motion)
+            noted = self.noted(routine.source)
+            if (first := bisect_right(noted, routine.first)) < bisect_left(noted, routine.last):
+                known.now.force = Place(routine.source, noted[first])
             for line in routine.lines:
                 start, stop = routine.source.code_span(line)
                 word = word_at(routine.source.text, start, stop)

@@ -32,6 +32,7 @@ _THEN = re.compile(r"\bTHEN[ \t]*$", re.IGNORECASE)
 _TO = re.compile(r"[ \t]*TO\b", re.IGNORECASE)
 _STEP = re.compile(r"[ \t]*STEP\b", re.IGNORECASE)
 _EQUALS = re.compile(r"[ \t]*=")
+_FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
 _ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO", "HALT"})
 
 
@@ -79,11 +80,18 @@ class Flow:
         routine = self.run.level.routine
         self.follow(routine.source, self.run.nodes(routine))
 
-    def moves(self, source: Source, node: Node) -> bool:
-        """Return whether a statement or a control structure moves the robot in the course of the program."""
-        module = self.run.level.module
+    def matters(self, source: Source, node: Node) -> bool:
+        """Return whether the course of the program leads through a statement or a control structure.
+
+        It does where the robot moves, and where a comment says which force acts.
+        """
         if isinstance(node, int):
             return self._statement_moves(source, node)
+        noted = self.run.analysis.noted(source)
+        return bisect_left(noted, node.first) < bisect_left(noted, node.last) or self._moves(source, node)
+
+    def _moves(self, source: Source, node: Block) -> bool:
+        module = self.run.level.module
         key = node, module
         if key not in self._moving:
             plain = self.run.level.routine.plain if source is self.run.level.routine.source else ()
@@ -177,7 +185,7 @@ class Flow:
     # --- control structures ------------------------------------------------------------------------------------------
 
     def _block(self, source: Source, block: Block) -> None:
-        if self.trace is not None and self.run.level.traced and self.moves(source, block):
+        if self.trace is not None and self.run.level.traced and self.matters(source, block):
             self._kept(source, block, self.trace)
             return
         marks = self.run.marks()
@@ -191,10 +199,16 @@ class Flow:
             self._still -= 1
 
     def _kept(self, source: Source, block: Block, trace: Trace) -> None:
-        """Follow a control structure that moves; where that cannot be done it is kept as it is, if that is wanted."""
+        """Follow a control structure that matters; where that cannot be done it is kept as it is, if that is wanted."""
         run = self.run
         if not run.keep:
-            self._exactly(source, block, trace)
+            try:
+                self._exactly(source, block, trace)
+            except InexactError:
+                if self._moves(source, block):
+                    raise
+                problem = f"a force comment stands inside {block.word}, and it is not known what runs"
+                raise inexact(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
         marks, mark, here = run.marks(), trace.mark(), run.standing()
         try:

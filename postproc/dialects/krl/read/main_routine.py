@@ -49,7 +49,7 @@ def course_of(
     flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
     others = np.setdiff1d(main.lines, main.settings).tolist()
     nodes = nodes_of(main.source, _one_by_one(main.source, others, np.array(main.settings))[0])
-    if not any(flow.moves(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
+    if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
         return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=taken)
     _submitted(run)

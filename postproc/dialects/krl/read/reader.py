@@ -7,7 +7,6 @@ taken as the origin of `$WORLD`. C_VEL and C_ORI have no distance: their motions
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -16,13 +15,13 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.cell import Cell
-from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
-from postproc.dialects.krl.language.source import Place, Source, comment_start
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.folder_files import FolderFiles
+from postproc.dialects.krl.read.force_notes import notes_of
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.inexact import InexactError
 from postproc.dialects.krl.read.issues import issues_of
@@ -41,9 +40,7 @@ from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, largest
-from postproc.program import FORCE_COMMENT, Document, ForceNote, Ints, Program, distinct, parse_force_note
-
-_FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
+from postproc.program import PTP, Document, Program, distinct
 
 
 def read_program(
@@ -126,7 +123,7 @@ class _Reading(Struct, frozen=True, eq=False):
         changed = list(changed_data_issues(main, ordered, plain, start))
         del plain  # what follows needs the memory
         ordered, after, kept = without_unresolved(main, ordered)
-        notes = _notes(course, ordered.rows.line)
+        notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced)
         lost = [line for line, _ in main.run.unresolved]
         after, meetings = branching(course, ordered, after, [line for line, _ in notes], lost)
         _check_size(source, ordered.rows)
@@ -252,28 +249,3 @@ def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
             position = move.end.position if move is not None and not move.relative else None
             if position is None or not position.axis or not position.complete:
                 raise reason
-
-
-def _notes(course: Course, motions: Ints) -> list[tuple[int, ForceNote]]:
-    """Return the force comments of a course by its lines; its motions stand on lines (M,) of it."""
-    source = course.source
-    text = source.text
-    places = np.array([match.start() for match in _FORCE.finditer(text)], dtype=np.int64)
-    lines = np.searchsorted(source.starts, places, side="right")
-    if course.live is not None:
-        places, lines = places[course.live[lines - 1]], lines[course.live[lines - 1]]
-    starts, stops = source.starts[lines - 1].tolist(), source.stops[lines - 1].tolist()
-    before = np.searchsorted(motions, lines).tolist()
-    parsed: dict[str, ForceNote | None] = {}
-    notes = []
-    for place, line, start, stop, row in zip(places.tolist(), lines.tolist(), starts, stops, before, strict=True):
-        if comment_start(text, start, stop) != place:
-            continue  # the semicolon stands in a string or a comment
-        comment = text[place + 1 : stop]
-        origin = source.origin(line)
-        if comment not in parsed:
-            parsed[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
-        note = parsed[comment]
-        if note is not None:
-            notes.append((line, ForceNote(origin.line, note.wrench, note.frame, row)))
-    return notes

@@ -69,6 +69,7 @@ class Run:
     :ivar resumable: True where RESUME may break off what is running.
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: (line, reason): behind such a line it is not known where the robot stands.
+    :ivar unforced: line → reason: behind such a line it is not known which force acts.
     :ivar understood: offsets of names in the main routine whose use is followed.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
@@ -90,6 +91,7 @@ class Run:
         self.resumable = False
         self.triggers: list[int] = []
         self.moved: list[tuple[int, ProgramError]] = []
+        self.unforced: dict[int, str] = {}
         self.understood: set[int] = set()
         self.absent: list[tuple[str, int]] = []
         self.reached: set[Routine] = set()
