@@ -2,7 +2,8 @@
 
 What a real controller leaves to chance is drawn from a random generator: inputs, when interrupts and submit programs
 run, when triggers switch, what analogue inputs read, what programs do that are in no file. A program whose motions do
-not depend on chance gives the same motions for every seed.
+not depend on chance gives the same motions for every seed. Given `Choices`, nothing is left to chance: inputs are what
+they say, interrupts never come, and all that a program can do is tried by taking them one after the other.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.oracle.arm import abc
+from tests.oracle.arm import abc, rot
 
 TOKEN = re.compile(
     r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<literal>'[BbHh][0-9A-Fa-f]+')|(?P<string>"[^"]*")
@@ -30,7 +31,10 @@ OPENING = {
     "SWITCH": "ENDSWITCH",
 }
 TYPES = {"INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS", "FDAT", "LDAT"}
-MOTIONS = {"LIN", "PTP", "CIRC", "LIN_REL", "PTP_REL", "SLIN", "SPTP"}
+MOTIONS = {"LIN", "PTP", "CIRC", "LIN_REL", "PTP_REL", "SLIN", "SPTP", "SCIRC", "SLIN_REL", "SPTP_REL", "SPL"}
+KINDS = {"SLIN": "LIN", "SPTP": "PTP", "SCIRC": "CIRC"}
+FORCE = re.compile(r"\s*;\s*FORCE\s+(OFF|[FM][XYZ]\s*=.*)$", re.IGNORECASE)
+LABEL = re.compile(r"([A-Za-z_]\w*)\s*:$")
 CARTESIAN = "XYZABC"
 FUNCTIONS = {
     "ABS": abs,
@@ -52,6 +56,35 @@ class _Return(Exception):
 
 class _Exit(Exception):
     pass
+
+
+class _Goto(Exception):
+    pass
+
+
+class Choices:
+    """What inputs are, one after the other: those of `decided`, then FALSE.
+
+    :ivar decided: what they were.
+    :param most: so many may be TRUE; where more are, all further ones are FALSE.
+    """
+
+    def __init__(self, decided=(), most=6):
+        self.given, self.decided, self.most = list(decided), [], most
+
+    def __call__(self):
+        number = len(self.decided)
+        value = self.given[number] if number < len(self.given) else False
+        value = value and sum(self.decided) < self.most
+        self.decided.append(value)
+        return value
+
+    def following(self):
+        """What is to be tried next; None when all was."""
+        decided = list(self.decided)
+        while decided and (decided[-1] or sum(decided) >= self.most):
+            decided.pop()
+        return Choices([*decided[:-1], True], self.most) if decided else None
 
 
 @dataclass
@@ -129,6 +162,8 @@ class Motion:
     tool: np.ndarray
     speed: float
     cdis: float | None
+    force: str
+    callers: tuple
 
 
 class Reader:
@@ -174,10 +209,11 @@ class Controller:
     :param files: name → text.
     :param rng: chance.
     :param base, tool: 4×4, in force where BAS(#INITMOV,0) leaves them; `system`: name → value of the controller's data.
+    :param choices: what inputs are, where nothing is left to chance.
     """
 
-    def __init__(self, files, rng, base, tool, system):
-        self.rng, self.cell = rng, (base, tool)
+    def __init__(self, files, rng, base, tool, system, choices=None):
+        self.rng, self.cell, self.choices, self.force = rng, (base, tool), choices, ""
         self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
         self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
         self.modules, self.motions, self.submit = {}, [], []
@@ -185,6 +221,7 @@ class Controller:
         self.stood = base, tool
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
         self.busy, self.steps = False, 0
+        self.here, self.callers = ("", 0), []
         self.frames = []
         for name, text in files.items():
             stem, _, ending = name.upper().rpartition(".")
@@ -236,6 +273,10 @@ class Controller:
         for number, raw in enumerate(re.split(r"\r\n|\n", text), 1):
             line = code(raw)
             word = line.split("(")[0].split(" ")[0].upper() if line else ""
+            if routine is not None and (found := FORCE.match(raw)):
+                word, line = "FORCE", found[1].strip()
+            elif found := LABEL.match(line):
+                word, line = "LABEL", found[1].upper()
             head = re.match(r"(?i)(GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)", line)
             if head:
                 parameters = []
@@ -276,11 +317,20 @@ class Controller:
         return self.motions
 
     def block(self, body):
-        for statement in body:
-            if statement[0] in OPENING:
-                self.structure(statement)
-            elif isinstance(statement[0], str) and len(statement) == 4:
-                self.statement(*statement)
+        labels = {one[3]: at for at, one in enumerate(body) if one[0] == "LABEL"}
+        at = 0
+        while at < len(body):
+            statement = body[at]
+            at += 1
+            try:
+                if statement[0] in OPENING:
+                    self.structure(statement)
+                elif isinstance(statement[0], str) and len(statement) == 4:
+                    self.statement(*statement)
+            except _Goto as jump:
+                if jump.args[0] not in labels:
+                    raise
+                at = labels[jump.args[0]]
             self.chance()
 
     def chance(self):
@@ -288,7 +338,7 @@ class Controller:
         self.steps += 1
         if self.steps > 3000:
             raise Invalid("too long")
-        if self.busy:
+        if self.busy or self.choices is not None:
             return
         self.busy = True
         for name, low, high in self.cyclic:
@@ -384,20 +434,27 @@ class Controller:
             raise Invalid(word)
 
     def statement(self, word, file, number, line):
+        self.here = file, number
         if word in MOTIONS:
             self.motion(word, file, number, line)
         elif word in ("INTERRUPT", "GLOBAL"):
             self.interrupt(file, number, line)
         elif word == "TRIGGER":
             action = re.search(r"(?i)\bDO\b\s*(.*?)(?:\s+PRIO\s*=.*)?$", line)[1]
+            if re.match(r"[\w$]+", action)[0].upper() in self.frames[-1][1]:
+                raise Invalid("a trigger must not assign to a variable of the routine")  # KSS 8, TRIGGER: DO
             self.pending.append((self.frames[-1], file, number, action))
         elif word in ("ANIN", "DIGIN"):
             reader = Reader(line)
             reader.take(word)
             if reader.take("ON", "OFF") == "ON":
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
-        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE"):
+        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "SPLINE", "ENDSPLINE"):
             return
+        elif word == "FORCE":
+            self.force = "" if line.upper() == "OFF" else line.upper()
+        elif word == "GOTO":
+            raise _Goto(line[4:].strip().upper())
         elif word == "EXIT":
             raise _Exit
         elif word == "RETURN":
@@ -542,12 +599,14 @@ class Controller:
             else:
                 local[name] = arguments[index]
         self.frames.append((routine, local))
+        self.callers.append(self.here)
         try:
             self.block(routine.body)
         except _Return as result:
             return result.args[0]
         finally:
             self.frames.pop()
+            self.callers.pop()
         return None
 
     # --- expressions ---------------------------------------------------------------------------------------------
@@ -672,7 +731,12 @@ class Controller:
             reader.take("[")
             self.sum(reader)
             reader.take("]")
+            if token == "$IN" and self.choices is not None:
+                return self.choices()
             return bool(self.rng.random() < 0.5) if token == "$IN" else float(self.rng.uniform(-3, 3))
+        if token == "$POS_ACT":
+            reader.take()
+            return self.standing()
         if token in ("$BASE", "$TOOL", "$NULLFRAME", "$VEL"):
             reader.take()
             if token == "$VEL":
@@ -705,14 +769,16 @@ class Controller:
         reader = Reader(line)
         reader.take(word)
         via = None
-        if word == "CIRC":
+        if word in ("CIRC", "SCIRC"):
             via = self.target(self.sign(reader))[:3]
             reader.take(",")
         value = self.sign(reader)
         rest = " ".join(token.upper() for _, token in reader.tokens[reader.at :])
-        kind = word.removeprefix("S").removesuffix("_REL")
+        kind = word.removesuffix("_REL")
+        kind = KINDS.get(kind, kind)
         cdis = self.cdis if "C_DIS" in rest else None
-        state = (self.base, self.tool, self.speed, cdis)
+        force = "" if kind == "PTP" else self.force
+        state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers))
         if "A1" in value:
             joints = [float(value[f"A{n}"]) for n in range(1, 7)]
             self.numbers = None
@@ -722,9 +788,23 @@ class Controller:
             numbers = self.relative(value, "#TOOL" in rest)
         else:
             numbers = self.target(value)
+        if "CA" in rest.split():
+            reader.take(",")
+            reader.take("CA")
+            arc = list(self.standing().values())[:3], via, numbers[:3]
+            angle = self.sum(reader)
+            via, numbers[:3] = turned(*arc, 0.5 * angle), turned(*arc, angle)
         self.numbers = numbers
         self.stood = self.base, self.tool
         self.motions.append(Motion(file, number, kind, list(numbers), via, None, *state))
+
+    def standing(self):
+        """Where the robot is, in the frames of now."""
+        if self.numbers is None:
+            raise Invalid("where the robot is, is not known")
+        base, tool = self.stood
+        flange = base @ abc(*self.numbers) @ np.linalg.inv(tool)
+        return components(np.linalg.inv(self.base) @ flange @ self.tool)
 
     def target(self, value):
         if self.numbers is None and any(name not in value for name in CARTESIAN):
@@ -734,13 +814,20 @@ class Controller:
     def relative(self, value, along_tool):
         if self.numbers is None:
             raise Invalid("relative to what is not known")
-        base, tool = self.stood
-        flange = base @ abc(*self.numbers) @ np.linalg.inv(tool)
-        numbers = list(components(np.linalg.inv(self.base) @ flange @ self.tool).values())
+        numbers = list(self.standing().values())
         step = np.array([float(value.get(name, 0.0)) for name in "XYZ"])
         if along_tool:
             step = abc(0, 0, 0, *numbers[3:])[:3, :3] @ step
         return [*(np.array(numbers[:3]) + step).tolist(), *numbers[3:]]
+
+
+def turned(start, via, end, angle):
+    """X, Y, Z of the end of an arc that turns by an angle [deg] from its start: < 0 away from its auxiliary point."""
+    start, one, two = np.array(start), np.subtract(via, start), np.subtract(end, start)
+    normal = np.cross(one, two) / np.linalg.norm(np.cross(one, two))
+    centre = np.linalg.solve(np.array([one, two, normal]), [0.5 * one @ one, 0.5 * two @ two, 0.0])
+    turn = rot(normal, np.radians(angle))
+    return list(start + centre - turn @ centre)
 
 
 def pose(value):

@@ -6,7 +6,7 @@ import pytest
 
 from postproc.dialects import krl
 from postproc.dialects.krl import write
-from tests.oracle.krl_grammar import Refused, check, unknown_names
+from tests.oracle.krl_grammar import check, takes, unknown_names
 
 JOINED = "\x01"
 """Marks lines of a program in several files where it is one text inside, before it is taken apart."""
@@ -14,17 +14,8 @@ LARGEST = 100_000
 """Characters of files that are checked: the others are the same lines again and again."""
 
 
-def accepted(document):
-    """Whether a file that is read is KRL: tests also read what is not."""
-    try:
-        check(document.name, document.text)
-    except Refused:
-        return False
-    return True
-
-
 def checked(make, inputs):
-    """A writer whose files must be KRL where those that it was given are."""
+    """A writer whose files must be KRL where those that it was given are: tests also read what is not."""
 
     @wraps(make)
     def checking(*arguments, **options):
@@ -33,7 +24,7 @@ def checked(make, inputs):
             return written
         before = {document.name: document for document in inputs(*arguments, **options)}
         fresh = [d for d in written.documents if before.get(d.name) != d and len(d.text) < LARGEST]
-        if all(len(d.text) < LARGEST and accepted(d) for d in before.values()):
+        if all(len(d.text) < LARGEST and takes(d.name, d.text) for d in before.values()):
             for document in fresh:
                 check(document.name, document.text)
             unknown = unknown_names({d.name: d.text for d in before.values()}) if fresh else set()

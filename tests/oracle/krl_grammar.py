@@ -50,6 +50,15 @@ def check(name, text):
     return tree
 
 
+def takes(name, text):
+    """Whether the text of a file is KRL; see `check`."""
+    try:
+        check(name, text)
+    except Refused:
+        return False
+    return True
+
+
 @cache
 def parser():
     grammar = Path(__file__).with_name("krl.lark").read_text(encoding="utf-8")

@@ -1,0 +1,65 @@
+"""Random KRL jobs corrected, executed and loaded; for hours: `python -m tests.attack.krl_under_force`."""
+
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from postproc.dialects.krl.read import reader
+from postproc.toolpath import path
+from tests.attack import krl_under_force
+from tests.attack.krl_interpreter import Choices
+from tests.attack.krl_under_force import Wrong, attack
+
+
+def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
+    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(80))
+    assert sum(number for name, number in outcomes.items() if "straight" in name) > 40
+    assert sum(number for name, number in outcomes.items() if "branches" in name) > 5
+    assert sum(number for name, number in outcomes.items() if "in files" in name) > 10
+    assert sum(number for name, number in outcomes.items() if "no forces" in name) > 3
+    assert outcomes["kept"] >= 1
+
+
+def test_choices_go_through_all_that_inputs_may_be():
+    def run(choices):
+        return (choices(), choices() and choices())
+
+    tried, choices = [], Choices()
+    while choices is not None:
+        run(choices)
+        tried.append(choices.decided)
+        choices = choices.following()
+    assert tried == [
+        [False, False],
+        [False, True, False],
+        [False, True, True],
+        [True, False],
+        [True, True, False],
+        [True] * 3,
+    ]
+
+
+def stiffer(cell, robot, arm):
+    return cell, robot, replace(arm, stiffness=arm.stiffness * 1.001)
+
+
+SETUP, STARTS, NOTES = krl_under_force.setup, path.starts, reader.notes_of
+FAULTS = {
+    "branches begin where the one before ends": (
+        path,
+        "starts",
+        lambda program, *rest: STARTS(replace(program, after=None), *rest),
+    ),
+    "first force holds to the end": (reader, "notes_of", lambda *given: NOTES(*given)[:1]),
+    "springs are softer by a thousandth": (krl_under_force, "setup", cache(lambda: stiffer(*SETUP()))),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_attack_finds_a_package_whose(fault, monkeypatch):
+    monkeypatch.setattr(*FAULTS[fault])
+    with pytest.raises(Wrong) as caught:
+        Counter(attack(seed) for seed in range(200))
+    assert isinstance(caught.value.__cause__, Wrong)  # not another exception
