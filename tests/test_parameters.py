@@ -24,6 +24,7 @@ ANY = st.one_of(
     st.builds(robot.FadingPart, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.Knee, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.Backlash, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
+    st.builds(robot.LostMotion, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.LinkSpring, st.sampled_from(("base", *robot.JOINTS)), st.sampled_from(robot.LINK_AXES)),
     st.sampled_from(robot.COMPENSATOR),
 )
@@ -46,6 +47,7 @@ def test_no_other_name_is_read(name):
         robot.FadingPart("A3", 90.0),
         robot.Knee("A3", 90.0),
         robot.Backlash("A3", 20.0),
+        robot.LostMotion("A3", 20.0),
         robot.LinkSpring("A3", "RX"),
     ],
 )

@@ -24,14 +24,15 @@ from postproc.robot import (
     JointCompliance,
     Knee,
     LinkSpring,
+    LostMotion,
     Parameter,
     RobotModel,
 )
 
 JOINT, COMPENSATOR_SPRING, LINK, END = "joint", "compensator", "link", "end"
-FADING, KNEE, BACKLASH = "fading", "knee", "backlash"
+FADING, KNEE, BACKLASH, LOST_MOTION = "fading", "knee", "backlash", "lost motion"
 """Kinds of springs, of which structures are made."""
-GEARS = (FADING, KNEE, BACKLASH)
+GEARS = (FADING, KNEE, BACKLASH, LOST_MOTION)
 """Those of gears that do not give way in proportion to the torque."""
 
 _FADE_AT = (0.2, 0.6, 2.0)
@@ -40,6 +41,8 @@ _KNEES_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 """Where parts of a gear end: milling loads it to some hundredths of what weights do that show its springs."""
 _TURNS_OVER_AT = (0.01,)
 """Torque that turns a gear with backlash over to its other flank."""
+_ONE_LINE = 1e-3
+"""Distance [m] between axes that are one line."""
 _LEAST_TORQUE = 1.0
 """Largest torque [N·m] on a joint below which nothing is said of its gear."""
 
@@ -58,7 +61,10 @@ def _along_joints(robot: RobotModel) -> set[LinkSpring]:
         here = robot.nominal.axis[index]
         before = robot.nominal.placement[index, :3, :3] @ here
         found.add(LinkSpring(joint, LINK_AXES[3 + int(np.argmax(np.abs(here)))]))
-        found.add(LinkSpring((BASE, *JOINTS)[index], LINK_AXES[6 + int(np.argmax(np.abs(before)))]))
+        link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(before)))
+        found.add(LinkSpring(link, LINK_AXES[6 + axis]))
+        if np.linalg.norm(np.cross(before, robot.nominal.placement[index, :3, 3])) < _ONE_LINE:
+            found.add(LinkSpring(link, LINK_AXES[3 + axis]))  # the link begins on the axis of the joint at its end
     return found
 
 
@@ -89,6 +95,8 @@ def everything(
         FADING: _gears(FadingPart, _FADE_AT, joints, largest),
         KNEE: _gears(Knee, _KNEES_AT, joints, largest),
         BACKLASH: _gears(Backlash, _TURNS_OVER_AT, joints, largest),
+        # where gears feel the load alone, backlash is lost motion
+        LOST_MOTION: _gears(LostMotion, _TURNS_OVER_AT, joints, largest) if in_gears else (),
     }
     pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
     return Structure(tuple(p for p, _ in pairs), robot, in_gears=in_gears), tuple(kind for _, kind in pairs)
@@ -109,11 +117,14 @@ def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
         (", gears stiffen, with backlash", (FADING, BACKLASH)),
         (", gears with knees and backlash", (KNEE, BACKLASH)),
         (", gears stiffen, with knees and backlash", (FADING, KNEE, BACKLASH)),
+        (", gears stiffen, with lost motion", (FADING, LOST_MOTION)),
+        (", gears with knees and lost motion", (KNEE, LOST_MOTION)),
+        (", gears stiffen, with knees and lost motion", (FADING, KNEE, LOST_MOTION)),
     ]
     arms: list[tuple[str, tuple[str, ...], list[tuple[str, tuple[str, ...]]]]] = [
         ("joint springs", (JOINT,), gears[:2]),
         ("springs of links", (JOINT, LINK), gears),
-        ("springs of links, their ends and the base", (JOINT, LINK, END), [gears[1], gears[3], gears[6]]),
+        ("springs of links, their ends and the base", (JOINT, LINK, END), [gears[1], gears[3], gears[6], gears[9]]),
     ]
     extra, told = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
     return [

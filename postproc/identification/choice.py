@@ -38,6 +38,8 @@ from postproc.robot import CompensatorStiffness, RobotModel
 _FOLDS = 10
 _RIDGES = (0.001, 0.003, 0.01, 0.03)
 _START_RIDGE = 0.01
+_MOST_USUAL = 10.0
+"""Standard deviation of a spring, in usual sizes, beyond which readings that hardly tell it do not push it."""
 _LEAST_WEIGHT = 0.02
 """Structures that weigh less are left out of the mean."""
 _CHANCE = 2.0
@@ -195,7 +197,7 @@ def _open(fit: Fit) -> bool:
 def _mixed(robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool) -> _Mix:
     structure, kinds = everything(robot, data, in_gears, compensator)
     equations = _settled(structure, data, placement)
-    kind, free = np.array(kinds), _regularised(structure)
+    kind, free = np.array(kinds), _regularised(structure) > 0.0
     fold = np.random.default_rng(0).permutation(len(data.q)) % min(_FOLDS, len(data.q))
     members = []
     for name, wanted in candidates(compensator):
@@ -203,7 +205,7 @@ def _mixed(robot: RobotModel, data: Measurements, placement: Placement, in_gears
         if len(np.unique(kind[columns])) < len(wanted):  # this robot has none of a kind
             continue
         for strength in _RIDGES if free[columns].any() else _RIDGES[:1]:
-            ridge = strength * free
+            ridge = _ridge(structure, equations, strength)
             left = equations.left_out(columns, ridge, fold)
             members.append(_Member(name, not set(wanted).isdisjoint(GEARS), columns, ridge, left))
     best, plain = (
@@ -218,12 +220,18 @@ def _settled(structure: Structure, data: Measurements, placement: Placement) -> 
     values, columns = structure.start(), np.arange(len(structure.parameters))
     for _ in range(2):
         equations = linearise(structure, values, data, placement)
-        values = equations.solve(columns, _START_RIDGE * _regularised(structure)) / equations.scale
+        values = equations.solve(columns, _ridge(structure, equations, _START_RIDGE)) / equations.scale
     return linearise(structure, values, data, placement)
 
 
 def _regularised(structure: Structure) -> Array:
     return np.array([float(parameter.sparse) for parameter in structure.parameters])
+
+
+def _ridge(structure: Structure, equations: Linearised, strength: float) -> Array:
+    """Return the ridge (p,) of a strength: what the readings hardly tell stays of a usual size, too."""
+    unusual = _MOST_USUAL * structure.usual() * equations.scale
+    return np.asarray(_regularised(structure) * np.hypot(strength, 1.0 / unusual))
 
 
 def _stacked(equations: Linearised, members: Sequence[_Member], among: Ints) -> Array:

@@ -106,7 +106,7 @@ class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`.
 
-    `load_error_percent`: standard deviation of what all loads are wrong by together; `load_point_sigma_mm`: of where
+    `load_error_percent`: 95 % bound of what all loads are wrong by together; `load_point_sigma_mm`: of where
     they act, in each direction.
     """
 

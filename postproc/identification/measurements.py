@@ -30,7 +30,7 @@ class Measurements:
     :param position: (n, 3) in the frame of the measuring device [m].
     :param line: (n,) line in the file.
     :param used: (n,) False for readings left out as outliers.
-    :param load_error: standard deviation of what all loads are wrong by together, as a share.
+    :param load_error: 95 % bound of what all loads are wrong by together, as a share.
     :param load_point_error: standard deviation of where they act, in each direction [m].
     """
 

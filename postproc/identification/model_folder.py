@@ -17,6 +17,7 @@ from postproc.identification.experiment import Payload
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.observability import joint_torques
 from postproc.identification.procedure import Identification
+from postproc.identification.structure import LEAST
 from postproc.robot import JOINT_COMPLIANCES
 from postproc.robot.model_file import (
     CompensatorEntry,
@@ -44,7 +45,9 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     joints = {}
     for joint in JOINT_COMPLIANCES:
         table = tables["joints"].get(joint.joint)
-        if table is not None and joint not in unknown and table["compliance_urad_per_Nm"] > 0.0:
+        if table is not None and joint not in unknown and table["compliance_urad_per_Nm"] >= 0.0:
+            # where springs of links give way for it, the prior's would count twice
+            table["compliance_urad_per_Nm"] = max(table["compliance_urad_per_Nm"], LEAST * joint.per_si)
             joints[joint.joint] = msgspec.convert(table, JointSpring)
         else:
             old = prior.joints[joint.joint]
@@ -158,7 +161,7 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
 def without_found_springs(content: ModelFile) -> ModelFile:
     """Return a model with joint springs alone: those of links, and what fades of the gears, are looked for anew."""
     joints = {
-        name: msgspec.structs.replace(spring, stiffening=[], knees=[], backlash=None)
+        name: msgspec.structs.replace(spring, stiffening=[], knees=[], backlash=None, lost_motion=None)
         for name, spring in content.joints.items()
     }
     return msgspec.structs.replace(content, joints=joints, links={}, covariance=None, discrepancy=None, measured=None)

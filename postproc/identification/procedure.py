@@ -151,24 +151,11 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
 
 
 def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
-    """Return what a fit with more springs leaves open: joints that no load reaches, or whose compliance is zero.
+    """Return what a fit with more springs leaves open: joints that no load reaches.
 
     What the fit of joint springs alone said of other parameters, it said of a model that was given up.
     """
-    known, found = {entry.parameter: entry for entry in missing}, []
-    for joint in JOINT_COMPLIANCES:
-        whole, _ = joint.in_file(fit.given | {joint: fit.given.get(joint, 0.0)})
-        if joint not in fit.given and joint in known:
-            found.append(known[joint])
-        elif whole <= 0.0:
-            found.append(
-                NotObservable(
-                    joint,
-                    "beside the springs of the links the fit leaves it no compliance",
-                    f"Measure configurations that put more torque on {joint.joint} alone.",
-                )
-            )
-    return found
+    return [entry for entry in missing if entry.parameter in JOINT_COMPLIANCES and entry.parameter not in fit.given]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

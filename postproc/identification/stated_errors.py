@@ -12,7 +12,7 @@ import numpy as np
 
 from postproc.frames import Array
 from postproc.identification.displacements import whiten, whitening
-from postproc.identification.fit import Fit
+from postproc.identification.fit import NORMAL_95, Fit
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.identification.prediction import predict
@@ -29,7 +29,7 @@ def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influ
     wrong = []
     if data.load_error > 0.0:
         share = np.array([_share(parameter) for parameter in fit.structure.parameters])
-        wrong.append(data.load_error * share * fit.values)
+        wrong.append(data.load_error / NORMAL_95 * share * fit.values)
     if data.load_point_error > 0.0:
         if influence is None:
             scale = np.linalg.norm(fit.design, axis=0)

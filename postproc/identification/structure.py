@@ -11,7 +11,7 @@ from postproc.frames import Array
 from postproc.program import Ints
 from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
 
-_LEAST = 1e-12
+LEAST = 1e-12
 """Smallest joint compliance [rad/(N·m)] the equilibrium is solved with; fits may pass through zero."""
 
 
@@ -64,9 +64,9 @@ class Structure:
         """
         robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active(level)})
         joints = list(robot.actuated)
-        if (robot.compliance[joints] < _LEAST).any():
+        if (robot.compliance[joints] < LEAST).any():
             stiffness = robot.stiffness.copy()
-            stiffness[joints, joints] = 1.0 / np.maximum(robot.compliance[joints], _LEAST)
+            stiffness[joints, joints] = 1.0 / np.maximum(robot.compliance[joints], LEAST)
             robot = replace(robot, stiffness=stiffness)
         if level is None:
             return robot

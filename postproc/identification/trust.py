@@ -11,7 +11,7 @@ from postproc.identification.displacements import measured_displacements, visibl
 from postproc.identification.fit import LENGTH_95, Fit
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
-from postproc.robot import Backlash
+from postproc.robot import Backlash, JointCompliance
 
 _MOST_HELD_OUT = 4.0
 """Mean square on configurations left out, in σ², beyond which something is missing in the model."""
@@ -87,6 +87,10 @@ def _told(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
             "the work. Measure each configuration under a second load of about that force."
         )
     for parameter, value in fit.given.items():
+        if isinstance(parameter, JointCompliance) and parameter.in_file(fit.given)[0] <= 0.0:
+            told.append(
+                f"the springs of the links give way for {parameter.joint} too: beside them it has no compliance"
+            )
         if isinstance(parameter, Backlash) and value > _PLAY:
             told.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
     return told

@@ -12,7 +12,15 @@ from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel
 from postproc.robot.model_file import BASE, FLANGE, JOINTS, Displacement, LinkSprings, ModelFile
 from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR, JOINT_COMPLIANCES, file_slopes
-from postproc.robot.spring_parameters import LINK_AXES, Backlash, FadingPart, JointCompliance, Knee, LinkSpring
+from postproc.robot.spring_parameters import (
+    LINK_AXES,
+    Backlash,
+    FadingPart,
+    JointCompliance,
+    Knee,
+    LinkSpring,
+    LostMotion,
+)
 from postproc.robot.value_sources import SourcedValue
 
 __all__ = [
@@ -35,6 +43,7 @@ __all__ = [
     "Knee",
     "LinkSpring",
     "LinkSprings",
+    "LostMotion",
     "Measured",
     "ModelFile",
     "Parameter",

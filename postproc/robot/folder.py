@@ -146,7 +146,7 @@ def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
             f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called",
             file=where,
             advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), k1^800 (what ends there), A4.backlash@3, "
-            "A2.RX (a spring of a link), K_c, s_0.",
+            "A4.lost_motion@3, A2.RX (a spring of a link), K_c, s_0.",
         )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:

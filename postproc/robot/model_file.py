@@ -39,7 +39,9 @@ class Stiffening(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class BacklashEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Backlash of a gear: by how much it lies off to either side; `torque_Nm` turns it over (`parameters.Backlash`)."""
+    """Backlash or lost motion of a gear: by how much it lies off to either side; `torque_Nm` turns it over
+    (`parameters.Backlash`, `parameters.LostMotion`).
+    """
 
     angle_urad: Positive
     torque_Nm: Positive
@@ -56,6 +58,7 @@ class JointSpring(Sourced, frozen=True, kw_only=True):
     stiffening: list[Stiffening] = []
     knees: list[Stiffening] = []
     backlash: BacklashEntry | None = None
+    lost_motion: BacklashEntry | None = None
 
     @property
     def fades(self) -> float:

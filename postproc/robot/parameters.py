@@ -13,13 +13,14 @@ from postproc.frames import Array
 from postproc.robot.compensator_parameters import CompensatorPreload, CompensatorStiffness
 from postproc.robot.model_file import JOINTS, ModelFile
 from postproc.robot.parameter import Parameter
-from postproc.robot.spring_parameters import Backlash, FadingPart, JointCompliance, Knee, LinkSpring
+from postproc.robot.spring_parameters import Backlash, FadingPart, JointCompliance, Knee, LinkSpring, LostMotion
 
 KINDS: tuple[type[Parameter], ...] = (
     JointCompliance,
     FadingPart,
     Knee,
     Backlash,
+    LostMotion,
     LinkSpring,
     CompensatorStiffness,
     CompensatorPreload,

@@ -170,16 +170,18 @@ class Backlash(Spring):
     sparse: ClassVar[bool] = True
     linear: ClassVar[bool] = False
     is_compliance: ClassVar[bool] = False
+    key: ClassVar[str] = "backlash"
+    """Where it stands in [joints] of model.toml, and between joint and torque in names."""
 
     @property
     def name(self) -> str:
         """Return e.g. ``A4.backlash@3``."""
-        return f"{self.joint}.backlash@{self.torque:g}"
+        return f"{self.joint}.{self.key}@{self.torque:g}"
 
     @property
     def title(self) -> str:
         """Return the joint in words."""
-        return f"backlash of {self.joint}"
+        return f"{self.key.replace('_', ' ')} of {self.joint}"
 
     @property
     def unit(self) -> str:
@@ -193,8 +195,8 @@ class Backlash(Spring):
 
     @classmethod
     def named(cls, name: str) -> Self | None:
-        """Return the backlash of a name like ``A4.backlash@3``."""
-        head, _, torque = name.partition(".backlash@")
+        """Return what a name like ``A4.backlash@3`` means, with the key of the class."""
+        head, _, torque = name.partition(f".{cls.key}@")
         try:
             return cls(head, float(torque)) if head in JOINTS else None
         except ValueError:
@@ -202,14 +204,14 @@ class Backlash(Spring):
 
     @classmethod
     def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield `backlash` of [joints]."""
+        """Yield what stands under `key` of [joints]."""
         for joint in JOINTS:
-            if (play := content.joints[joint].backlash) is not None:
+            if (play := getattr(content.joints[joint], cls.key)) is not None:
                 yield cls(joint, play.torque_Nm), play.angle_urad / PER_URAD
 
     def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write `backlash` of the joint."""
-        tables["joints"][self.joint]["backlash"] = {"angle_urad": value, "torque_Nm": self.torque}
+        """Write `key` of the joint."""
+        tables["joints"][self.joint][self.key] = {"angle_urad": value, "torque_Nm": self.torque}
 
     def row(self, robot: RobotModel) -> int:
         """Return the coordinate of the joint."""
@@ -223,6 +225,22 @@ class Backlash(Spring):
         """Return tanh(v) − tanh(v₀) and its derivative by the torque."""
         there, here = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
         return there - here, (1.0 - there**2) / self.torque
+
+
+@dataclass(frozen=True, slots=True)
+class LostMotion(Backlash):
+    """Lost motion of a gear: it lies off to the side to which the load presses it, ``A4.lost_motion@3`` [rad].
+
+    Deflection tanh(v) with v = torque/T. Friction that holds the gear at rest lets it lie
+    anywhere under the weights: what turns it over is the load alone, while backlash is turned over by all that acts.
+    """
+
+    key: ClassVar[str] = "lost_motion"
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return tanh(v) and its derivative by the torque."""
+        there = np.tanh(torque / self.torque)
+        return there, (1.0 - there**2) / self.torque
 
 
 @dataclass(frozen=True, slots=True)

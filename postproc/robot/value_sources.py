@@ -31,6 +31,8 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
             value += f", of which {spring.fades:.3g} fade with load"
         if spring.backlash is not None:
             value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
+        if spring.lost_motion is not None:
+            value += f"; lost motion {spring.lost_motion.angle_urad:.3g} µrad"
         yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)
     if (spring_law := content.compensator) is not None:
         value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"

@@ -82,6 +82,7 @@ class TrueRobot:
     centres: np.ndarray = field(default_factory=lambda: CENTRES)
     payload: tuple = (0.0, np.zeros(3))  # what the flange carries always: mass, centre in the flange frame
     backlash: np.ndarray = field(default_factory=lambda: np.zeros(6))  # each gear lies off by ± this with its torque
+    lost_motion: np.ndarray = field(default_factory=lambda: np.zeros(6))  # and by ± this with that of the load alone
 
     def __post_init__(self):
         self.chain = []  # (fixed 4×4, "R"/"P", axis, kind, index)
@@ -190,6 +191,7 @@ class TrueRobot:
             g = load + self.position_forces(frames, x) - rest
             # a newton metre or two turn the gear over to its other flank
             slack = self.backlash * np.tanh(g[:, self.joint_rows] / 2.0)
+            slack += self.lost_motion * np.tanh(load[:, self.joint_rows] / 2.0)
             torque, tangent = self.gear.torque(y[:, self.joint_rows] - slack)
             step = np.zeros_like(y)
             tangent[:, 1] += self._comp(x[:, self.joint_rows[1]])[1]

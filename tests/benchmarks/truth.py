@@ -48,7 +48,9 @@ class Row:
     :param levels: shares of 2.7 kN at which each pose is loaded.
     :param knee: gears have two slopes, and change at this share of the largest torque.
     :param backlash: of every gear [rad].
+    :param lost_motion: of every gear [rad]: backlash that the load alone turns over.
     :param load_error: the true load is wrong by a factor that spreads so.
+    :param load_off: the true load is wrong by just so much, to either side.
     :param point_error: the true load point is off by so much in each direction [m].
     :param payload: on the flange [kg].
     :param more: lines of experiment.toml.
@@ -61,7 +63,9 @@ class Row:
     levels: tuple[float, ...] = TWO
     knee: float = 0.0
     backlash: float = 0.0
+    lost_motion: float = 0.0
     load_error: float = 0.0
+    load_off: float = 0.0
     point_error: float = 0.0
     payload: float = 0.0
     tails: bool = False
@@ -70,13 +74,25 @@ class Row:
 
 
 PAYLOAD = "\n[payload]\nmass_kg = 150\nX = -100\nY = 50\nZ = 200\n"
+LOAD_2_PERCENT = "load_error_percent = 2\n"
 ROWS = (
     Row("hard", wants={"least": 40, "median": 120, "inside": 0.93, "worst": 0.6}),
     Row("hard, one load level", levels=(1.0,), wants={"inside": 0.93}),
     Row("hard, 15 poses", poses=15, wants={"inside": 0.93}),
     Row("knee at 8 % of the torque", knee=0.08, wants={"least": 15, "inside": 0.9}),
     Row("backlash 0.05 mrad", backlash=0.05e-3, wants={"least": 20, "inside": 0.9}),
-    Row("load wrong by 2 %, stated", load_error=0.02, more="load_error_percent = 2\n", wants={"inside": 0.9}),
+    Row("lost motion 0.05 mrad", lost_motion=0.05e-3, wants={"least": 20, "inside": 0.9}),
+    Row(
+        "knees, play, payload; three loads",
+        levels=(0.2, 0.6, 1.0),
+        knee=0.1,
+        lost_motion=0.03e-3,
+        payload=150.0,
+        more=PAYLOAD,
+        wants={"inside": 0.9},
+    ),
+    Row("load wrong within 2 %, stated", load_error=0.02 / 1.96, more=LOAD_2_PERCENT, wants={"inside": 0.9}),
+    Row("load wrong by 2 %, stated", load_off=0.02, more=LOAD_2_PERCENT, wants={"inside": 0.9}),
     Row("load point off by 5 mm, stated", point_error=5e-3, more="load_point_sigma_mm = 5\n", wants={"inside": 0.9}),
     Row("payload of 150 kg, stated", payload=150.0, more=PAYLOAD, wants={"least": 60}),
     Row("heavy tails of the noise", tails=True, wants={"least": 40, "inside": 0.93}),
@@ -94,11 +110,11 @@ def experiment(row: Row, seed: int, folder: Path) -> simulator.TrueRobot:
     if row.knee:
         bend = row.knee * simulator.largest_torque(q, f) / true.gear.k
         true.gear = simulator.Gear("knee", true.gear.k, bend)
-    true.backlash = np.full(6, row.backlash)
+    true.backlash, true.lost_motion = np.full(6, row.backlash), np.full(6, row.lost_motion)
     if row.payload:
         true.payload = (row.payload, np.array([-0.1, 0.05, 0.2]))
     # the robot feels another load, at another place, than the file says
-    pull = 1.0 + row.load_error * rng.normal()
+    pull = 1.0 + row.load_error * rng.normal() + row.load_off * (-1.0) ** seed
     point = simulator.LOAD_POINT + row.point_error * rng.normal(size=3)
     felt = Felt(true, pull, point)
     _, raw = simulator.measure(felt, q, f, rng, SIGMA, levels=row.levels, tails=row.tails)
