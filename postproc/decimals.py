@@ -53,6 +53,10 @@ class Number(Struct, frozen=True, eq=False):
 
     def put(self, out: Bytes, at: int) -> None:
         """Write the text into columns of (n, w) bytes from column `at` on; never ``-0.000``."""
+        if len(self) > 1 and (self.scaled == self.scaled[0]).all():
+            Number(self.scaled[:1], self.decimals, self.groups).put(out[:1], at)
+            out[1:, at : at + self.width] = out[0, at : at + self.width]
+            return
         empty = np.isnan(self.scaled)
         none = bool(empty.any())
         digits = np.abs(np.where(empty, 0.0, self.scaled) if none else self.scaled).astype(np.uint64)

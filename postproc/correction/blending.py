@@ -67,7 +67,7 @@ def of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corner
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
-    end, via, start = (np.round(spot, _PRINTED) for spot in (targets.pose[:, :3, 3], targets.via, start))
+    end, start = (np.round(spot, _PRINTED) for spot in (targets.pose[:, :3, 3], start))
     first = np.append(True, np.diff(targets.motion) != 0)[: len(end)]
     begin = np.where(first[:, None], start[targets.motion], np.roll(end, 1, axis=0))
     step = end - begin
@@ -76,7 +76,7 @@ def of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corner
     arrive = leave.copy()
     arcs = np.flatnonzero(targets.kind == CIRC)
     if len(arcs):
-        _, radial, across, angle = circle_through(begin[arcs], via[arcs], end[arcs])
+        _, radial, across, angle = circle_through(begin[arcs], np.round(targets.via[arcs], _PRINTED), end[arcs])
         radius, sine, cosine = norm(radial), np.sin(angle)[:, None], np.cos(angle)[:, None]
         leave[arcs] = across / radius[:, None]
         arrive[arcs] = (cosine * across - sine * radial) / radius[:, None]

@@ -34,7 +34,7 @@ def corrected(path: PathUnderLoad) -> Compensation:
         places = np.flatnonzero(movable)
         row = row[places]
         try:
-            found = path.setting.compensate(path.pose_in_root[row], q[places], path.tool(row), path.wrench_in_root[row])
+            found = path.setting.compensate(path.pose_in_root(row), q[places], path.tool(row), path.wrench_in_root(row))
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), places[list(cause.rows)]) from None
         q[places], theta[places] = found.q, found.theta
@@ -72,7 +72,7 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
     """
 
     def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
-        q, wrench = path.joints.q[row], path.wrench_in_root[row]
+        q, wrench = path.joints.q[row], path.wrench_in_root(row)
         tip, by_tool = path.tip_in_base(row, q, wrench, theta[row])
         deviation = tip - path.sample.pose[row, :3, 3]
         if path.setting.rest_is_nominal:

@@ -61,7 +61,9 @@ class Task(Struct, frozen=True, eq=False):
 class Draft:
     """A program with targets at some of the samples of its path.
 
-    :param path: the path, and `command` what the controller is told at its samples, in `$BASE`.
+    :param path: the path.
+    :param q: (N, 6) joint angles that the controller is told at its samples [rad]; its poses stand in the targets.
+    :param theta: (N, nv) deflections of the springs there [rad, m].
     :param chosen: the targets.
     :param issues: what there is to tell.
     :param text: the program as text; None as long as it is not written.
@@ -70,7 +72,8 @@ class Draft:
     """
 
     path: PathUnderLoad
-    command: Compensation
+    q: Array
+    theta: Array
     chosen: Chosen
     issues: tuple[Issue, ...]
     text: Written | None = None
@@ -94,7 +97,7 @@ class Draft:
         """
         chosen = self.chosen
         comments = self.forces_at_targets() if task.comments else None
-        q = self.command.q[chosen.row]
+        q = self.q[chosen.row]
         joints = TargetJoints(q, kinematics.status_of(task.setting.robot, q))
         text = task.writer.write(task.program, chosen.targets, joints, task.setting.cell, comments)
         return replace(self, text=text, issues=(*self.issues, *text.issues))
@@ -106,7 +109,7 @@ class Draft:
         try:
             back = read_back(self.path, self.chosen, self.text)
             corrected = task.mode != "nominal"
-            simulated = simulate(self.path, self.chosen, self.command.theta, back, corrected=corrected)
+            simulated = simulate(self.path, self.chosen, self.theta, back, corrected=corrected)
         except UnusableTextError as cause:
             return replace(self, issues=(*self.issues, cause.issue))
         return replace(self, back=back, simulated=simulated, issues=(*self.issues, *simulated.issues))
@@ -116,7 +119,7 @@ def result_of(task: Task, draft: Draft) -> Result:
     """Make the result of a draft; what is not written is predicted as it stands."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, task.program
     rows = np.arange(len(path)) if task.mode == "predict" else row
-    without = commanded.uncorrected(path, rows, draft.command.theta)
+    without = commanded.uncorrected(path, rows, draft.theta)
     between = float(norm(without.deviation).max(initial=0.0))
     if task.mode == "predict":
         without = without.take(row)
@@ -134,16 +137,16 @@ def result_of(task: Task, draft: Draft) -> Result:
         t=targets.t,
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose[row],
-        printed=_numbers(task, draft),
+        printed=_numbers(task, draft) if draft.back is None else draft.back.numbers,
         wrench=path.wrench[row],
         deflection=without.deflection,
         deflection_by_tool=None if task.setting.tool_spring is None else without.by_tool,
         deviation_before=without.deviation,
         deviation_after=without.deviation,
         bound=bound,
-        q=draft.command.q[row],
-        joint_margin=kinematics.joint_margin(task.robot, draft.command.q),
-        singular_value=kinematics.smallest_singular_value(task.robot, draft.command.q[row], path.tool(row)),
+        q=draft.q[row],
+        joint_margin=kinematics.joint_margin(task.robot, draft.q),
+        singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
         between=between,
         rounding=programmed,
         programmed=programmed,
@@ -157,7 +160,6 @@ def result_of(task: Task, draft: Draft) -> Result:
         result,
         documents=() if draft.failed else draft.text.documents,
         output_line=draft.text.output_line,
-        printed=draft.back.numbers,
         deviation_after=draft.simulated.deviation,
         between=draft.simulated.between,
         rounding=draft.simulated.rounding,
@@ -188,8 +190,8 @@ def _bound(draft: Draft) -> tuple[Array | None, list[Issue]]:
         in_root = np.zeros((len(row), 6, 6))
         in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
     spring = path.setting.tool_spring
-    in_series = None if spring is None else spring.matrices(path.pose_in_root[row, :3, :3])
-    q, wrench, tool = draft.command.q[row], path.wrench_in_root[row], path.tool(row)
+    in_series = None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
+    q, wrench, tool = draft.q[row], path.wrench_in_root(row), path.tool(row)
     told = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
     if spread is None and robot.covariance is not None and wrench.any():
         told.append(Issue("info", "exact-forces", _EXACT_FORCES))

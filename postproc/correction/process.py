@@ -148,9 +148,7 @@ def _commands(task: Task, path: PathUnderLoad) -> Compensation:
 
 def _drafted(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples; write it and read it back unless there is an error."""
-    command = _commands(task, path)
-    chosen = targets.chosen(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
-    draft = Draft(path, command, chosen, task.issues(path, command))
+    draft = _chosen(task, path)
     if draft.failed:
         return draft
     try:
@@ -162,8 +160,15 @@ def _drafted(task: Task, path: PathUnderLoad) -> Draft:
     return draft if draft.failed else draft.simulated_by(task)
 
 
+def _chosen(task: Task, path: PathUnderLoad) -> Draft:
+    """Draft the program with targets at some of the samples, and tell what is wrong with the path as commanded."""
+    command = _commands(task, path)
+    chosen = targets.chosen(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
+    return Draft(path, command.q, command.theta, chosen, task.issues(path, command))
+
+
 def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft as the program read: it was corrected only to find the places."""
     path, command = draft.path, commanded.as_it_stands(draft.path)
     chosen = replace(draft.chosen, targets=replace(draft.chosen.targets, pose=path.sample.pose[draft.chosen.row]))
-    return Draft(path, command, chosen, task.issues(path, command))
+    return Draft(path, command.q, command.theta, chosen, task.issues(path, command))

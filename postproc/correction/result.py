@@ -160,5 +160,7 @@ def statistics(distance: Array, rapid: Bools) -> Statistics:
     if len(cutting) == 0:
         return Statistics(0.0, 0.0, 0.0, 0.0)
     rms = float(np.sqrt(np.mean(cutting**2)))
-    p95 = np.interp(0.95 * (len(cutting) - 1), np.arange(len(cutting)), np.sort(cutting))
+    at = 0.95 * (len(cutting) - 1)
+    around = np.array([int(at), min(int(at) + 1, len(cutting) - 1)])
+    p95 = np.interp(at, [int(at), int(at) + 1], np.partition(cutting, around)[around])
     return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(p95))

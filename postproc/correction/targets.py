@@ -58,9 +58,10 @@ def chosen(
     movable = np.isnan(m.joints[sample.motion[selected.row], 0])
     row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
     motion = sample.motion[row]
-    via = np.full((len(row), 3), np.nan)
-    arcs = via_row >= 0
-    via[arcs] = commanded.position[via_row[arcs]]
+    via, arcs = np.broadcast_to(np.nan, (len(row), 3)), via_row >= 0
+    if arcs.any():
+        via = via.copy()
+        via[arcs] = commanded.position[via_row[arcs]]
     status, turn = _status_and_turn(program, path.setting.robot, motion, command.q[row])
     keep = kept[motion] & (sample.t[row] == 1.0)
     targets = Targets(motion, sample.t[row], target_kind, command.pose[row], via, keep, status, turn, m.blend[motion])

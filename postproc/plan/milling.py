@@ -90,7 +90,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     motion, distance = path.sample.motion, path.sample.distance
     before = np.concatenate([[0.0], distance[:-1]])
     way = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - before)
-    in_root = path.wrench_in_root
+    in_root = path.wrench_in_root(np.arange(len(path)))
     cutting = np.flatnonzero(~m.rapid[motion] & (way > 0.0) & (np.abs(in_root).max(axis=1) > 0.0))
     if len(cutting) == 0:
         raise PlanError(

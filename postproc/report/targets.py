@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc.chunks import chunks
 from postproc.correction import Result
-from postproc.decimals import Number, rows_of_csv
+from postproc.decimals import Bytes, Number, rows_of_csv
 from postproc.dialects import registry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import WRENCH, Bools, Ints
@@ -62,8 +62,7 @@ def _rows(
 ) -> bytes:
     (output_line, source_line, t, rapid), (nominal, printed, places, wrench) = origin, command
     deflection, *distances = deviation
-    distances.append(np.full(len(t), np.nan) if bound is None else bound)
-    columns: list[Number] = [
+    columns: list[Number | Bytes] = [
         Number.of(output_line.astype(float), 0),
         Number.of(source_line.astype(float), 0),
         Number.of(t, _PLACE),
@@ -73,6 +72,7 @@ def _rows(
         *_block(wrench, _WRENCH_DECIMALS),
         *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
         *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
+        np.empty((len(t), 0), dtype=np.uint8) if bound is None else Number.of(bound * MM_PER_M, _LENGTH),
         *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),
         *([] if carriage is None else [Number.of(carriage * MM_PER_M, _LENGTH)]),
     ]

@@ -22,8 +22,6 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     :param arcs: the pieces of its arcs.
     :param sample: the places and their poses in `$BASE`.
     :param wrench: (N, 6) what acts on the tool at its tip [N, N·m], `$BASE` axes.
-    :param pose_in_root: (N, 4, 4) tool frame in the robot root [m].
-    :param wrench_in_root: (N, 6) the same wrench, root axes.
     :param joints: joint angles by the controller's nominal geometry, and their branch.
     """
 
@@ -31,8 +29,6 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     arcs: Pieces
     sample: Toolpath
     wrench: Array
-    pose_in_root: Array
-    wrench_in_root: Array
     joints: JointPath
 
     @classmethod
@@ -49,14 +45,11 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
             more = np.append(more[0], also[0]), np.append(more[1], also[1])
         motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, more)
         sample = toolpath.at(program, motions.segments, motion, t)
-        wrench = motions.forces.at(sample)
         path = cls(
             motions,
             arcs,
             sample,
-            wrench,
-            toolpath.pose_in_root(program, motion, sample.pose, t),
-            toolpath.wrench_in_root(program, motion, wrench),
+            motions.forces.at(sample),
             _joints(program, setting, sample),
         )
         return read_only(path)
@@ -72,6 +65,15 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     def tool(self, rows: Ints) -> Array:
         """Return `$TOOL` in the flange frame at samples (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
         return toolpath.tool_of(self.program, self.sample.motion[rows])
+
+    def pose_in_root(self, rows: Ints) -> Array:
+        """Return the tool frame in the robot root at samples (n,): (n, 4, 4) [m]."""
+        motion, t = self.sample.motion[rows], self.sample.t[rows]
+        return toolpath.pose_in_root(self.program, motion, self.sample.pose[rows], t)
+
+    def wrench_in_root(self, rows: Ints) -> Array:
+        """Return the wrench in root axes at samples (n,): (n, 6) [N, N·m]."""
+        return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench[rows])
 
     def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> tuple[Array, Array]:
         """Return where the loaded tip stands (n, 3) with joint angles (n, 6) at samples (n,), `$BASE` [m].
