@@ -176,7 +176,10 @@ def test_only_such_programs_have_the_column():
     [
         ((START, "LIN {X 100,E1 200}"), CELL, r"E1 moves from 100 to 200.*\[external_axes.E1\] direction"),
         ((START, "LIN {X 100,E2 1}", "LIN {X 100,E2 2}"), RAIL, "E2 moves from 1 to 2"),
-        ((START, "LIN_REL {X 100,E1 5}"), RAIL, "an external axis moves"),
+        ((START, "LIN_REL {X 100,E1 5}"), CELL, "E1 moves by 5"),
+        ((START, "LIN_REL {X 100,E1 5,E3 -2}"), RAIL, "E3 moves by -2"),
+        (("LIN {X 100,Y 0,Z 0,A 180,B 0,C 180}", START), RAIL, "part.src:5: it is not known where E1.*Give E1"),
+        (("PTP {X 100,Y 0,Z 0,A 180,B 0,C 180}", "LIN_REL {E1 50}"), RAIL, "part.src:5: it is not known where E1"),
         (("$BASE=EK(MACHINE_DEF[2].ROOT,#EASYS,{X 1})", START), RAIL, "external kinematics"),
     ],
 )
@@ -197,3 +200,76 @@ def test_a_cell_that_cannot_be_meant_is_refused(table, says, tmp_path):
     path.write_text((SAMPLES / "cell_kr270.toml").read_text() + f"\n{table}\n")
     with pytest.raises(CellError, match=says):
         cells.load(path)
+
+
+HOME = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+
+
+def places(program):
+    """E1 at the start and the end of each motion [mm]."""
+    carriage = program.carriage
+    return np.stack([carriage.begin, carriage.end], axis=1) * 1000
+
+
+def test_e1_is_known_from_the_first_ptp_on():
+    lines = ("PTP {X 0,Y 0,Z 0,A 180,B 0,C 180,E1 100}", "LIN {X 50}", "LIN {X 60,E1 120}")
+    program = read(text_of(HOME, *lines))
+    np.testing.assert_allclose(places(program)[2:], [[100, 100], [100, 120]])
+    assert not [issue for issue in program.issues if issue.kind == "external-axis"]
+    told = read(text_of(lines[0].replace("PTP", "LIN"), *lines[1:]))
+    (issue,) = [issue for issue in told.issues if issue.kind == "external-axis"]
+    assert issue.source_line == 5
+    assert "E1 at 100" in issue.message
+
+
+def test_relative_motions_step_e1():
+    program = read(text_of(START, "LIN_REL {X 50,E1 20}", "LIN_REL {X 50}", "PTP_REL {E1 -70}", "LIN {X 1,E1 5}"))
+    np.testing.assert_allclose(places(program)[:, 1], [100, 120, 120, 50, 5])
+
+
+def test_relative_motions_that_are_corrected_keep_where_e1_goes():
+    lines = (FORCE, START, "LIN_REL {X 300,E1 400}", "LIN_REL {X 20,E1 0}", "LIN_REL {X -50,E1 -100}", ";FORCE OFF")
+    text = text_of(*lines, "LIN {X 0}", "LIN {X 10}")
+    program, result = read(text), convert(text)
+    assert not result.failed, result.issues
+    again = read(result.documents[0].text)
+    np.testing.assert_allclose(places(program)[:, 1], [100, 500, 500, 400, 400, 400])
+    ends = np.array([row["t"] for row in rows_of(result)]) == 1.0
+    np.testing.assert_allclose(places(again)[ends, 1], places(program)[:, 1], atol=1e-3)
+    assert "E1 0" not in result.documents[0].text.partition(START)[2]
+    off = [off for line, share, off in simulated(result) if share == 1.0 and line > 6]
+    assert max(off) < 1.2e-6
+
+
+def test_a_base_that_moves_stands_where_kept_motions_and_branches_leave_it():
+    cell = changed(RAIL, krl=changed(RAIL.krl, keep_unresolved=True))
+    kept = read(text_of(START, "LIN {X 50,E1 300}", "LIN $POS_ACT:XP", "LIN {X 9,Y 0,Z 0,E1 50,A 180,B 0,C 180}"), cell)
+    np.testing.assert_allclose(places(kept), [[100, 100], [100, 300], [50, 50]])
+    with pytest.raises(ProgramError, match=r"part\.src:8: it is not known where E1"):
+        read(text_of(START, "LIN {X 50,E1 300}", "LIN $POS_ACT:XP", "LIN {X 9,Y 0,Z 0,A 180,B 0,C 180}"), cell)
+    lines = ("LIN {X 50,Y 0,Z 0,A 180,B 0,C 180,E1 %d}", "LIN {X 80,Y 0,Z 0,A 180,B 0,C 180,E1 %d}")
+    branches = (
+        START,
+        "IF $IN[1] THEN",
+        lines[0] % 300,
+        lines[1] % 400,
+        "ELSE",
+        lines[1],
+        "ENDIF",
+        "LIN {X 9,Y 0,Z 0,A 180,B 0,C 180}",
+    )
+    one = read(text_of(*(line.replace("%d", "400") for line in branches)))
+    np.testing.assert_allclose(places(one), [[100, 100], [100, 300], [300, 400], [100, 400], [400, 400]])
+    with pytest.raises(ProgramError, match="E1 stands in different places"):
+        read(text_of(*(line.replace("%d", "400" if n == 3 else "450") for n, line in enumerate(branches))))
+
+
+def test_axes_that_never_change_are_kept():
+    all_axes = "E1 100,E2 12.5,E3 -7,E4 0,E5 0,E6 90"
+    text = text_of(FORCE, START.replace("E1 100", all_axes), f"LIN {{X 300,{all_axes}}}", "LIN {X 310,E3 -7}")
+    result = convert(text)
+    assert not result.failed
+    for line in result.documents[0].text.splitlines():
+        if line.startswith(("LIN {X 1", "LIN {X 2")):
+            assert "E2 12.5,E3 -7,E4 0,E5 0,E6 90" in line
+    assert {i.subject for i in result.program.issues if i.kind == "external-axis"} == {"E2", "E3", "E6"}

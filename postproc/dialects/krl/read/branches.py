@@ -13,7 +13,7 @@ from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.unresolved import needs_start
 from postproc.errors import ProgramError
 from postproc.frames import Array, inverse
-from postproc.program import PTP, Ints, Motions
+from postproc.program import PTP, Carriage, Ints, Motions
 
 _APART = 1e-6
 """Ends of branches closer than this [m, rad] are one."""
@@ -93,10 +93,16 @@ def branching(
 
 
 def check_meetings(
-    course: Course, meetings: Sequence[Meeting], motions: Motions, frames: tuple[Array, Array], start: Array
+    course: Course,
+    meetings: Sequence[Meeting],
+    motions: Motions,
+    carriage: Carriage | None,
+    frames: tuple[Array, Array],
+    start: Array,
 ) -> None:
     """Refuse branches that end in different places.
 
+    :param carriage: the linear axis that carries the robot.
     :param frames: `$BASE` (nb, 4, 4) and `$TOOL` (nt, 4, 4).
     :param start: (4, 4) flange in the root where the program starts.
     :raises BranchError: they do.
@@ -109,6 +115,10 @@ def check_meetings(
         ]
         if any(np.abs(flange - flanges[0]).max() > _APART for flange in flanges[1:]):
             raise _error(course, fork, "the branches end in different places")
+        if carriage is not None:
+            places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
+            if np.ptp(places) > _APART:
+                raise _error(course, fork, "E1 stands in different places at the ends of the branches")
 
 
 def _error(course: Course, fork: int, problem: str) -> BranchError:

@@ -205,10 +205,6 @@ class _Follower:
         offset = np.nan_to_num(np.array(position.values))
         if np.any(offset[3:] != 0.0):
             raise self.source.line_error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
-        if any(value for value in position.external if not np.isnan(value)):
-            raise self.source.line_error(
-                "an external axis moves", move.line, "Only axes that stand still are supported."
-            )
         return np.concatenate([numbers[:3] + _step(position, move.relative, numbers), numbers[3:]])
 
 

@@ -9,43 +9,81 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.errors import Issue, ProgramError
 from postproc.frames import M_PER_MM, Array
-from postproc.program import Carriage, Ints
+from postproc.program import PTP, Bools, Carriage, Ints
 
 _SAME = 1e-4
 """External axes that vary by less than this [mm, deg] stand still."""
 
 
 def external_axes(
-    source: Source, rows: MotionColumns, relative: Ints, direction: Array | None
+    source: Source, rows: MotionColumns, relative: Ints, placed: Bools, direction: Array | None, after: Ints | None
 ) -> tuple[list[Issue], Carriage | None]:
     """Return what to tell of external axes, and the one that carries the robot.
 
-    :param relative: rows of relative targets, which say nothing of where the axes are.
+    :param relative: rows of relative targets, whose values are steps.
+    :param placed: (R,) True for motions whose path depends on where the robot stands: all but PTP to axis angles.
     :param direction: (3,) of E1, if it carries the robot.
-    :raises ProgramError: another axis moves.
+    :param after: (R,) at the end of which motion each begins, see `Program.after`.
+    :raises ProgramError: another axis moves, or it is not known where the robot stands.
     """
     external = rows.numbers[:, 8:]
     if np.isnan(external).all():
         return [], None
+    steps = np.zeros(external.shape)
+    steps[relative] = np.nan_to_num(external[relative])
     external = external.copy()
     external[relative] = np.nan
     issues = []
     for axis, values in enumerate(external.T):
-        given = np.flatnonzero(~np.isnan(values))
-        if axis == 0 and direction is not None and len(given):
+        if axis == 0 and direction is not None:
             continue
+        given = np.flatnonzero(~np.isnan(values))
+        stepping = np.flatnonzero(np.abs(steps[:, axis]) > _SAME)
+        if len(stepping):
+            raise _moves(source, axis, f"by {steps[stepping[0], axis]:g}", int(rows.line[stepping[0]]))
         moving = given[np.abs(values[given] - values[given[:1]]) > _SAME]
         if len(moving):
-            raise _moves(source, axis, float(values[given[0]]), float(values[moving[0]]), int(rows.line[moving[0]]))
+            way = f"from {values[given[0]]:g} to {values[moving[0]]:g}"
+            raise _moves(source, axis, way, int(rows.line[moving[0]]))
         if len(given) and abs(values[given[0]]) > _SAME:
             issues.append(_standing(axis, values[given[0]], int(rows.line[given[0]]), len(given)))
-    if direction is None or np.isnan(external[:, 0]).all():
+    if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
-    end = _kept(external[:, 0]) * M_PER_MM
-    return issues, Carriage(np.append(end[:1], end[:-1]), end, direction)
+    begin, end = _along(external[:, 0], steps[:, 0], after)
+    unknown = np.flatnonzero(np.isnan(end) & placed)
+    if len(unknown):
+        raise source.line_error(
+            "it is not known where E1, which carries the robot, stands here",
+            int(rows.line[unknown[0]]),
+            "Give E1 in this target, or in a PTP before it.",
+        )
+    taken = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
+    if len(taken) and rows.kind[taken[0]] != PTP and (after is None or after[taken[0]] != taken[0]):
+        issues.append(_start(float(end[taken[0]]), int(rows.line[taken[0]])))
+    begin = np.where(np.isnan(begin), end, begin)
+    return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
 
-def _moves(source: Source, axis: int, before: float, after: float, line: int) -> ProgramError:
+def _along(given: Array, steps: Array, after: Ints | None) -> tuple[Array, Array]:
+    """Return where an axis stands (R,) at the start and at the end of each motion; NaN where that is not known.
+
+    :param given: (R,) NaN where it is kept, or moves by a step (R,).
+    """
+    known = ~np.isnan(given)
+    if after is None:
+        last = np.maximum.accumulate(np.where(known, np.arange(len(given)), -1))
+        moved = np.cumsum(steps)
+        end = np.where(last < 0, np.nan, given[last] + moved - moved[last])
+        return np.append([np.nan], end[:-1]), np.asarray(end)
+    begin, end = np.full(len(given), np.nan), given.copy()
+    for row, before in enumerate(after.tolist()):
+        begin[row] = end[before] if 0 <= before < row else np.nan
+        if not known[row]:
+            end[row] = begin[row] + steps[row]
+    return begin, end
+
+
+def _moves(source: Source, axis: int, way: str, line: int) -> ProgramError:
     name = EXTERNAL[axis]
     advice = "Only external axes that stand still are supported."
     if axis == 0:
@@ -53,7 +91,7 @@ def _moves(source: Source, axis: int, before: float, after: float, line: int) ->
             "If it is a linear axis that carries the robot, say in the cell where the robot goes for positive values, "
             "in its root: [external_axes.E1] direction = [0, 1, 0]. Others must stand still."
         )
-    return source.line_error(f"the external axis {name} moves from {before:g} to {after:g}", line, advice)
+    return source.line_error(f"the external axis {name} moves {way}", line, advice)
 
 
 def _standing(axis: int, value: float, line: int, count: int) -> Issue:
@@ -66,8 +104,9 @@ def _standing(axis: int, value: float, line: int, count: int) -> Issue:
     return Issue("warning", "external-axis", message, line, count=count, subject=name)
 
 
-def _kept(values: Array) -> Array:
-    """Return values (R,) with missing ones as the one before; those before the first as that."""
-    given = ~np.isnan(values)
-    place = np.maximum.accumulate(np.where(given, np.arange(len(values)), -1))
-    return np.asarray(values[np.where(place < 0, int(np.argmax(given)), place)])
+def _start(value: float, line: int) -> Issue:
+    message = (
+        f"Where E1 stands before this line is not said: the robot is taken to begin this motion with E1 at {value:g}. "
+        "Give E1 in a PTP before it."
+    )
+    return Issue("warning", "external-axis", message, line, subject="E1")

@@ -102,7 +102,9 @@ def motions_and_layout(
     _check_settings(settings, rows, states, state, moves)
     base[base < 0], tool[tool < 0] = 0, 0  # of axis targets
     relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
-    standing, carriage = external_axes(source, rows, relative, settings.cell.carriage)
+    placed = np.ones(len(rows), dtype=np.bool_)
+    placed[[row for row, move in moves.items() if move.end.position.axis]] = False
+    standing, carriage = external_axes(source, rows, relative, placed, settings.cell.carriage, after)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     given = rows.numbers[:, :6]
     led = _led(source, rows, states, state)

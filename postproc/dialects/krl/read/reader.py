@@ -129,9 +129,6 @@ class _Reading(Struct, frozen=True, eq=False):
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
         motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
-        if after is not None and layout.carriage is not None:
-            problem = "motions stay as they are, and an external axis moves: where it begins to move is not known"
-            raise source.line_error(problem, main.run.unresolved[0][0] if main.run.unresolved else entry.first)
         issues = [
             *main.run.issues,
             *kept,
@@ -146,7 +143,7 @@ class _Reading(Struct, frozen=True, eq=False):
             line = int(source.shown(np.array([moves.home_used]))[0])
             issues.append(Issue("info", "home-from-cell", message, line))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-        check_meetings(course, meetings, motions, frames, self.forward(cell.start_joints))
+        check_meetings(course, meetings, motions, layout.carriage, frames, self.forward(cell.start_joints))
         return Program(
             self.name,
             "krl",

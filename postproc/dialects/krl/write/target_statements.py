@@ -139,10 +139,13 @@ class TargetStatements:
             texts |= self._carriage(k)
         return texts
 
-    def _carriage(self, k: int) -> dict[str, str]:
-        """Return where the carriage of the robot stands at an inserted target; nothing if it does not move."""
+    def _carriage(self, k: int, *, relative: bool = False) -> dict[str, str]:
+        """Return where the carriage of the robot stands at an inserted target; nothing if it does not move.
+
+        :param relative: the text of the motion gives but a step.
+        """
         carriage, row, t = self.layout.carriage, self.targets.motion[k : k + 1], float(self.targets.t[k])
-        if carriage is None or t == 1.0 or carriage.travel[row[0]] == 0.0:
+        if carriage is None or (t == 1.0 and not relative) or carriage.travel[row[0]] == 0.0:
             return {}
         return {"E1": printed(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
@@ -153,12 +156,14 @@ class TargetStatements:
             return self.commanded.texts(k, range(6))
         return self.texts(k, literal_of(aggregate), copy=copy)
 
-    def whole(self, k: int, operand: Point | None) -> str:
+    def whole(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
         """Return the whole target as a new literal, with the external axes and for a PTP the S and T that are known."""
         texts = self.commanded.texts(k, range(6))
         if operand is None:
             return aggregate_text(texts)
         own = operand.position
+        if relative:  # its external axes are steps; those that do not move are kept without a word
+            return aggregate_text(texts | self._carriage(k, relative=True))
         if self.targets.kind[k] == PTP:
             for name, value, before in (("S", self.targets.status, own.status), ("T", self.targets.turn, own.turn)):
                 bits = int(value[k]) if value[k] >= 0 else before
@@ -175,7 +180,7 @@ class TargetStatements:
         if literal is not None:
             return applied(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
         move = self.layout.statements.get(row)
-        return self.whole(k, move.end if move else None)
+        return self.whole(k, move.end if move else None, relative=bool(move and move.relative))
 
     def keyword(self, row: int, k: int) -> str:
         """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
