@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeVar
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue
@@ -204,8 +205,7 @@ def tilted(direction: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Starts:
+class Starts(Struct, frozen=True, eq=False):
     """Where M motions start: where the one before ends, seen in the `$BASE` and with the `$TOOL` of the motion itself.
 
     :param end: returns the tool frames (n, 4, 4) at the ends of motions (n,), `$BASE` of those motions [m].
@@ -464,8 +464,7 @@ class Targets:
         return np.where(np.diff(self.motion, prepend=-1) != 0, 0.0, np.roll(self.t, 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetJoints:
+class TargetJoints(Struct, frozen=True, eq=False):
     """Joint angles at K targets by the controller's nominal geometry: which branch of the inverse kinematics is meant.
 
     :param q: (K, 6) KUKA signs, turns counted [rad].
@@ -476,8 +475,7 @@ class TargetJoints:
     status: Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetForces:
+class TargetForces(Struct, frozen=True, eq=False):
     """The wrench at each of K targets, as a written program is to be given it.
 
     :param wrench: (K, 6) Fx…Mz [N, N·m] in the axes that `frame` names.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import Issue, group_issues
 from postproc.forces import Knots
@@ -140,8 +141,7 @@ class Result:
         return int(np.count_nonzero(self.t < 1.0))
 
 
-@dataclass(frozen=True, slots=True)
-class Statistics:
+class Statistics(Struct, frozen=True):
     """Distances of the predicted tip from nominal over cutting targets [m]."""
 
     largest: float

@@ -62,9 +62,8 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     t, count = forces.t, len(forces.t)
     follows = np.append(False, np.diff(motion) == 0)
     alike = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
-    change = np.zeros((count, 6))
-    rows = np.flatnonzero(alike)
-    change[rows] = forces.wrench[rows] - forces.wrench[rows - 1]
+    change = np.diff(forces.wrench, axis=0, prepend=forces.wrench[:1])
+    change[~alike] = 0.0
     rows = np.flatnonzero(follows & ~alike)
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
