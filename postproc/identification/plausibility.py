@@ -134,12 +134,12 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             file=data.file,
             advice="Give Fx, Fy, Fz in N, Mx, My, Mz in N·m, X, Y, Z in mm.",
         )
-    # by size: a pose in which links give way in another direction than the joints is no other force
+    # along what is expected and by size: where links give way otherwise than the joints, one of the two is far off
     far = np.sqrt(np.sum(seen**2, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2)))
     far = np.where(ratio < 0.0, -far, far)
     for row in range(len(ratio)):
         relative = far[row] / usual
-        if not _SAME_UNIT[0] < relative < _SAME_UNIT[1]:
+        if not any(_SAME_UNIT[0] < each < _SAME_UNIT[1] for each in (relative, ratio[row] / usual)):
             state = int(data.loaded[row])
             unit = "kg" if _KILOGRAMS[0] < relative < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(

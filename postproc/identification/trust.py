@@ -79,7 +79,7 @@ def _told_by_configuration(data: Measurements) -> float:
 
 
 def _told(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
-    told = []
+    told, half = [], dict(zip(fit.structure.parameters, fit.ci95.tolist(), strict=True))
     load = norm(data.wrench[data.loaded])
     if choice is not None and int(levels(load).max()) == 0:
         told.append(
@@ -91,6 +91,6 @@ def _told(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
             told.append(
                 f"the springs of the links give way for {parameter.joint} too: beside them it has no compliance"
             )
-        if isinstance(parameter, Backlash) and value > _PLAY:
+        if isinstance(parameter, Backlash) and value > max(_PLAY, half[parameter]):
             told.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
     return told

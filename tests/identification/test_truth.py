@@ -9,11 +9,13 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
+from postproc.errors import MeasurementError
 from postproc.identification import choice, identify_folder
 from postproc.identification.candidates import link_springs
 from postproc.identification.choice import _ridge
 from postproc.identification.discrepancy import _beyond, left_out_of, levels
 from postproc.identification.linearised import Linearised
+from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
 from postproc.identification.structure import Structure
 from postproc.identification.validation import ValidatedLevel, Validation, table, validate
@@ -141,6 +143,16 @@ def test_no_spring_of_a_link_stands_for_a_joint_on_the_same_line():
     # A6 turns about the x axis of link A5, and A1 about the z axis of the base: the same motion
     assert not springs & {"A5.RX", "A5.end_RX", "base.RZ", "base.end_RZ", "A6.RX", "A1.RZ"}
     assert {"A5.RZ", "A4.RY", "base.RX"} <= springs
+
+
+def test_a_pose_in_which_links_give_way_more_than_joints_is_no_other_force(tmp_path):
+    truth.experiment(row("the model fits: springs of links"), 17, tmp_path)
+    data = harness.load(tmp_path)
+    placement = check_frames(harness.PRIOR, data)
+    check_loads(harness.PRIOR, data, placement)
+    one = np.arange(len(data.wrench))[:, None] == data.loaded[-1]
+    with pytest.raises(MeasurementError, match="displacement and force do not belong together"):
+        check_loads(harness.PRIOR, replace(data, wrench=np.where(one, data.wrench / 9.81, data.wrench)), placement)
 
 
 def test_what_readings_can_not_tell_is_not_found_to_be_monstrous():
