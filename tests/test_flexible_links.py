@@ -9,6 +9,7 @@ import pytest
 
 from postproc import compensation, elastostatics, files, kinematics, robot
 from postproc.errors import ModelError
+from postproc.robot import parameters
 from postproc.robot.model_file import Gravity, ModelFile, Stiffening
 
 FOLDER = robot.find("kuka_kr270")
@@ -194,6 +195,31 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection():
         )
         slope = (plus - minus) / (2 * h)
         np.testing.assert_allclose(slopes[:, :, index], slope, atol=3e-2 * np.abs(slope).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("gravity", [Gravity("calibrated", in_gears=True), Gravity("rigid"), Gravity()])
+def test_bound_counts_masses_and_compensator_where_gears_feel_them_at_rest(gravity):
+    """Central differences of what the load does, in masses that press on the gears before it."""
+    names = ["A2.mass", "A3.mass", "A6.mass", "K_c"]
+    model = replace(flexible(gravity=gravity), covariance=robot.Covariance.of(names, np.eye(4)))
+    q, wrench = cases(force=100.0)
+    slopes = elastostatics.sensitivity(model, q, TOOL, wrench)
+    felt = gravity != Gravity()
+    assert (np.abs(slopes[:, :, :3]).max() > 1e-8) == felt
+    if not felt:
+        return
+    values = [parameters.named(name).of(model) for name in names]
+    for index, value in enumerate(values):
+        h = 0.02 * value
+        kind = robot.CompensatorSize() if names[index] == "K_c" else parameters.named(names[index])
+        one, other = (by_load(model.with_values({kind: value + sign * h}), q, wrench) for sign in (1, -1))
+        slope = (one - other) / (2 * h)
+        np.testing.assert_allclose(slopes[:, :, index], slope, atol=0.1 * np.abs(slope).max(), err_msg=names[index])
+
+
+def by_load(model, q, wrench):
+    there, here = (elastostatics.deflect(model, q, TOOL, share * wrench).pose for share in (1.0, 0.0))
+    return (there - here)[:, :3, 3]
 
 
 def flexible_content():

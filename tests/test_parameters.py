@@ -27,6 +27,7 @@ ANY = st.one_of(
     st.builds(robot.LostMotion, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.LinkSpring, st.sampled_from(("base", *robot.JOINTS)), st.sampled_from(robot.LINK_AXES)),
     st.sampled_from(robot.COMPENSATOR),
+    st.builds(robot.LinkMass, JOINT),
 )
 
 
@@ -35,7 +36,9 @@ def test_a_name_in_a_file_is_read_as_the_parameter_that_wrote_it(parameter):
     assert parameters.named(parameter.name) == parameter
 
 
-@pytest.mark.parametrize("name", ["", "k", "k0", "k7", "k1@", "k1@x", "A7.X", "A2.", "A2.end_X", "K_c*s_0", "k2#1"])
+@pytest.mark.parametrize(
+    "name", ["", "k", "k0", "k7", "k1@", "k1@x", "A7.X", "A2.", "A2.end_X", "K_c*s_0", "k2#1", "A7.mass", "A2"]
+)
 def test_no_other_name_is_read(name):
     assert parameters.named(name) is None
 
@@ -68,17 +71,19 @@ def test_torques_of_the_compensator_add_up_to_its_law():
 
 
 def test_a_model_file_comes_back_from_the_parameters_of_its_robot():
-    content = msgspec.structs.replace(CONTENT, links=flexible_links())
+    masses = msgspec.structs.replace(CONTENT.masses, A3_kg=180.0)
+    content = msgspec.structs.replace(CONTENT, links=flexible_links(), masses=masses)
     model = robot.assemble("x", content, PLAIN.nominal)
     stated = parameters.stated(content)
     for parameter, value in stated.items():
         assert parameter.of(model) == pytest.approx(value, rel=1e-12)
-    tables = {"joints": {}, "links": {}, "compensator": {}}
+    tables = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     for parameter in stated:
         parameter.write(tables, parameter.in_file(stated)[0], 0.0, "test")
     assert tables["joints"]["A1"]["compliance_urad_per_Nm"] == pytest.approx(0.623)
     assert tables["links"]["A2"] == pytest.approx({"source": "test", "X_um_per_N": 0.02, "end_RY_urad_per_Nm": 0.1})
     assert tables["compensator"]["free_length_mm"] == pytest.approx(content.compensator.free_length_mm)
+    assert tables["masses"] == {"A3_kg": 180.0}
 
 
 def flexible_links():

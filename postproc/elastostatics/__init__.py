@@ -11,7 +11,7 @@ moment [N·m] on the tool, root axes.
 """
 
 from postproc.elastostatics.balance import Balance, asked, held
-from postproc.elastostatics.by_parameter import given_way_by
+from postproc.elastostatics.by_parameter import moved_by
 from postproc.elastostatics.equilibrium import (
     Deflection,
     Equilibrium,
@@ -38,9 +38,9 @@ __all__ = [
     "cartesian_stiffness",
     "coordinates",
     "deflect",
-    "given_way_by",
     "held",
     "linear_deflection",
+    "moved_by",
     "position_bound",
     "sensitivity",
     "softness",

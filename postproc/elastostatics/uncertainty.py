@@ -9,11 +9,12 @@ import numpy as np
 from postproc import kinematics
 from postproc.chunks import in_chunks
 from postproc.elastostatics.balance import asked, beside
+from postproc.elastostatics.by_parameter import more_at_rest, weight_of
 from postproc.elastostatics.springs import A2, coordinates, spring_deflection
 from postproc.elastostatics.stiffness import tangent_compliance
 from postproc.errors import ModelError
 from postproc.frames import Array
-from postproc.robot import CompensatorTorque, Parameter, RobotModel, Spring, file_slopes
+from postproc.robot import CompensatorTorque, LinkMass, Parameter, RobotModel, Spring, file_slopes
 
 _QUANTILE_95 = 1.6448536
 """Of the normal distribution, one-sided."""
@@ -112,13 +113,18 @@ def _linear_sensitivity(
     theta, slope = spring_deflection(robot, torque, at_rest)
     reach = jacobian[:, :3].copy()
     reach[:, :, second] /= share[:, None]
+    pressed = more_at_rest(robot, torque.T, at_rest.T).T
     columns = []
     for parameter in parameters:
+        if isinstance(parameter, LinkMass):
+            columns.append(np.einsum("nik,nk->ni", reach, -pressed * weight_of(robot, parameter, x.T).T))
+            continue
         row = parameter.row(robot)
         if isinstance(parameter, Spring):
             bent, _ = parameter.effect(torque[:, row], at_rest[:, row])
         elif isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
-            bent = -slope[:, row] * theta[:, row] * parameter.effect(robot.compensator, x[:, row])[1]
+            at_q2, about_q2 = parameter.effect(robot.compensator, x[:, row])
+            bent = -slope[:, row] * theta[:, row] * about_q2 - pressed[:, row] * at_q2
         else:
             raise ModelError(f"{parameter.name} belongs to no spring of {robot.name}")
         columns.append(reach[:, :, row] * bent[:, None])

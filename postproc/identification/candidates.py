@@ -1,7 +1,8 @@
 """Which springs a robot may have, and the structures made of them that are tried, from simple to rich.
 
 Joint springs; compensator; gears that stiffen with the load, smoothly or with knees, and have backlash; springs of the
-links in six directions; springs where links end and under the base.
+links in six directions; springs where links end and under the base. Where gears feel the weights and the compensator at
+rest, these are looked for too, about what the prior states of them.
 """
 
 from __future__ import annotations
@@ -20,16 +21,18 @@ from postproc.robot import (
     JOINTS,
     LINK_AXES,
     Backlash,
+    CompensatorSize,
     FadingPart,
     JointCompliance,
     Knee,
+    LinkMass,
     LinkSpring,
     LostMotion,
     Parameter,
     RobotModel,
 )
 
-JOINT, COMPENSATOR_SPRING, LINK, END = "joint", "compensator", "link", "end"
+JOINT, COMPENSATOR_SPRING, LINK, END, AT_REST = "joint", "compensator", "link", "end", "at rest"
 FADING, KNEE, BACKLASH, LOST_MOTION = "fading", "knee", "backlash", "lost motion"
 """Kinds of springs, of which structures are made."""
 GEARS = (FADING, KNEE, BACKLASH, LOST_MOTION)
@@ -97,9 +100,19 @@ def everything(
         BACKLASH: _gears(Backlash, _TURNS_OVER_AT, joints, largest),
         # where gears feel the load alone, backlash is lost motion
         LOST_MOTION: _gears(LostMotion, _TURNS_OVER_AT, joints, largest) if in_gears else (),
+        # a compensator that is free presses on joint 2 as it likes: masses beside it are told by nothing
+        AT_REST: _at_rest(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
     pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
     return Structure(tuple(p for p, _ in pairs), robot, in_gears=in_gears), tuple(kind for _, kind in pairs)
+
+
+def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
+    """Yield what presses on the gears at rest, and how strongly is not certain: masses and compensator."""
+    wanted: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
+    if robot.compensator is not None:
+        wanted.append(CompensatorSize())
+    return (parameter for parameter in wanted if parameter.spread(robot) > 0.0)
 
 
 def has_compensator(robot: RobotModel, data: Measurements) -> bool:
@@ -108,7 +121,10 @@ def has_compensator(robot: RobotModel, data: Measurements) -> bool:
 
 
 def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
-    """Return names and kinds of springs of the structures that are tried, simple to rich."""
+    """Return names and kinds of springs of the structures that are tried, simple to rich.
+
+    What gears feel at rest goes along with every structure in which they do not give way in proportion.
+    """
     gears: list[tuple[str, tuple[str, ...]]] = [
         ("", ()),
         (", gears stiffen", (FADING,)),

@@ -23,7 +23,7 @@ import numpy as np
 from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.identification import record
-from postproc.identification.candidates import GEARS, candidates, everything, has_compensator
+from postproc.identification.candidates import AT_REST, GEARS, candidates, everything, has_compensator
 from postproc.identification.displacements import measured_displacements, unwhiten, visible, whiten, whitening
 from postproc.identification.fit import Fit
 from postproc.identification.linearised import Linearised, linearise
@@ -201,13 +201,14 @@ def _mixed(robot: RobotModel, data: Measurements, placement: Placement, in_gears
     fold = np.random.default_rng(0).permutation(len(data.q)) % min(_FOLDS, len(data.q))
     members = []
     for name, wanted in candidates(compensator):
-        columns = np.flatnonzero(np.isin(kind, wanted))
-        if len(np.unique(kind[columns])) < len(wanted):  # this robot has none of a kind
+        if not set(wanted) <= set(kinds):  # this robot has none of a kind
             continue
+        bends = not set(wanted).isdisjoint(GEARS)
+        columns = np.flatnonzero(np.isin(kind, [*wanted, AT_REST] if bends else wanted))
         for strength in _RIDGES if free[columns].any() else _RIDGES[:1]:
             ridge = _ridge(structure, equations, strength)
             left = equations.left_out(columns, ridge, fold)
-            members.append(_Member(name, not set(wanted).isdisjoint(GEARS), columns, ridge, left))
+            members.append(_Member(name, bends, columns, ridge, left))
     best, plain = (
         _Mix(structure, equations, tuple(members), _stacked(equations, members, among))
         for among in (np.arange(len(members)), np.flatnonzero([not member.bends for member in members]))
@@ -220,7 +221,7 @@ def _settled(structure: Structure, data: Measurements, placement: Placement) -> 
     values, columns = structure.start(), np.arange(len(structure.parameters))
     for _ in range(2):
         equations = linearise(structure, values, data, placement)
-        values = equations.solve(columns, _ridge(structure, equations, _START_RIDGE)) / equations.scale
+        values = equations.values(equations.solve(columns, _ridge(structure, equations, _START_RIDGE)))
     return linearise(structure, values, data, placement)
 
 
@@ -269,7 +270,7 @@ def _no_worse(simple: _Mix, rich: _Mix) -> bool:
 
 def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
     # once more where the mean stands: the effect of what is not linear depends on it a little
-    at_mean = linearise(mix.structure, mix.solve() / mix.equations.scale, data, placement)
+    at_mean = linearise(mix.structure, mix.equations.values(mix.solve()), data, placement)
     mix = replace(mix, equations=at_mean)
     equations, configs = mix.equations, len(data.q)
     scaled = mix.solve()
@@ -279,11 +280,11 @@ def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
         rows = equations.config == index
         left[rows] = equations.left(without[index], rows)
     covariance, influence = _uncertain(mix, without)
-    keep = np.flatnonzero((scaled > 0.0) | (_regularised(mix.structure) == 0.0))
+    keep = np.flatnonzero((scaled != 0.0) | ((_regularised(mix.structure) == 0.0) & (equations.firm == 0.0)))
     onto = equations.projection(keep)
     scale = equations.scale[keep]
     structure = replace(mix.structure, parameters=tuple(mix.structure.parameters[index] for index in keep))
-    values = scaled[keep] / scale
+    values = equations.values(scaled)[keep]
     moved, _ = predict(structure, values, data, placement)
     residual = (measured_displacements(data, placement) - moved) * visible(data)
     w = whitening(data)
@@ -296,7 +297,7 @@ def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
         float(white @ white),
         int(np.count_nonzero(np.linalg.norm(equations.design, axis=1) > 0.0)) - len(keep),
         equations.design[:, keep],
-        equations.target,
+        equations.target + equations.design @ equations.stated,
     )
     held_out = equations.by_config(left)
     shape = (len(data.loaded), len(data.points), 3)
@@ -329,9 +330,9 @@ def _uncertain(mix: _Mix, without: Array) -> tuple[Array, Array]:
     for weight, member in zip(mix.weights, mix.members, strict=True):
         if weight > 0.0:
             found = equations.solve(member.columns, member.ridge)
-            on = np.flatnonzero(found > 0.0)
+            on = np.flatnonzero(found != 0.0)
             # no spring is negative: what the readings leave open of one is no more than about its value
-            about = np.divide(1.0, found, out=np.zeros_like(found), where=found > 0.0)
+            about = np.divide(1.0, found, out=np.zeros_like(found), where=(found > 0.0) & (equations.firm == 0.0))
             pull = np.hypot(member.ridge, about)
             inverse = np.linalg.inv(equations.normal(on, pull))
             share = inverse if mix.bends else (inverse * pull[on] ** 2) @ inverse

@@ -145,7 +145,9 @@ def summary(data: record.Identified) -> str:
     for name, entry in (data.parameters or {}).items():
         half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
         mark = "" if entry.observable else "   (prior: not observable)"
-        if entry.determined is False:
+        if entry.source == record.ABOUT_THE_PRIOR:
+            mark = f"   (about the prior's {entry.prior:.4g})"
+        elif entry.determined is False:
             mark = "   (not determined: the interval is larger than the value)"
         lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
     if data.parameters:

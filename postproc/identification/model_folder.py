@@ -26,6 +26,7 @@ from postproc.robot.model_file import (
     Gravity,
     JointSpring,
     LinkSprings,
+    Masses,
     MeasuredEntry,
     ModelFile,
     PayloadEntry,
@@ -39,7 +40,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     parameters, values, covariance = to_file_units(result.fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
     unknown = {entry.parameter for entry in result.missing}
-    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}}
+    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     for parameter, value, reach in zip(parameters, values.tolist(), half.tolist(), strict=True):
         parameter.write(tables, value, reach, source)
     joints = {}
@@ -78,7 +79,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
             torque_Nm=tuple(np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist()),
             not_trusted=result.distrust,
         ),
-        masses=prior.masses,
+        masses=_masses(prior.masses, tables["masses"], source),
         geometry_nominal=prior.geometry_nominal,
         speeds=prior.speeds,
     )
@@ -91,19 +92,27 @@ def _compensator(
     old = prior.compensator
     if law is None or (old is None and not identified):
         return None
-    spring = identified or {
+    spring: dict[str, Any] = {
         "stiffness_N_per_m": max(law.stiffness, 0.0),
         "free_length_mm": max(law.free_length * MM_PER_M, 0.0),
         "source": f"prior, not observable in {source}: {'' if old is None else old.source}",
         "assumed": True,
-    }
+    } | identified
     return CompensatorEntry(
         L_mm=law.L * MM_PER_M,
         a_x_mm=law.ax * MM_PER_M,
         a_y_mm=law.ay * MM_PER_M,
+        spread_percent=CompensatorEntry.spread_percent if old is None else old.spread_percent,
         geometry_source=geometry_source or ("" if old is None else old.geometry_source),
         **spring,
     )
+
+
+def _masses(prior: Masses | None, identified: dict[str, float], source: str) -> Masses | None:
+    if not identified:
+        return prior
+    before = Masses(source="robot.urdf", assumed=True) if prior is None else prior
+    return msgspec.structs.replace(before, source=f"{source}, about {before.source}", **identified)
 
 
 def write(

@@ -81,6 +81,5 @@ def _equilibrium(
     twist = np.empty((len(x0), 6, len(active)))
     for column, index in enumerate(active):
         parameter = structure.parameters[index]
-        bent = elastostatics.given_way_by(state, parameter, x0.T)
-        twist[:, :, column] = reach[:, :, parameter.row(robot)] * bent[:, None]
+        twist[:, :, column] = elastostatics.moved_by(state, reach, parameter, x0.T)
     return found.pose, twist

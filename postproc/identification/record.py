@@ -14,6 +14,8 @@ from postproc.files import FileEntry
 from postproc.frames import RAD_PER_DEG, Array
 
 NAME = "identification.json"
+ABOUT_THE_PRIOR = "about the prior"
+"""Source of values that were looked for about what the prior states of them."""
 
 
 class Verdict(Struct, frozen=True):
@@ -26,7 +28,8 @@ class Verdict(Struct, frozen=True):
 class Parameter(Struct, frozen=True, omit_defaults=True):
     """A value with the half width of its 95 % interval; None where it is the prior one.
 
-    `determined`: the interval is not larger than the value; `source`: "prior" where that is kept.
+    `determined`: the interval is not larger than the value; `source`: "prior" where that is kept, or
+    `ABOUT_THE_PRIOR`.
     """
 
     value: float | None

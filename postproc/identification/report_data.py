@@ -102,20 +102,23 @@ def _entries_of(result: Identification, given: dict[Parameter, tuple[float, floa
     prior, unknown = result.prior, {entry.parameter for entry in result.missing}
     springs = COMPENSATOR if prior.compensator is not None else ()
     of_prior: dict[Parameter, float] = {p: p.of(prior) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
+    about = {p: p.of(prior) for p in given if np.isfinite(p.spread(prior))}
     always = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
     entries: dict[str, record.Parameter] = {}
 
-    def put(name: str, found: tuple[float, float] | None, unit: str, before: float | None) -> None:
+    def put(
+        name: str, found: tuple[float, float] | None, unit: str, before: float | None, source: str | None = None
+    ) -> None:
         if found is None:
             entries[name] = record.Parameter(before, None, unit, observable=False, prior=before, source="prior")
         else:
             determined = bool(found[1] <= found[0])
-            entries[name] = record.Parameter(*found, unit, observable=True, determined=determined, prior=before)
+            entries[name] = record.Parameter(*found, unit, True, determined, before, source)
 
     for parameter in dict.fromkeys((*always, *given)):
         found = None if parameter in unknown else given.get(parameter)
-        before = parameter.in_file(of_prior)[0] if parameter in always else None
-        put(parameter.name, found, parameter.unit, before)
+        before = parameter.in_file(of_prior | about)[0] if parameter in always or parameter in about else None
+        put(parameter.name, found, parameter.unit, before, record.ABOUT_THE_PRIOR if parameter in about else None)
         if parameter == JOINT_COMPLIANCES[-1]:
             k2 = entries[JOINT_COMPLIANCES[1].name]
             if k2.value is not None and k2.prior is not None:

@@ -16,7 +16,7 @@ from postproc.identification.fit import NORMAL_95, Fit
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.identification.prediction import predict
-from postproc.robot import Backlash, CompensatorTorque, Parameter
+from postproc.robot import Backlash, CompensatorSize, CompensatorTorque, LinkMass, Parameter
 
 _STEP = 1e-3
 
@@ -46,6 +46,6 @@ def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influ
 
 def _share(parameter: Parameter) -> float:
     """Return by how much of its value a parameter is wrong for each share that the loads are."""
-    if isinstance(parameter, Backlash):
+    if isinstance(parameter, Backlash | LinkMass | CompensatorSize):  # torques; what is stated holds those at rest
         return 0.0
     return -1.0 if isinstance(parameter, CompensatorTorque) else 1.0

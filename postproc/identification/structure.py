@@ -77,6 +77,15 @@ class Structure:
         """Return usual sizes (p,) of the parameters, SI."""
         return np.array([parameter.usual for parameter in self.parameters])
 
+    @cached_property
+    def stated(self) -> tuple[Array, Array]:
+        """Values (p,) about which parameters are looked for, and the standard deviations of what the prior states.
+
+        Zero and infinite for those of which the prior says nothing.
+        """
+        spread = np.array([parameter.spread(self.prior) for parameter in self.parameters])
+        return np.where(np.isfinite(spread), self.start(), 0.0), spread
+
     def start(self) -> Array:
         """Return values (p,) to start from: the prior's, zero for what it does not have."""
         return np.array([parameter.of(self.template) for parameter in self.parameters])

@@ -12,6 +12,7 @@ from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel
 from postproc.robot.model_file import BASE, FLANGE, JOINTS, Displacement, LinkSprings, ModelFile
 from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR, JOINT_COMPLIANCES, file_slopes
+from postproc.robot.rest_parameters import CompensatorSize, LinkMass
 from postproc.robot.spring_parameters import (
     LINK_AXES,
     Backlash,
@@ -33,6 +34,7 @@ __all__ = [
     "Backlash",
     "Chain",
     "CompensatorPreload",
+    "CompensatorSize",
     "CompensatorStiffness",
     "CompensatorTorque",
     "Covariance",
@@ -41,6 +43,7 @@ __all__ = [
     "FadingPart",
     "JointCompliance",
     "Knee",
+    "LinkMass",
     "LinkSpring",
     "LinkSprings",
     "LostMotion",

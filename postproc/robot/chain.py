@@ -44,10 +44,14 @@ class Chain:
 
     def with_payload(self, mass: float, centre: Array) -> Chain:
         """Return the chain with a further mass on its last link; its centre (3,) is given in the flange frame."""
+        return self.with_mass(-1, mass, self.flange[:3, :3] @ centre + self.flange[:3, 3])
+
+    def with_mass(self, row: int, mass: float, centre: Array) -> Chain:
+        """Return the chain with a further mass, or less of it, on the link of a joint; its centre (3,) in its frame."""
         masses, centres = self.mass.copy(), self.centre.copy()
-        masses[-1] += mass
-        placed = self.flange[:3, :3] @ centre + self.flange[:3, 3]
-        centres[-1] = (self.mass[-1] * self.centre[-1] + mass * placed) / masses[-1]
+        masses[row] += mass
+        if masses[row] != 0.0:
+            centres[row] = (self.mass[row] * self.centre[row] + mass * centre) / masses[row]
         return replace(self, mass=masses, centre=centres)
 
     def joint_frames(self, q: Array) -> tuple[Array, Array]:

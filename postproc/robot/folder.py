@@ -20,6 +20,7 @@ from postproc.robot.model_file import (
     CovarianceTable,
     DiscrepancyEntry,
     Displacement,
+    Masses,
     ModelFile,
 )
 from postproc.robot.spring_parameters import LinkSpring
@@ -121,6 +122,8 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         geometry_error=0.0 if content.geometry_error is None else content.geometry_error.u95_mm * M_PER_MM,
         measured=None if covered is None else Measured(np.array(covered.torque_Nm), covered.not_trusted),
         language=content.language,
+        mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
+        compensator_spread=0.0 if content.compensator is None else content.compensator.spread_percent / 100.0,
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
     return rigid.with_link_springs(springs).with_values(values)
@@ -146,7 +149,7 @@ def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
             f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called",
             file=where,
             advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), k1^800 (what ends there), A4.backlash@3, "
-            "A4.lost_motion@3, A2.RX (a spring of a link), K_c, s_0.",
+            "A4.lost_motion@3, A2.RX (a spring of a link), A2.mass, K_c, s_0.",
         )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:

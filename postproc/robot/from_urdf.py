@@ -19,7 +19,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
 from postproc.robot import urdf
 from postproc.robot.chain import Chain
 from postproc.robot.folder import load, shipped
-from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, ModelFile, Sourced
+from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, Masses, ModelFile, Sourced
 from postproc.robot.urdf import AnyArm
 
 _AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], dtype=float)
@@ -79,7 +79,7 @@ def adopt(text: str, file: str) -> Adopted:
             joint: JointSpring(source=f"no published value: {scaled}", assumed=True, compliance_urad_per_Nm=value)
             for joint, value in zip(JOINTS, compliance, strict=True)
         },
-        masses=Sourced(source=f"{file}: none given" if len(missing) == len(JOINTS) else file, assumed=bool(missing)),
+        masses=Masses(source=f"{file}: none given" if len(missing) == len(JOINTS) else file, assumed=bool(missing)),
         geometry_nominal=Sourced(source=f"{file}, reach of the wrist {reach * MM_PER_M:.0f} mm"),
     )
     return Adopted(chain, content, tuple(notes))

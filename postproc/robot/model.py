@@ -18,6 +18,7 @@ from postproc.robot.flexible import elastic_chain
 from postproc.robot.model_file import BASE, JOINTS
 from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR
+from postproc.robot.rest_parameters import CompensatorSize, LinkMass
 from postproc.robot.spring_parameters import LINK_AXES, LinkSpring
 from postproc.robot.value_sources import SourcedValue
 
@@ -103,6 +104,8 @@ class RobotModel:
     :param geometry_error: what 95 % of the errors of the geometry, without load, are below [m]; 0 where none is told.
     :param measured: what the measurements of an identified model covered, or None.
     :param language: dialect that its controller reads; empty where the model does not say.
+    :param mass_spread: standard deviation of what the mass of each link is off by, as a share.
+    :param compensator_spread: the same of the size of the compensator's torque.
     """
 
     name: str
@@ -126,6 +129,8 @@ class RobotModel:
     geometry_error: float = 0.0
     measured: Measured | None = None
     language: str = ""
+    mass_spread: float = 0.0
+    compensator_spread: float = 0.0
 
     @cached_property
     def compliance(self) -> Array:
@@ -162,6 +167,15 @@ class RobotModel:
         """True if links or payload have mass."""
         return bool((self.loaded.mass > 0.0).any())
 
+    @cached_property
+    def a_kilogram_each(self) -> Chain:
+        """The elastic chain with one kilogram at the centre of each link, as the model states it; no payload."""
+        mass, centre = np.zeros(self.actual.nv), np.zeros((self.actual.nv, 3))
+        for joint in JOINTS:
+            link = LinkMass(joint)
+            mass[link.row(self)], centre[link.row(self)] = 1.0, self.nominal.centre[link.index]
+        return replace(self.actual, mass=mass, centre=centre)
+
     def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
         """Return the robot, of six coordinates and without payload, with one more for each spring, rigid as yet."""
         order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
@@ -187,10 +201,24 @@ class RobotModel:
             else:
                 terms[parameter] = value
         if law is not None and any(isinstance(parameter, CompensatorTorque) for parameter in values):
-            law = law.with_spring(*(values.get(parameter, parameter.of(self)) for parameter in COMPENSATOR))
+            if (size := values.get(CompensatorSize())) is not None:
+                law = law.with_spring(size, size * law.free_length)
+            else:
+                law = law.with_spring(*(values.get(parameter, parameter.of(self)) for parameter in COMPENSATOR))
         with np.errstate(divide="ignore"):
             stiffness = np.diag(1.0 / (steady + self._at_small_torque(terms.items())))
-        return replace(self, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
+        heavier = self._with_masses({p: value for p, value in values.items() if isinstance(p, LinkMass)})
+        return replace(heavier, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
+
+    def _with_masses(self, masses: Mapping[LinkMass, float]) -> RobotModel:
+        """Return the robot with these masses of links [kg]; what the flange carries stays."""
+        nominal, actual, loaded = self.nominal, self.actual, self.loaded
+        for link, mass in masses.items():
+            more, centre, row = mass - link.of(self), nominal.centre[link.index], link.row(self)
+            nominal = nominal.with_mass(link.index, more, centre)
+            bare, actual = actual, actual.with_mass(row, more, centre)
+            loaded = actual if loaded is bare else loaded.with_mass(row, more, centre)
+        return replace(self, nominal=nominal, actual=actual, loaded=loaded) if masses else self
 
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.

@@ -85,7 +85,10 @@ class LinkSprings(Sourced, frozen=True, kw_only=True):
 
 
 class CompensatorEntry(Sourced, frozen=True, kw_only=True):
-    """Gravity compensator at joint A2, paper Eq. (3)–(4)."""
+    """Gravity compensator at joint A2, paper Eq. (3)–(4).
+
+    `spread_percent`: standard deviation of what the size of its torque is off by.
+    """
 
     L_mm: Positive
     a_x_mm: Finite
@@ -93,6 +96,7 @@ class CompensatorEntry(Sourced, frozen=True, kw_only=True):
     stiffness_N_per_m: NotNegative
     free_length_mm: NotNegative
     geometry_source: str = ""
+    spread_percent: NotNegative = 15.0
 
     def law(self) -> Compensator:
         """Return the law in SI units."""
@@ -103,6 +107,21 @@ class CompensatorEntry(Sourced, frozen=True, kw_only=True):
             ax=self.a_x_mm * M_PER_MM,
             ay=self.a_y_mm * M_PER_MM,
         )
+
+
+class Masses(Sourced, frozen=True, kw_only=True):
+    """Where the masses of the links in robot.urdf come from, and those that stand for them where readings tell more.
+
+    `spread_percent`: standard deviation of what each is off by.
+    """
+
+    spread_percent: NotNegative = 15.0
+    A1_kg: NotNegative | None = None
+    A2_kg: NotNegative | None = None
+    A3_kg: NotNegative | None = None
+    A4_kg: NotNegative | None = None
+    A5_kg: NotNegative | None = None
+    A6_kg: NotNegative | None = None
 
 
 class Gravity(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -185,7 +204,7 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     payload: PayloadEntry | None = None
     geometry: dict[str, Displacement] = {}
     links: dict[str, LinkSprings] = {}
-    masses: Sourced | None = None
+    masses: Masses | None = None
     geometry_nominal: Sourced | None = None
     speeds: Sourced | None = None
     covariance: CovarianceTable | None = None

@@ -88,6 +88,10 @@ class Parameter(ABC):
     def of(self, robot: RobotModel) -> float:
         """Return its value in a robot, SI."""
 
+    def spread(self, robot: RobotModel) -> float:
+        """Return the standard deviation with which a robot states it, SI; infinite where readings alone tell it."""
+        return np.inf
+
     def partners(self) -> tuple[Parameter, ...]:
         """Return the parameters besides which its value in files is told."""
         return ()
@@ -101,10 +105,12 @@ class Spring(Parameter):
     """A parameter that adds to the deflection of one coordinate.
 
     `linear`: it grows with the torque. `is_compliance`: its slope at small torque is part of the spring's compliance.
+    `feels_rest`: what is not linear depends on the torque at rest and that of the load together.
     """
 
     linear: ClassVar[bool] = True
     is_compliance: ClassVar[bool] = True
+    feels_rest: ClassVar[bool] = True
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return deflection (N,) per unit of the parameter, and its derivative by the torque.

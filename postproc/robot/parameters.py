@@ -13,6 +13,7 @@ from postproc.frames import Array
 from postproc.robot.compensator_parameters import CompensatorPreload, CompensatorStiffness
 from postproc.robot.model_file import JOINTS, ModelFile
 from postproc.robot.parameter import Parameter
+from postproc.robot.rest_parameters import LinkMass
 from postproc.robot.spring_parameters import Backlash, FadingPart, JointCompliance, Knee, LinkSpring, LostMotion
 
 KINDS: tuple[type[Parameter], ...] = (
@@ -24,6 +25,7 @@ KINDS: tuple[type[Parameter], ...] = (
     LinkSpring,
     CompensatorStiffness,
     CompensatorPreload,
+    LinkMass,
 )
 """All kinds of parameters that files may name."""
 JOINT_COMPLIANCES = tuple(JointCompliance(joint) for joint in JOINTS)

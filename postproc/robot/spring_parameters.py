@@ -236,6 +236,7 @@ class LostMotion(Backlash):
     """
 
     key: ClassVar[str] = "lost_motion"
+    feels_rest: ClassVar[bool] = False
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return tanh(v) and its derivative by the torque."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from postproc.frames import DEG_PER_RAD
 from postproc.robot.chain import Chain
 from postproc.robot.model_file import JOINTS, ModelFile, Sourced
+from postproc.robot.rest_parameters import LinkMass
 from postproc.robot.spring_parameters import LinkSpring
 
 
@@ -62,7 +63,10 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         torques = ", ".join(f"{torque:.0f}" for torque in covered.torque_Nm)
         value = f"{covered.configurations} configurations, up to {torques} N·m on A1 … A6"
         yield SourcedValue("measured", value, covered.source, covered.assumed)
-    masses = ", ".join(f"{mass:g}" for mass in nominal.mass)
+    instead = dict(LinkMass.stated(content))
+    masses = ", ".join(
+        f"{instead.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
+    )
     speeds = ", ".join(f"{speed:.4g}" for speed in nominal.speed * DEG_PER_RAD)
     for label, value, entry_source in (
         ("link masses", f"{masses} kg", content.masses),

@@ -53,6 +53,7 @@ class Row:
     :param load_off: the true load is wrong by just so much, to either side.
     :param point_error: the true load point is off by so much in each direction [m].
     :param payload: on the flange [kg].
+    :param at_rest: (share, share) by which the masses of the links, and the compensator, are not as the prior states.
     :param more: lines of experiment.toml.
     :param wants: least factor of all robots, median, share inside, share inside of the worst, largest u95 ratio.
     """
@@ -68,6 +69,7 @@ class Row:
     load_off: float = 0.0
     point_error: float = 0.0
     payload: float = 0.0
+    at_rest: tuple[float, float] = (0.0, 0.0)
     tails: bool = False
     more: str = ""
     wants: dict[str, float] = field(default_factory=dict)
@@ -95,6 +97,7 @@ ROWS = (
     Row("load wrong by 2 %, stated", load_off=0.02, more=LOAD_2_PERCENT, wants={"inside": 0.9}),
     Row("load point off by 5 mm, stated", point_error=5e-3, more="load_point_sigma_mm = 5\n", wants={"inside": 0.9}),
     Row("payload of 150 kg, stated", payload=150.0, more=PAYLOAD, wants={"least": 60}),
+    Row("masses off by 20 %, K_c by 10 %", at_rest=(0.2, 0.1), wants={"inside": 0.9}),
     Row("heavy tails of the noise", tails=True, wants={"least": 40, "inside": 0.93}),
     Row("the model fits: joint springs", kinds=({},), poses=15, levels=(1.0,), wants={"inside": 0.9, "ratio": 1.6}),
     Row("the model fits: springs of links", kinds=FITS, wants={"inside": 0.9, "ratio": 1.6}),
@@ -111,6 +114,11 @@ def experiment(row: Row, seed: int, folder: Path) -> simulator.TrueRobot:
         bend = row.knee * simulator.largest_torque(q, f) / true.gear.k
         true.gear = simulator.Gear("knee", true.gear.k, bend)
     true.backlash, true.lost_motion = np.full(6, row.backlash), np.full(6, row.lost_motion)
+    if any(row.at_rest):
+        of_links, of_compensator = row.at_rest
+        off = np.random.default_rng(9000 + seed)
+        true.masses = simulator.MASSES * (1.0 + of_links * off.choice([-1.0, 1.0], 6) * off.uniform(0.5, 1.0, 6))
+        true.comp = (1.2e5 * (1.0 + of_compensator * off.choice([-1.0, 1.0])), *true.comp[1:])
     if row.payload:
         true.payload = (row.payload, np.array([-0.1, 0.05, 0.2]))
     # the robot feels another load, at another place, than the file says

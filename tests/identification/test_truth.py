@@ -67,6 +67,25 @@ def test_what_springs_alone_do_not_know_is_found_or_stands_in_the_bound(tmp_path
         assert sum(share.values()) > 0.5 * sum(v for p, v in model.terms if isinstance(p, robot.Backlash))
 
 
+def test_masses_and_compensator_that_gears_feel_at_rest_are_looked_for(tmp_path):
+    """Masses off by up to 20 %, K_c by 10 %: looked for, held at what the model states, and in the model folder."""
+    true, done, model = identified(tmp_path, "masses off by 20 %, K_c by 10 %", seed=0)
+    data = harness.load(tmp_path)
+    held = identify(replace(harness.PRIOR, mass_spread=0.0, compensator_spread=0.0), data)
+    assert not any(parameter.name == "A2.mass" for parameter in held.fit.structure.parameters)
+    factor, inside, _ = job_error(true, model)
+    assert factor > 1.5 * harness.job_factor(true, held.robot(), [JOB])
+    assert inside >= 0.9
+    truths = {"K_c": true.comp[0], "A2.mass": true.masses[1], "A3.mass": true.masses[2]}
+    for name, truth_of_it in truths.items():
+        found = done.data.parameters[name]
+        assert found.source == "about the prior"
+        assert abs(found.value - truth_of_it) < found.ci95
+        assert abs(found.value - truth_of_it) < abs(found.prior - truth_of_it)
+    np.testing.assert_allclose(model.nominal.mass[1:3], [done.data.parameters[n].value for n in ("A2.mass", "A3.mass")])
+    assert model.compensator.stiffness == pytest.approx(done.data.parameters["K_c"].value)
+
+
 def test_a_stated_error_of_the_load_widens_every_interval_by_its_share(tmp_path):
     fits = row("the model fits: joint springs")
     truth.experiment(fits, 1, tmp_path)

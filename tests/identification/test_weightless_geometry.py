@@ -1,12 +1,14 @@
 """A prior whose geometry is a weightless robot's: readings without load hold the sag, which its springs predict."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from postproc import elastostatics, robot
-from postproc.identification import identify_folder
+from postproc.identification import identify_folder, model_folder
 from postproc.identification.prediction import predict
 from postproc.identification.structure import Structure
+from postproc.robot.model_file import PayloadEntry
 from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
 
@@ -67,11 +69,35 @@ def test_derivatives_of_the_prediction_are_those_by_finite_differences(tmp_path,
     names = ("k1", "k2", "k3", "k5", "k2@3000", "k5@90.5", "A2.RX", "A3.Y", "A6.end_RZ", "K_c", "s_0")
     structure = Structure(tuple(named(name) for name in names), model, in_gears=in_gears)
     values = np.array([0.6, 0.2, 0.4, 3.0, 0.1, 0.4, 0.1, 0.02, 0.1, 2e11, 1e11]) * 1e-6
-    placement = harness.placed(model, data)
+    compare_with_differences(structure, values, data, harness.placed(model, data))
+
+
+@pytest.mark.parametrize("reference", ["calibrated", "rigid"])
+@pytest.mark.parametrize("in_gears", [False, True])
+@pytest.mark.parametrize("carried", [0.0, 120.0])
+def test_derivatives_by_masses_and_size_of_the_compensator_are_those_by_finite_differences(
+    tmp_path, reference, in_gears, carried
+):
+    rng = np.random.default_rng(9)
+    q, f = simulator.plan(rng, 6)
+    raw = np.zeros((6, 2, 1, 3, 3))
+    data = harness.load(simulator.write(tmp_path, q, f, raw + rng.normal(size=raw.shape)))
+    content = model_folder.read_prior(prior(tmp_path / "prior", reference), None, "")
+    if carried:
+        content = msgspec.structs.replace(content, payload=PayloadEntry(source="", mass_kg=carried, X_mm=100.0))
+    model = robot.assemble("carries", content, harness.PRIOR.nominal)
+    names = ("k2", "k3", "k2@3000", "k3@1500", "A4.lost_motion@900", "A3.Y", "A3.RX", "A2.mass", "A3.mass", "A6.mass")
+    structure = Structure((*(named(name) for name in names), robot.CompensatorSize()), model, in_gears=in_gears)
+    values = np.array([0.2, 0.3, 0.1, 0.1, 100.0, 0.02, 0.1, 200e6, 210e6, 15e6, 1.3e11]) * 1e-6
+    compare_with_differences(structure, values, data, harness.placed(model, data), share=5e-3, within=1e-4)
+
+
+def compare_with_differences(structure, values, data, placement, share=1e-3, within=1e-5):
     _, slopes = predict(structure, values, data, placement)
     for index, value in enumerate(values):
         step = np.zeros(len(values))
-        step[index] = 1e-3 * value
+        step[index] = share * value
         plus, minus = (predict(structure, values + sign * step, data, placement)[0] for sign in (1, -1))
         slope = (plus - minus) / (2 * step[index])
-        np.testing.assert_allclose(slopes[..., index], slope, atol=1e-5 * np.abs(slope).max(), err_msg=names[index])
+        name = structure.parameters[index].name
+        np.testing.assert_allclose(slopes[..., index], slope, atol=within * np.abs(slope).max(), err_msg=name)
