@@ -71,7 +71,7 @@ def _solve(robot: RobotModel, target: Array, x: Array, tool: Array, wrench: Arra
         left = np.abs(missed) + np.abs(between)
         bad = ~((left[:3].max(axis=0) <= POSITION_TOLERANCE) & (left[3:].max(axis=0) <= ROTATION_TOLERANCE))
         if not bad.any():
-            return (x - theta)[joints], theta
+            return elastostatics.commanded(robot, x - theta), theta
         rows = np.flatnonzero(bad)
         step = _newton(jacobian[:, joints][..., rows], (missed - between)[:, rows])
         x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)

@@ -82,6 +82,7 @@ def show(name: str, as_json: bool) -> None:
     click.echo(f"{model.title} ({model.name})\n")
     rows = [(entry.name, entry.value, "ASSUMED" if entry.assumed else "", entry.source) for entry in model.sources]
     click.echo(display().table(("", "value", "", "source"), rows))
+    click.echo(f"\n{robot.WITH_LINKS}.")
 
 
 @robots.command()

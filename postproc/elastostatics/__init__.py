@@ -21,6 +21,7 @@ from postproc.elastostatics.equilibrium import (
     springs_at,
 )
 from postproc.elastostatics.springs import (
+    commanded,
     coordinates,
     spread,
     spring_deflection,
@@ -36,6 +37,7 @@ __all__ = [
     "ToolSpring",
     "asked",
     "cartesian_stiffness",
+    "commanded",
     "coordinates",
     "deflect",
     "held",

@@ -17,10 +17,16 @@ def coordinates(robot: RobotModel, q: Array) -> Array:
 
 
 def spread(robot: RobotModel, q: Array) -> Array:
-    """Return all coordinates (nv, n) of the elastic chain for joint angles q (6, n)."""
+    """Return all coordinates (nv, n) of the elastic chain for joint angles q (6, n) that the controller holds."""
     full = np.zeros((robot.actual.nv, q.shape[-1]))
-    full[list(robot.actuated)] = q
+    full[list(robot.actuated)] = q if robot.transmission is None else robot.transmission.actual(q)
     return full
+
+
+def commanded(robot: RobotModel, x: Array) -> Array:
+    """Return the joint angles (6, n) that the controller holds at coordinates x (nv, n): what `spread` starts from."""
+    joints = x[list(robot.actuated)]
+    return joints if robot.transmission is None else robot.transmission.commanded(joints)
 
 
 def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = None) -> tuple[Array, Array]:

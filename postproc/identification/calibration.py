@@ -4,7 +4,8 @@ The set of parameters is non-redundant: of all displacements of A1…A6 (six eac
 workshop understands (zero offsets, lengths, tilts), that the base transform, the reference points and the ones before
 cannot imitate; 4·6 + 6 = 30 for a chain of six revolute joints, less 6 of the base and 6 of the points (Everett,
 Driels, Mooring 1987). Sag under own weight is predicted by the springs of the model, so that what is found is the
-geometry of the weightless robot; whether that describes the readings better is decided on configurations left out.
+geometry of the weightless robot; whether that describes the readings better is decided on configurations left out, and
+so is whether gears turn further than their angle, once and twice a turn (`robot.Transmission`).
 """
 
 from __future__ import annotations
@@ -21,12 +22,20 @@ from postproc.identification import record
 from postproc.identification.fit import LENGTH_95, NORMAL_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
-from postproc.robot import LINK_AXES, Chain, RobotModel, assemble
-from postproc.robot.model_file import JOINTS, Displacement, GeometryErrorEntry, Gravity, ModelFile
+from postproc.robot import GEAR_TERMS, LINK_AXES, Chain, RobotModel, assemble, waves
+from postproc.robot.model_file import (
+    JOINTS,
+    Displacement,
+    GeometryErrorEntry,
+    Gravity,
+    ModelFile,
+    TransmissionEntry,
+)
+from postproc.robot.parameter import PER_URAD
 
 _AXES = LINK_AXES[:6]
-_USUAL_SHIFT, _USUAL_TURN = 1e-3, 2e-3
-"""What a joint of a real robot is off by, at most usually [m, rad]: prior standard deviations."""
+_USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
+"""What a joint of a real robot, and its gear, is off by, at most usually [m, rad]: prior standard deviations."""
 _STEPS = 8
 _FOLDS = 10
 _INDEPENDENT = 1e-6
@@ -34,10 +43,24 @@ _INDEPENDENT = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class GeometryParameter:
-    """Displacement of a joint along or about one axis of its nominal frame."""
+    """Displacement of a joint along or about one axis of its nominal frame, or (``A2.sin2``) an error of its gear."""
 
     joint: str
     axis: str
+
+    @property
+    def unit(self) -> tuple[str, float]:
+        """Return the unit in files, and how many of it are one SI unit."""
+        if self.axis in GEAR_TERMS:
+            return "urad", PER_URAD
+        return ("deg", DEG_PER_RAD) if self.axis.startswith("R") else ("mm", MM_PER_M)
+
+    @property
+    def usual(self) -> float:
+        """Return the prior standard deviation [m, rad]."""
+        if self.axis in GEAR_TERMS:
+            return _USUAL_WAVE
+        return _USUAL_TURN if self.axis.startswith("R") else _USUAL_SHIFT
 
     @property
     def name(self) -> str:
@@ -142,6 +165,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     :raises MeasurementError: fewer readings than unknowns.
     """
     parameters = nonredundant(nominal, len(data.points))
+    gears = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
     unknowns = 6 + 3 * len(data.points) + len(parameters)
     readings = 3 * len(data.q) * len(data.points)
     if readings < unknowns + 10:
@@ -151,17 +175,24 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             advice="Measure more configurations: 30 of three points are usual.",
         )
     bare = msgspec.structs.replace(
-        content, geometry={}, geometry_error=None, gravity=Gravity("calibrated", content.gravity.in_gears)
+        content,
+        geometry={},
+        transmission={},
+        geometry_error=None,
+        gravity=Gravity("calibrated", content.gravity.in_gears),
     )
     heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
     rms: dict[str, tuple[float, float]] = {}
     fits: dict[str, tuple[_Solution, Array]] = {}
-    for label, base, free in (
+    variants: list[tuple[str, ModelFile, tuple[GeometryParameter, ...]]] = [
         ("nominal geometry", bare, ()),
         ("nominal geometry with sag", heavy, ()),
         ("calibrated geometry", bare, parameters),
         ("calibrated geometry with sag", heavy, parameters),
-    ):
+    ]
+    if readings >= unknowns + len(gears) + 10:
+        variants += [(f"{label}, gears", base, (*free, *gears)) for label, base, free in variants[2:]]
+    for label, base, free in variants:
         try:
             solution = _solve(base, nominal, name, data, free)
         except PostprocError:  # a model that cannot carry its own weight
@@ -182,7 +213,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             break
     solution = fits[taken][0]
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
-    usual = _prior(solution.parameters)
+    usual = _usual(solution.parameters)
     source, u95 = f"identified from {data.file}", _error_95(fits[taken][1], data)
     found = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
@@ -221,8 +252,8 @@ class _Solution:
     weight: Array
 
 
-def _prior(parameters: tuple[GeometryParameter, ...]) -> Array:
-    return np.array([_USUAL_TURN if p.axis.startswith("R") else _USUAL_SHIFT for p in parameters])
+def _usual(parameters: tuple[GeometryParameter, ...]) -> Array:
+    return np.array([parameter.usual for parameter in parameters])
 
 
 def _solve(
@@ -234,20 +265,20 @@ def _solve(
     values, points = np.zeros(len(parameters)), data.guess.copy()
     robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
     root = kabsch(_placed(_at_rest(robot, data.q)[0], points).reshape(-1, 3), seen.reshape(-1, 3))
-    select = [(JOINTS.index(p.joint), _AXES.index(p.axis)) for p in parameters]
     for _ in range(_STEPS):
         robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
         flange, angles = _at_rest(robot, data.q)
         base, tool = _frame_columns(flange, points, root)
-        _, columns = _derivatives(_geometric(nominal, robot), angles, points)
+        chain = _geometric(nominal, robot)
+        _, columns = _derivatives(chain, angles, points)
         inside = columns.reshape(len(data.q), len(points), 3, 6, 6)
-        inside = np.einsum("ij,cpjab->cpiab", root[:3, :3], inside).reshape(-1, 6, 6)
-        chosen = np.stack([inside[:, j, a] for j, a in select], axis=1) if select else np.zeros((len(base), 0))
-        design = np.concatenate([base, tool, chosen], axis=1) * scale[:, None]
+        inside = np.einsum("ij,cpjab->cpiab", root[:3, :3], inside)
+        chosen = [_column(parameter, inside, chain, data.q) for parameter in parameters]
+        design = np.concatenate([base, tool, *chosen], axis=1) * scale[:, None]
         left = (seen - _placed(root @ flange, points)).ravel() * scale
         known = 6 + 3 * len(points)
-        ridge = np.diag(np.concatenate([np.zeros(known), 1.0 / _prior(parameters)]))[known:]
-        right = np.concatenate([left, -values / _prior(parameters)])
+        ridge = np.diag(np.concatenate([np.zeros(known), 1.0 / _usual(parameters)]))[known:]
+        right = np.concatenate([left, -values / _usual(parameters)])
         step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
         root = displaced(root, step[:6])
         points = points + step[6:known].reshape(points.shape)
@@ -275,12 +306,26 @@ def _solve(
     )
 
 
+def _column(parameter: GeometryParameter, inside: Array, chain: Chain, q: Array) -> Array:
+    """Return the derivative (n, 1) of the points by a parameter.
+
+    :param inside: (C, P, 3, 6, 6) by displacements of the joints, device axes.
+    :param q: (C, 6) angles that the controller holds.
+    """
+    joint = JOINTS.index(parameter.joint)
+    if parameter.axis not in GEAR_TERMS:
+        return np.asarray(inside[..., joint, _AXES.index(parameter.axis)].reshape(-1, 1))
+    wave = waves(q[:, joint])[GEAR_TERMS.index(parameter.axis)]
+    return np.asarray((inside[..., joint, 3:] @ chain.axis[joint] * wave[:, None, None]).reshape(-1, 1))
+
+
 def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return the flange (C, 4, 4) without load, sagged if the model says so, and the joint angles there (C, 6)."""
+    """Return the flange (C, 4, 4) without load, sagged if the model says so, and where joints stand there (C, 6)."""
+    x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
     if robot.subtract_reference:
-        return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0], q
+        return kinematics.tcp(robot.actual, x, np.eye(4))[0], x[:, joints]
     found = elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6)))
-    return found.pose, q + found.theta[:, list(robot.actuated)]
+    return found.pose, (x + found.theta)[:, joints]
 
 
 def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
@@ -315,30 +360,28 @@ def _held_out(solution: _Solution, data: Measurements) -> Array:
 def _with_geometry(
     content: ModelFile, parameters: tuple[GeometryParameter, ...], values: Array, source: str, half: Array | None
 ) -> ModelFile:
-    table: dict[str, dict[str, float]] = {}
-    intervals: dict[str, list[str]] = {}
+    tables: dict[bool, dict[str, dict[str, float | str]]] = {False: {}, True: {}}
+    intervals: dict[tuple[bool, str], list[str]] = {}
     for index, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
-        turn = parameter.axis.startswith("R")
-        unit, factor = ("deg", DEG_PER_RAD) if turn else ("mm", MM_PER_M)
-        table.setdefault(parameter.joint, {})[f"{parameter.axis}_{unit}"] = float(value * factor)
+        (unit, factor), of_gear = parameter.unit, parameter.axis in GEAR_TERMS
+        table = tables[of_gear].setdefault(parameter.joint, {"source": source})
+        table[f"{parameter.axis}_{unit}"] = float(value * factor)
         if half is not None:
-            intervals.setdefault(parameter.joint, []).append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
-    geometry = {
-        joint: Displacement(source=_source(source, intervals.get(joint)), **entry)  # type: ignore[arg-type]
-        for joint, entry in table.items()
-    }
-    return msgspec.structs.replace(content, geometry=geometry)
-
-
-def _source(source: str, intervals: list[str] | None) -> str:
-    return source if not intervals else f"{source} (95 %: {', '.join(intervals)})"
+            told = intervals.setdefault((of_gear, parameter.joint), [])
+            told.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
+            table["source"] = f"{source} (95 %: {', '.join(told)})"
+    return msgspec.structs.replace(
+        content,
+        geometry=msgspec.convert(tables[False], dict[str, Displacement]),
+        transmission=msgspec.convert(tables[True], dict[str, TransmissionEntry]),
+    )
 
 
 def report_data(result: Geometry) -> record.Geometry:
     """Return the geometry as `identification.json` tells it."""
     entries = {}
     for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
-        unit, factor = ("deg", DEG_PER_RAD) if parameter.axis.startswith("R") else ("mm", MM_PER_M)
+        unit, factor = parameter.unit
         seen = parameter.name not in result.not_observable
         entries[parameter.name] = record.Parameter(float(value * factor), float(half * factor), unit, observable=seen)
     variants = {name: record.Variant(fit * MM_PER_M, held * MM_PER_M) for name, (fit, held) in result.rms.items()}

@@ -151,7 +151,7 @@ def summary(data: record.Identified) -> str:
             mark = "   (not determined: the interval is larger than the value)"
         lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
     if data.parameters:
-        lines.append("k1 … k6 contain the spring of the link about the same axis: the intervals are of that sum")
+        lines.append(f"{robots.WITH_LINKS}: the intervals are of that sum")
     if data.structure is not None:
         lines.append(data.structure.reason)
     lines += [

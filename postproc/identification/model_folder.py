@@ -18,7 +18,7 @@ from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.observability import joint_torques
 from postproc.identification.procedure import Identification
 from postproc.identification.structure import LEAST
-from postproc.robot import JOINT_COMPLIANCES
+from postproc.robot import JOINT_COMPLIANCES, WITH_LINKS
 from postproc.robot.model_file import (
     CompensatorEntry,
     CovarianceTable,
@@ -32,7 +32,7 @@ from postproc.robot.model_file import (
     PayloadEntry,
 )
 
-_COMMENT = "Written by `postproc identify`. Units stand in the names; every entry names its source."
+_COMMENT = f"Written by `postproc identify`. Units stand in the names; every entry names its source. {WITH_LINKS}."
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
@@ -67,6 +67,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         compensator=_compensator(result, prior, tables["compensator"], source, geometry_source),
         payload=prior.payload,
         geometry=prior.geometry,
+        transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
         covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),

@@ -41,18 +41,19 @@ def _predict(
     structure: Structure, robot: RobotModel, active: list[int], states: Ints, data: Measurements, placement: Placement
 ) -> tuple[Array, Array]:
     """Return displacements and derivatives by the active parameters of some loaded states."""
-    x0 = elastostatics.coordinates(robot, data.q[data.state_config[states]])
+    q = data.q[data.state_config[states]]
+    x0 = elastostatics.coordinates(robot, q)
     wrench = data.wrench[states]
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
     lever = placement.points - data.load_point
-    pose, twist = _equilibrium(structure, robot, active, x0, tool, wrench)
+    pose, twist = _equilibrium(structure, robot, active, q, tool, wrench)
     loaded, slopes = _of_points(pose, twist, lever)
     if robot.subtract_reference:
         rest, _ = kinematics.tcp(robot.loaded, x0, tool)
         unloaded, _ = _of_points(rest, twist, lever)
     else:  # without load the robot sags by the same springs
-        rest, sag = _equilibrium(structure, robot, active, x0, tool, np.zeros_like(wrench))
+        rest, sag = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
         unloaded, of_sag = _of_points(rest, sag, lever)
         slopes = slopes - of_sag
     return loaded - unloaded + (pose[:, :3, 3] - rest[:, :3, 3])[:, None], slopes
@@ -66,10 +67,10 @@ def _of_points(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
 
 
 def _equilibrium(
-    structure: Structure, robot: RobotModel, active: list[int], x0: Array, tool: Array, wrench: Array
+    structure: Structure, robot: RobotModel, active: list[int], q: Array, tool: Array, wrench: Array
 ) -> tuple[Array, Array]:
     """Return the pose (L, 4, 4) of the load point under load and its derivative (L, 6, p), a twist per parameter."""
-    found = elastostatics.deflect(robot, x0[:, list(robot.actuated)], tool, wrench)
+    found, x0 = elastostatics.deflect(robot, q, tool, wrench), elastostatics.coordinates(robot, q)
     state = elastostatics.Balance.at(
         robot,
         (x0 + found.theta).T,

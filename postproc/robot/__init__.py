@@ -22,15 +22,18 @@ from postproc.robot.spring_parameters import (
     LinkSpring,
     LostMotion,
 )
-from postproc.robot.value_sources import SourcedValue
+from postproc.robot.transmission import GEAR_TERMS, Transmission, waves
+from postproc.robot.value_sources import WITH_LINKS, SourcedValue
 
 __all__ = [
     "BASE",
     "COMPENSATOR",
     "FLANGE",
+    "GEAR_TERMS",
     "JOINTS",
     "JOINT_COMPLIANCES",
     "LINK_AXES",
+    "WITH_LINKS",
     "Backlash",
     "Chain",
     "CompensatorPreload",
@@ -53,10 +56,12 @@ __all__ = [
     "RobotModel",
     "SourcedValue",
     "Spring",
+    "Transmission",
     "assemble",
     "elastic_chain",
     "file_slopes",
     "find",
     "load",
     "shipped",
+    "waves",
 ]

@@ -24,6 +24,7 @@ from postproc.robot.model_file import (
     ModelFile,
 )
 from postproc.robot.spring_parameters import LinkSpring
+from postproc.robot.transmission import Transmission
 from postproc.robot.value_sources import sourced_values
 
 
@@ -64,6 +65,7 @@ def load(folder: str | Path) -> RobotModel:
     for table, valid in (
         (content.joints, JOINTS),
         (content.geometry, (*JOINTS, FLANGE)),
+        (content.transmission, JOINTS),
         (content.links, (BASE, *JOINTS)),
     ):
         wrong = [name for name in table if name not in valid]
@@ -122,6 +124,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         geometry_error=0.0 if content.geometry_error is None else content.geometry_error.u95_mm * M_PER_MM,
         measured=None if covered is None else Measured(np.array(covered.torque_Nm), covered.not_trusted),
         language=content.language,
+        transmission=Transmission.of(content.transmission),
         mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
         compensator_spread=0.0 if content.compensator is None else content.compensator.spread_percent / 100.0,
     )

@@ -20,6 +20,7 @@ from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
 from postproc.robot.parameters import COMPENSATOR
 from postproc.robot.rest_parameters import CompensatorSize, LinkMass
 from postproc.robot.spring_parameters import LINK_AXES, LinkSpring
+from postproc.robot.transmission import Transmission
 from postproc.robot.value_sources import SourcedValue
 
 
@@ -104,6 +105,7 @@ class RobotModel:
     :param geometry_error: what 95 % of the errors of the geometry, without load, are below [m]; 0 where none is told.
     :param measured: what the measurements of an identified model covered, or None.
     :param language: dialect that its controller reads; empty where the model does not say.
+    :param transmission: errors of the gears' transmission, or None.
     :param mass_spread: standard deviation of what the mass of each link is off by, as a share.
     :param compensator_spread: the same of the size of the compensator's torque.
     """
@@ -129,6 +131,7 @@ class RobotModel:
     geometry_error: float = 0.0
     measured: Measured | None = None
     language: str = ""
+    transmission: Transmission | None = None
     mass_spread: float = 0.0
     compensator_spread: float = 0.0
 
@@ -159,6 +162,8 @@ class RobotModel:
     @cached_property
     def geometry_is_nominal(self) -> bool:
         """True if the actual geometry is the controller's."""
+        if self.transmission is not None:
+            return False
         plain = elastic_chain(self.nominal, self.link_springs)[0]
         return bool((plain.placement == self.actual.placement).all() and (plain.flange == self.actual.flange).all())
 

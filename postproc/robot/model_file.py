@@ -18,6 +18,7 @@ FLANGE = "flange"
 
 Positive = Annotated[float, msgspec.Meta(ge=1e-12, le=1e12)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
+Amplitude = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Finite = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 Covariant = Annotated[float, msgspec.Meta(ge=-1e24, le=1e24)]
 """A product of two values of the file: that of K_c [N/m] by itself is some 1e10."""
@@ -148,6 +149,15 @@ class Displacement(Sourced, frozen=True, kw_only=True):
     RZ_deg: Finite = 0.0
 
 
+class TransmissionEntry(Sourced, frozen=True, kw_only=True):
+    """How much further than its angle q a joint stands, once and twice a turn: amplitudes of sin q … cos 2q [µrad]."""
+
+    sin_urad: Amplitude = 0.0
+    cos_urad: Amplitude = 0.0
+    sin2_urad: Amplitude = 0.0
+    cos2_urad: Amplitude = 0.0
+
+
 class PayloadEntry(Sourced, frozen=True, kw_only=True):
     """What the flange carried when the robot was measured; the payload of a cell comes in addition to it.
 
@@ -203,6 +213,7 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     compensator: CompensatorEntry | None = None
     payload: PayloadEntry | None = None
     geometry: dict[str, Displacement] = {}
+    transmission: dict[str, TransmissionEntry] = {}
     links: dict[str, LinkSprings] = {}
     masses: Masses | None = None
     geometry_nominal: Sourced | None = None

@@ -11,6 +11,9 @@ from postproc.robot.model_file import JOINTS, ModelFile, Sourced
 from postproc.robot.rest_parameters import LinkMass
 from postproc.robot.spring_parameters import LinkSpring
 
+WITH_LINKS = "k1 … k6, of A1 … A6, contain the spring of the link about the same axis"
+"""To be said wherever their values are told: readings do not tell the two apart."""
+
 
 @dataclass(frozen=True, slots=True)
 class SourcedValue:
@@ -53,6 +56,10 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
             f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
         )
         yield SourcedValue(f"calibrated {name}", value, entry.source, entry.assumed)
+    for name, gear in content.transmission.items():
+        once, twice = (f"{gear.sin_urad:.3g}, {gear.cos_urad:.3g}", f"{gear.sin2_urad:.3g}, {gear.cos2_urad:.3g}")
+        value = f"{once} µrad once a turn (sin, cos), {twice} µrad twice"
+        yield SourcedValue(f"transmission {name}", value, gear.source, gear.assumed)
     if (off := content.discrepancy) is not None:
         pairs = zip(off.u95_mm, off.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)

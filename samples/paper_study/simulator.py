@@ -83,6 +83,7 @@ class TrueRobot:
     payload: tuple = (0.0, np.zeros(3))  # what the flange carries always: mass, centre in the flange frame
     backlash: np.ndarray = field(default_factory=lambda: np.zeros(6))  # each gear lies off by ± this with its torque
     lost_motion: np.ndarray = field(default_factory=lambda: np.zeros(6))  # and by ± this with that of the load alone
+    waves: np.ndarray = field(default_factory=lambda: np.zeros((6, 4)))  # of sin q, cos q, sin 2q, cos 2q, on top of q
 
     def __post_init__(self):
         self.chain = []  # (fixed 4×4, "R"/"P", axis, kind, index)
@@ -152,7 +153,9 @@ class TrueRobot:
 
     def commanded(self, q):
         x = np.zeros((len(q), self.size))
-        x[:, self.joint_rows] = q + self.offsets
+        s1, c1, s2, c2 = self.waves.T
+        gears = s1 * np.sin(q) + c1 * np.cos(q) + s2 * np.sin(2 * q) + c2 * np.cos(2 * q)
+        x[:, self.joint_rows] = q + self.offsets + gears
         return x
 
     def position_forces(self, frames, x):

@@ -28,6 +28,7 @@ def test_a_robot_is_shown_with_source_and_what_is_assumed():
     assert "ASSUMED" in assumed
     assert "ASSUMED" not in published
     assert "Klimchik" in published
+    assert lines[-1] == "k1 … k6, of A1 … A6, contain the spring of the link about the same axis."
 
 
 def test_robot_as_json_has_the_same_values():

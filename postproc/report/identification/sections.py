@@ -26,13 +26,14 @@ from postproc.report.kit import (
     Tile,
     Tiles,
 )
+from postproc.robot import WITH_LINKS
 from postproc.robot.parameters import named
 
 _GOOD, _ROUGH = 0.1, 0.5
 """Half width of an interval as a share of the value: up to the first well known, beyond the second not."""
 _FLOOR_MM = 1e-5
 _SPRINGS = (
-    "A hollow circle is the robot's prior value. k1 … k6 contain the spring of the link about the same axis. Springs "
+    f"A hollow circle is the robot's prior value. {WITH_LINKS}: the intervals are of that sum. Springs "
     "of links that lie alike in the chain are determined together, not one by one: each interval is wide, that of "
     "their sum is not."
 )

@@ -22,7 +22,7 @@ from postproc.report.kit import (
     Tile,
     Tiles,
 )
-from postproc.robot import JOINTS
+from postproc.robot import JOINTS, WITH_LINKS
 
 _SMALL_MM = 0.01
 _GOOD = 0.1
@@ -155,7 +155,10 @@ def parameters(result: PlanResult) -> Section:
         Row((parameter.symbol, Cell(f"± {_percent(float(half))}", "good" if half <= _GOOD else "warning")))
         for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
     )
-    note = "Of the robot's present value. A plan made for the work at hand may leave wide what the work does not need."
+    note = (
+        "Of the robot's present value. A plan made for the work at hand may leave wide what the work does not need. "
+        f"{WITH_LINKS}: the intervals are of that sum."
+    )
     table = Table(("Parameter", "95 % interval"), rows, "Expected intervals of the parameters", note=note)
     return Section("parameters", "Parameters", (table,), "half")
 

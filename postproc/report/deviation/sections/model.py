@@ -2,6 +2,7 @@
 
 from postproc.report.deviation.content import Deviation
 from postproc.report.kit import Cell, Note, Notes, Part, Row, Section, Table
+from postproc.robot import WITH_LINKS
 
 
 def section(told: Deviation) -> Section:
@@ -12,7 +13,7 @@ def section(told: Deviation) -> Section:
         for entry in robot.sources
     )
     table = Table(("Value", "", "", "Source"), rows, "Values of the robot model and their sources", texts=(1, 2, 3))
-    parts: list[Part] = [Notes((Note(robot.title or robot.name),)), table]
+    parts: list[Part] = [Notes((Note(robot.title or robot.name),)), table, Notes((Note(f"{WITH_LINKS}."),))]
     if robot.covariance is None:
         text = (
             "The model states no covariance of its parameters: identify the robot to learn what to expect on the part."
