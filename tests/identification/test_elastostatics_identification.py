@@ -1,6 +1,7 @@
 """Identification against a robot that shares no code with it (`simulator`): known truths, unseen seeds."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, robot
 from postproc.cli import main
+from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
 from postproc.identification.fit import to_file_units
+from postproc.identification.placement import locate
+from postproc.identification.plausibility import check_loads
 from postproc.identification.procedure import identify
 from samples.paper_study import harness, simulator
 
@@ -274,6 +278,26 @@ def test_bad_measurements_name_the_row_or_say_what_to_measure(tmp_path, change, 
 
     assert re.search(message, run.output.replace("\n", " ")), run.output
     assert not (tmp_path / "model").exists()
+
+
+def test_a_load_with_hardly_a_lever_is_none_in_another_unit_but_one_in_kilograms_is(tmp_path):
+    """Such a load moves the points by a millimetre, in a direction that soft links and a stiff compensator decide."""
+    true = simulator.hard(np.random.default_rng(7), feel_rest=False)
+    true.gear.k = 1 / simulator.PAPER_K
+    true = replace(
+        true, links={link: 0.5 * c for link, c in true.links.items()}, comp=(6e6, 0.458, 0.18472, 0.68593, 0.1233)
+    )
+    rng = np.random.default_rng(1)
+    q, f = simulator.plan(rng, 35, levels=(0, -20, -45, -70, -95, -120, -140))
+    _, raw = simulator.measure(true, q, f, rng, 0.03e-3)
+    data = harness.load(simulator.write(tmp_path, q, f, raw))
+    placement = locate(harness.PRIOR, data)
+    check_loads(harness.PRIOR, data, placement)
+    for factor in (1 / 9.81, 9.81, -1.0):
+        wrench = data.wrench.copy()
+        wrench[data.loaded[4]] *= factor
+        with pytest.raises(MeasurementError, match="config 5, load 1: displacement and force do not belong together"):
+            check_loads(harness.PRIOR, replace(data, wrench=wrench), placement)
 
 
 def test_wrong_angles_of_one_configuration_are_named(tmp_path):

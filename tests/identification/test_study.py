@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -22,12 +24,18 @@ def test_study_prints_the_tables_of_its_page(tmp_path):
         ]
 
     printed = factors(run.stdout)
-    assert len(printed) == 2
+    assert len(printed) == 3
     for (serial, enhanced), (serial_page, enhanced_page) in zip(printed, factors(page), strict=True):
         assert abs(serial / serial_page - 1) < 0.05  # another BLAS may choose another plan
         assert abs(enhanced / enhanced_page - 1) < 0.1
     for method in ("enhanced", r"serial \(Dumas 2011\)"):
         rows = re.findall(rf"^identified, {method} +(?:\d\.\d+ +){{5}}", run.stdout, re.M)
-        assert len(rows) == 2  # both robots, with values for k1 … k5
+        assert len(rows) == 3  # all robots, with values for k1 … k5
+    found = re.findall(r"^ratio ([\d.]+) = ([\d.]+) by .* × ([\d.]+) by the plan", run.stdout, re.M)
+    told = re.findall(r"^ratio ([\d.]+) = ([\d.]+) by .* × ([\d.]+) by the plan", page, re.M)
+    assert len(found) == len(told) == 3
+    np.testing.assert_allclose(np.array(found, dtype=float), np.array(told, dtype=float), rtol=0.1)
+    k_c = re.search(r"rig robot(?:.*\n)+?identified, enhanced.* ([\d.e+]+) ± ([\d.e+]+)\n", run.stdout)
+    assert float(k_c[1]) > 2.0 * float(k_c[2])  # this robot lets the compensator be seen
     assert "Table 1" in run.stdout
     assert "Table 2" in run.stdout
