@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -142,22 +142,35 @@ def _made_from(
     agrees = {name: said.sums.get(key) == getattr(here, key) for name, key in sums.items()}
     if said.state != "changed" or said.version != VERSION or not all(agrees.values()):
         return MadeFrom(said, agrees, () if said.state == "intact" else None)
-    try:
-        again = _written_again(request, cell, robot, said.mode, corrected.name)
-    except PostprocError:
+    found = []
+    for name in dict.fromkeys([corrected.name, request.nominal.stem]):  # the file may have been renamed since
+        try:
+            again = _written_again(request, cell, robot, said.mode, name)
+        except PostprocError:
+            continue
+        if len(again) == len(corrected.documents):
+            found.append(_changed(again, corrected.documents, said.line))
+    few = max(_FEW, _SHARE * sum(len(document.text.splitlines()) for document in corrected.documents))
+    edited, missing = min(found, key=lambda each: len(each[0]) + each[1], default=((), 0))
+    if not found or len(edited) + missing > few:  # it was written with other options
         return MadeFrom(said, agrees)
+    return MadeFrom(said, agrees, edited, missing)
+
+
+def _changed(
+    written: Sequence[Document], documents: Sequence[Document], line: int
+) -> tuple[tuple[tuple[str, int], ...], int]:
+    """Return the lines, with their files, that are not as they were written, and how many are not there any more.
+
+    :param line: of the main file that says where the program comes from, and what its text was: it is not looked at.
+    """
     edited: list[tuple[str, int]] = []
     missing = 0
-    if len(again) != len(corrected.documents):
-        return MadeFrom(said, agrees)
-    for old, new in zip(again, corrected.documents, strict=True):
+    for old, new in zip(written, documents, strict=True):
         lines, fewer = _edited(old.text, new.text)
-        edited += [(new.name, line) for line in lines]
+        edited += [(new.name, number) for number in lines if new is not documents[0] or number != line]
         missing += fewer
-    few = max(_FEW, _SHARE * sum(len(document.text.splitlines()) for document in corrected.documents))
-    if len(edited) + missing > few:  # it was written with other options
-        return MadeFrom(said, agrees)
-    return MadeFrom(said, agrees, tuple(edited), missing)
+    return tuple(edited), missing
 
 
 def _written_again(

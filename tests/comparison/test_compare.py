@@ -179,6 +179,17 @@ def test_one_digit_edited_is_found_with_its_line(digit):
     assert f"part.src:{line}" in content["verdict"]["reasons"][0]
 
 
+@pytest.mark.parametrize("renamed", [False, True])
+def test_of_a_renamed_program_the_lines_that_name_it_are_not_said_to_be_edited(renamed):
+    lines = convert().splitlines(keepends=True)
+    line = next(k for k, text in enumerate(lines, 1) if text.startswith("LIN"))
+    lines[line - 1] = re.sub(r"Y (-?\d+)\.", lambda m: f"Y {int(m[1]) + 1}.", lines[line - 1], count=1)
+    text = "".join(lines)
+    Path("out/other.src").write_bytes((text.replace("DEF part", "DEF other") if renamed else text).encode())
+    content = compare("part.nc", "out/other.src", code=3)
+    assert content["provenance"]["edited"] == [{"file": "other.src", "line": line}]
+
+
 def test_a_changed_speed_is_named_with_both_lines():
     text = convert()
     first = re.search(r"\$VEL\.CP ?= ?0\.0250*\b.*", text)

@@ -152,3 +152,29 @@ def test_krl_keeps_its_corners_and_stops_at_inserted_targets_only_where_it_stops
         assert "stop-inserted" in {issue.kind for issue in result.issues}
         assert content["blending"]["max_mm"] == 0.0
         assert content["tolerance_held"] is True
+
+
+KEPT = """DEF part( )
+BAS(#INITMOV,0)
+$VEL.CP=0.05
+$APO.CDIS=1
+PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
+LIN {X 0,Y 0,Z 10,A 0,B 0,C 180}
+LIN {X 20,Y 0,Z 10,A 0,B 0,C 180} C_DIS
+LIN $POS_ACT:{X 0,Y 5,Z -5} C_DIS
+LIN {X 20,Y 30,Z 10,A 0,B 0,C 180} C_DIS
+LIN {X 20,Y 60,Z 10,A 0,B 0,C 180}
+END
+"""
+
+
+def test_no_corner_is_seen_between_motions_that_do_not_follow_each_other():
+    keeping = changed(CELL, krl=changed(CELL.krl, keep_unresolved=True, initmov="cell"))
+    program = correction.read([decode("part.src", KEPT.encode())], ROBOT, keeping, "part", "krl")
+    result = correction.process(program, ROBOT, keeping)
+    assert result.rounding.max() < 1e-6
+    joined = KEPT.replace("LIN $POS_ACT:{X 0,Y 5,Z -5} C_DIS\n", "")
+    result = correction.process(
+        correction.read([decode("part.src", joined.encode())], ROBOT, keeping, "part", "krl"), ROBOT, keeping
+    )
+    assert result.rounding.max() > 1e-4

@@ -261,6 +261,32 @@ def test_branches_that_do_not_meet_are_refused_or_kept(lines, line, problem):
     assert "unresolved" in [issue.kind for issue in read(text, DATA, KEEPING).issues]
 
 
+# --- GOTO ------------------------------------------------------------------------------------------------------------
+
+JUMPS = [
+    (["GOTO A", "LIN P[1]", "A:", "LIN P[2]"], [8]),
+    (["LIN P[1]", "IF I>5 THEN", "GOTO A", "ENDIF", "LIN P[2]", "A:", "LIN P[3]"], [5, 9, 11]),
+    (["IF I==1 THEN", "LIN P[3]", "goto ende ; on", "LIN P[4]", "ENDIF", "LIN P[5]", "Ende :", "LIN {X 9}"], [6, 12]),
+    (["IF TRUE THEN", "GOTO A", "LIN P[1]", "A:", "LIN P[2]", "ENDIF"], [9]),
+    (["SWITCH I", "CASE 1", "GOTO A", "DEFAULT", "LIN P[2]", "ENDSWITCH", "LIN P[3]", "A:", "LIN P[4]"], [13]),
+    (["I=2", "IF I<3 THEN", "GOTO B", "ENDIF", "I=9", "A:", "LIN P[1]", "B:", "LIN P[I]"], [13]),
+    (["GOTO A", "A:", "$OUT[1]=TRUE", "GOTO B", "LIN P[1]", "B:", "LIN P[1]"], [11]),
+]
+
+
+@pytest.mark.parametrize(("lines", "moves"), JUMPS, ids=[" / ".join(lines)[:60] for lines, _ in JUMPS])
+def test_goto_leads_to_a_label_behind_it_and_what_is_between_stays_as_it_is(lines, moves):
+    text = body(FULL, *lines)
+    program = read(text, DATA)
+    assert program.motions.line.tolist() == [4, *moves]
+    wanted = targets(program, np.full((len(program.motions), 3), 1e-3))
+    out = krl.rewrite(program, wanted)
+    check_commands(program, wanted, out)
+    old, new = text.split("\r\n"), out.documents[0].text.split("\r\n")
+    assert {n for n, (a, b) in enumerate(zip(old, new, strict=True), 1) if a != b} <= {4, *moves}
+    assert krl.rewrite(program, targets(program, keep=True)).documents == program.documents
+
+
 # --- what only the running robot knows ------------------------------------------------------------------------------
 
 UNKNOWN = [

@@ -179,6 +179,14 @@ def test_plain_lines_with_slips_are_read_or_refused_as_statements_are(source, sl
     assert_read_alike(source)
 
 
+def test_a_speed_that_is_not_known_is_told_beside_other_faults_also_where_plain_lines_have_it():
+    full = "LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}"
+    assert_read_alike(body("{" + full, full, "$VEL.CP=:0.05", full, "$APO.CDIS=:3", full + " C_DIS"))
+    with pytest.raises(ProgramError) as caught:
+        read(body("{" + full, full, "$VEL.CP=:0.05", full))
+    assert [error.line for error in (caught.value, *caught.value.others)] == [4, 6]
+
+
 @pytest.mark.parametrize("line", ["LIN {X 100,Y 20,Z 30,A 10,B 20,C 170} C_DIS", "CIRC {X 9,Y 2,Z 3},{X 20,Y 9,Z 3}"])
 def test_every_single_slip_in_a_plain_line_is_read_or_refused_as_in_a_statement(line):
     for at in range(len(line) + 1):
@@ -779,7 +787,9 @@ ERRORS = [
     (["REPEAT", FULL, "UNTIL $IN[2]"], 6, "inside UNTIL"),
     (["IF $IN[1] THEN", FULL, "ENDIF"], 4, "the branches end in different places"),
     (["SWITCH $ANIN[1]", "CASE 1", FULL, "ENDSWITCH"], 4, "the branches end in different places"),
-    (["GOTO A", "A:"], 4, "GOTO"),
+    (["A:", FULL, "GOTO A"], 6, "GOTO is followed to a label that stands behind it"),
+    (["IF $IN[1] THEN", "GOTO A", "ENDIF", FULL, "A:"], 4, "condition is not known"),
+    (["FOR I=1 TO 2", "GOTO A", "ENDFOR", "A:", FULL], 5, "GOTO leads out of a loop"),
     (["SPLINE", "LIN {X 1,Y 0,Z 0,A 0,B 0,C 180}", "ENDSPLINE"], 5, "LIN in a SPLINE block"),
     (["RETURN", FULL], 5, "never reached"),
     (["ENDIF"], 4, "ENDIF without IF"),

@@ -29,6 +29,8 @@ _MOST_STATEMENTS = 200_000
 _MOST_TRACED = 400_000
 """A course of so many statements more than the file has lines is taken for one without an end."""
 _THEN = re.compile(r"\bTHEN[ \t]*$", re.IGNORECASE)
+_GOTO = re.compile(r"GOTO[ \t]+([A-Za-z_]\w*)", re.IGNORECASE | re.ASCII)
+_LABEL = re.compile(r"([A-Za-z_]\w*)[ \t]*:", re.ASCII)
 _TO = re.compile(r"[ \t]*TO\b", re.IGNORECASE)
 _STEP = re.compile(r"[ \t]*STEP\b", re.IGNORECASE)
 _EQUALS = re.compile(r"[ \t]*=")
@@ -64,16 +66,33 @@ class Flow:
 
         :raises InexactError: it is not known what runs.
         """
-        level = self.run.level
-        for node in nodes:
+        level, index = self.run.level, 0
+        while index < len(nodes):
+            node = nodes[index]
             if isinstance(node, Block):
                 self._block(source, node)
             else:
                 self._statement(Place(source, node))
-            if level.returned or level.left:
-                if self.trace is not None and level.traced:
+            index = self._label(source, nodes, index) if level.jump else index + 1
+            if level.broken_off:
+                if self.trace is not None and level.traced and not level.jump:
                     self.trace.run_to(node if isinstance(node, int) else node.last)
                 return
+
+    def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
+        """Return where the label of a GOTO stands among statements, behind one of them; the run goes on there."""
+        level, trace = self.run.level, self.trace
+        start, stop = source.code_span(level.jump)
+        wanted = _GOTO.match(source.text, start, stop)
+        for number in range(index + 1, len(nodes)):
+            line = nodes[number]
+            if isinstance(line, int) and wanted is not None and trace is not None:
+                label = _LABEL.fullmatch(source.text, *source.code_span(line))
+                if label is not None and label[1].upper() == wanted[1].upper():
+                    level.jump = 0
+                    trace.pass_to(line - 1, live=False)
+                    return number
+        return len(nodes)
 
     def called(self) -> None:
         """Run the routine that was called."""
@@ -102,6 +121,8 @@ class Flow:
     def _statement_moves(self, source: Source, line: int) -> bool:
         start, stop = source.code_span(line)
         word = word_at(source.text, start, stop)
+        if word == "GOTO":
+            return True  # what moves behind it depends on it
         if word in MOTION_WORDS:
             return not self._stays(Place(source, line), word, start, stop)
         if word in SPLINES:
@@ -120,8 +141,16 @@ class Flow:
         if level.traced:
             self.run.line = at.line
         self._count(at)
-        if level.loops and word_at(at.source.text, *at.source.code_span(at.line)) == "EXIT":
+        word = word_at(at.source.text, *at.source.code_span(at.line))
+        if level.loops and word == "EXIT":
             level.left = True
+            return
+        if word == "GOTO" and self.trace is not None and level.traced:
+            if level.loops:
+                raise inexact(at, "GOTO leads out of a loop", "Leave the loop by EXIT.")
+            self.trace.run_to(at.line - 1)
+            self.trace.pass_to(at.line)
+            level.jump = at.line
             return
         self._guarded(at)
 
@@ -255,7 +284,7 @@ class Flow:
                 trace.pass_to(part.head)
             if index == taken:
                 self.follow(source, part.nodes)
-                if trace is not None and not (level.returned or level.left):
+                if trace is not None and not level.broken_off:
                     trace.run_to(part.beyond - 1)
             if trace is not None:
                 trace.pass_to(part.beyond - 1, live=False)
@@ -280,7 +309,7 @@ class Flow:
             trace.divide(Branch(0))
             run.branch()
             self.follow(source, part.nodes)
-            if level.returned or level.left:
+            if level.broken_off:
                 raise why
             trace.run_to(part.beyond - 1)
         trace.pass_to(block.last)

@@ -92,7 +92,7 @@ class Interpreter:
                 raise at.error(f"{word} without {_CLOSING[word]}")
             level.open.pop()
         elif word == "GOTO":
-            raise at.error("GOTO changes the order of motions", _IN_ORDER)
+            raise at.error("it is not known before the program runs whether GOTO is run", _IN_ORDER)
         elif word == "RETURN":
             self._return(at)
         elif word in TIMED:

@@ -54,6 +54,9 @@ def course_of(
         return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=taken)
     _submitted(run)
     flow.follow(main.source, nodes)
+    if run.level.jump:
+        problem = "GOTO is followed to a label that stands behind it, in the same control structure or around it"
+        raise main.source.line_error(problem, run.level.jump, "Write a loop instead, or the motions in order.")
     if not run.level.returned:
         trace.run_to(main.last - 1)
     trace.pass_to(main.last - 1, live=False)
@@ -63,9 +66,11 @@ def course_of(
 
 
 def _calls(main: Routine, line: int) -> bool:
+    """Return whether a statement may lead to other lines than the next one."""
     start, stop = main.source.code_span(line)
     text = main.source.text
-    return "(" in text[start:stop] and word_at(text, start, stop) not in MOTION_WORDS
+    word = word_at(text, start, stop)
+    return word == "GOTO" or ("(" in text[start:stop] and word not in MOTION_WORDS)
 
 
 def _passed(at: Place, word: str, start: int, stop: int) -> None:

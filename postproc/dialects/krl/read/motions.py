@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
-from postproc.errors import Issue
+from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
@@ -192,13 +192,33 @@ def _check_settings(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> None:
     """Refuse motions that depend on what is not known: frames, speeds, modes."""
+    faults = list(_unsettled(settings, rows, states, state, moves))
+    if faults:
+        raise together(faults)
+
+
+def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
+    """Yield what is wrong with the settings of the motions of a program, once for each reason."""
+    ordered = ordered_motions(main, plain)
+    yield from _unsettled(main.run.settings, ordered.rows, ordered.states, ordered.state, ordered.moves)
+
+
+def _unsettled(
+    settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
+) -> Iterator[ProgramError]:
+    told: set[tuple[str | None, int | None, str]] = set()
     for index, used in enumerate(states):
         if not used.uncertain and used.base >= 0 and used.tool >= 0:
             continue
         for row in np.flatnonzero(state == index).tolist():
             axis = row in moves and moves[row].end.position.axis
             fields = fields_used(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
-            settings.refuse_uncertain(used, fields)
+            try:
+                settings.refuse_uncertain(used, fields)
+            except ProgramError as cause:
+                if (key := (cause.file, cause.line, cause.problem)) not in told:
+                    told.add(key)
+                    yield cause
 
 
 def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) -> Led:

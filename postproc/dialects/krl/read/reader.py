@@ -29,7 +29,7 @@ from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions
+from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
 from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.plain import Plain, plain_of
 from postproc.dialects.krl.read.remarks import remarks
@@ -112,6 +112,15 @@ class _Reading(Struct, frozen=True, eq=False):
             main.follow(self.faults)
         except RecursionError:
             raise source.line_error("brackets are nested too deeply", main.run.line) from None
+        except ProgramError as cause:
+            if cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
+                raise
+            found = [cause, *(other for other in cause.others if isinstance(other, ProgramError))]
+            known = {(fault.file, fault.line, fault.problem) for fault in found}
+            more = [own for own in unsettled(main, plain.motions) if (own.file, own.line, own.problem) not in known]
+            if not more:
+                raise
+            raise together([*found, *more]) from None
         executed = main.executed(plain.moving)
         if not executed.all():
             plain = plain._replace(motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])

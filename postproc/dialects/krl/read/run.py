@@ -28,6 +28,7 @@ class Level(Struct, eq=False):
     :ivar open: control structures of which it is not known what runs in them: word and line.
     :ivar loops: loops that are followed, one in the other.
     :ivar left: True behind EXIT.
+    :ivar jump: line of a GOTO whose label has not been found yet; 0 for none.
     :ivar returned: line of a RETURN; 0 before.
     :ivar result: what a function returns.
     """
@@ -39,8 +40,14 @@ class Level(Struct, eq=False):
     open: list[tuple[str, int]] = []
     loops: int = 0
     left: bool = False
+    jump: int = 0
     returned: int = 0
     result: Known = NOTHING
+
+    @property
+    def broken_off(self) -> bool:
+        """Whether what stands behind does not run next: RETURN, EXIT, GOTO."""
+        return bool(self.returned or self.left or self.jump)
 
 
 class _Fork(Struct, eq=False):
@@ -144,6 +151,7 @@ class Run:
         self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = where
         del self.stack[depth:], self._forks[forks:]
         self.level.open.clear()
+        self.level.jump = 0
 
     def marks(self) -> tuple[int, ...]:
         """Return how much is noted, for `back_to`."""
