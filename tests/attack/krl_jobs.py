@@ -212,6 +212,10 @@ class Job:
             if self.maybe(0.3):
                 return [meet.removesuffix(" C_DIS"), f"IF $IN[{number}] THEN", *one, "ENDIF"]
             other = [*self.body(depth, where, below, inner=True), meet]
+            if self.forces and self.maybe(0.3):
+                meeting = [self.force(), meet.removesuffix(" C_DIS")]
+                one, other = ([self.force(), *branch, *meeting] for branch in (one, other))
+                return [f"IF $IN[{number}] THEN", *one, "ELSE", *other, "ENDIF", self.pick("; a note", self.force())]
             head = self.pick(f"IF $IN[{number}] THEN", f"IF NOT $IN[{number}] THEN", f"IF $IN[{number}]==TRUE THEN")
             return [head, *one, "ELSE", *other, "ENDIF"]
         if self.keep and where == "main" and not inner:

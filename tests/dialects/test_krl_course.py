@@ -246,7 +246,6 @@ REFUSED = [
     (["IF $IN[1] THEN", "LIN P[1]", "ELSE", "LIN P[2]", "ENDIF", "LIN P[3]"], 5, "end in different places"),
     (["IF $IN[1] THEN", "LIN {X 5}", FULL, "ENDIF", "LIN {X 3}"], 5, "components are missing"),
     (["IF $IN[1] THEN", "PTP P[1]", FULL, "ENDIF"], 5, "PTP stands in a branch"),
-    (["IF $IN[1] THEN", "LIN P[1] ; FORCE FX=5", FULL, "ENDIF"], 5, "a force comment"),
     (["IF $IN[1] THEN", "I=3", MEET, "ELSE", "I=2", MEET, "ENDIF", "LIN P[I]"], 12, "I is changed"),
     (["IF $IN[1] THEN", "$VEL.CP=0.3", MEET, "ELSE", MEET, "ENDIF", "LIN P[1]"], 10, "differs behind the branches"),
 ]
@@ -371,6 +370,15 @@ HELD = [
     ([ONE, "FOR I=2 TO 1", TWO, "ENDFOR", FULL], "", [0, 1]),
     ([ONE, "FOR I=1 TO 2", FULL, TWO, "ENDFOR", FULL], "", [0, 1, 2, 2]),
     ([ONE, "FOR I=1 TO 2", "IF I==2 THEN", "HARD()", "ENDIF", FULL, "ENDFOR"], HARD, [0, 1, 3]),
+    ([ONE, FULL, "IF $IN[1] THEN", TWO, FULL, ONE, FULL, "ELSE", FULL, "ENDIF", FULL], "", [0, 1, 2, 1, 1, 1]),
+    ([ONE, FULL, "IF $IN[1] THEN", TWO, FULL, ONE, FULL, "ENDIF", FULL], "", [0, 1, 2, 1, 1]),
+    (["IF $IN[1] THEN", TWO, FULL, "HARD()", "ELSE", TWO, FULL, "ENDIF", ONE, FULL], HARD, [0, 2, 2, 1]),
+    ([ONE, "IF $IN[1] THEN", THREE, FULL, "ELSE", "HARD()", FULL, "ENDIF", FULL], HARD, [0, 3, 3, 3]),
+    (
+        [ONE, FULL, "IF $IN[1] THEN", "IF $IN[2] THEN", TWO, FULL, ONE, FULL, "ENDIF", "ENDIF", FULL],
+        "",
+        [0, 1, 2, 1, 1],
+    ),
 ]
 
 
@@ -385,10 +393,14 @@ def test_a_force_comment_holds_from_where_it_runs(lines, subprograms, forces):
 
 
 UNHELD = [
-    (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", CELL, 5, "a force comment"),
+    (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", CELL, 8, "branches that meet before it leave different ones"),
+    ([ONE, "IF $IN[1] THEN", FULL, TWO, "ELSE", FULL, "ENDIF", "PTP Q", FULL], "", CELL, 13, "leave different ones"),
+    ([ONE, "IF $IN[1] THEN", TWO, FULL, ONE, "ELSE", FULL, "ENDIF"], "", CELL, 12, "corrected, they would not meet"),
+    (["PTP Q", ONE, "IF $IN[1] THEN", FULL, "LIN Q", "ENDIF"], "", CELL, 10, "corrected, they would not meet"),
+    (["IF $IN[1] THEN", "IF $IN[2] THEN", TWO, "ENDIF", FULL, "ENDIF"], "", CELL, 9, "leave different ones"),
     (["WHILE $IN[1]", TWO, "ENDWHILE", FULL], "", CELL, 5, "force comment stands inside WHILE"),
     (["WHILE $IN[1]", "HARD()", "ENDWHILE", FULL], HARD, CELL, 5, "inside WHILE: its condition is not known"),
-    (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", KEEPING, 8, "which force acts is not known: a force comment"),
+    (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", KEEPING, 8, "which force acts is not known: branches"),
     (["WHILE $IN[1]", TWO, FULL, "ENDWHILE", FULL], "", KEEPING, 9, r"not known: a force comment .*line 6"),
     (
         ["WHILE $IN[1]", "HARD()", "ENDWHILE", FULL],
@@ -411,3 +423,12 @@ def test_behind_what_is_kept_a_comment_says_which_force_acts():
     program = read(body(FULL, "WHILE $IN[1]", TWO, FULL, "ENDWHILE", "PTP Q", THREE, FULL), DATA, KEEPING)
     assert [(note.before, note.wrench[0]) for note in program.notes] == [(2, 3.0)]
     assert program.motions.line.tolist() == [4, 9, 11]
+
+
+def test_a_called_file_that_cannot_be_followed_is_an_error_in_the_line_of_its_call(tmp_path):
+    cut = "DEF cut()\nINTERRUPT DECL 4 WHEN $IN[1] DO BAS(#VEL_CP,0.8)\n"
+    files = files_of(["IF $IN[1] THEN", MEET, "ELSE", "cut()", "ENDIF", MEET], "")
+    files["cut.src"] = cut + "INTERRUPT ON 4\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nEND\n"
+    with pytest.raises(ProgramError, match="CUT changes what motions depend on at any time") as caught:
+        read_files(files, tmp_path)
+    assert caught.value.line == 8

@@ -40,12 +40,12 @@ class Meeting(NamedTuple):
 
 
 def branching(
-    course: Course, ordered: OrderedMotions, after: Ints | None, notes: Sequence[int], kept: Sequence[int]
+    course: Course, ordered: OrderedMotions, after: Ints | None, kept: Sequence[int]
 ) -> tuple[Ints | None, list[Meeting]]:
     """Return at the end of which motion each begins, see `Program.after`, and where branches meet.
 
     :param after: the same without branches.
-    :param notes: lines of force comments; `kept` lines of motions that stay as they are.
+    :param kept: lines of motions that stay as they are.
     :raises BranchError: a motion of a branch, or behind it, depends on more than where it begins.
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
@@ -77,9 +77,8 @@ def branching(
         else:
             fork, entry, ends, _ = open_.pop()
             ends = [*ends, now, *([] if step.complete else [entry])]
-            for inside in (*notes, *kept):
-                if fork < inside <= step.line:
-                    raise _error(course, fork, "a force comment or a motion that stays as it is stands in a branch")
+            if any(fork < inside <= step.line for inside in kept):
+                raise _error(course, fork, "a motion that stays as it is stands in a branch")
             rows = np.flatnonzero((line > fork) & (line <= step.line))
             if (ordered.rows.kind[rows] == PTP).any():
                 raise _error(course, fork, "PTP stands in a branch")

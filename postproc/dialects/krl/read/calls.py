@@ -33,7 +33,7 @@ class Calls:
 
     def __init__(self, run: Run, called: Callable[[], None]) -> None:
         self.run, self._called = run, called
-        self._entered: list[_Bound] = []
+        self.entered: list[_Bound] = []
 
     def value(self, at: Place, start: int, stop: int) -> Known:
         """Return what an expression is now; run the functions in it."""
@@ -173,12 +173,12 @@ class Calls:
         if bound is None:
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
-        self._entered.append(bound)
+        self.entered.append(bound)
         self._begin(bound, traced=True)
 
     def leave(self) -> None:
         """Go back from the routine that was entered last."""
-        self._end(self._entered.pop())
+        self._end(self.entered.pop())
 
     def _executed(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> Known | None:
         """Run a routine; None if that cannot be done exactly."""

@@ -185,18 +185,32 @@ class Flow:
         if found is None:
             return False
         _, routine = found
-        marks, mark, here = run.marks(), trace.mark(), run.standing()
+        undo = self._undoing(trace)
         try:
             self._inlined(at, call, trace, *found)
         except InexactError:
             if not run.keep or routine.source is not run.routine.source:
                 raise
+            undo()
+            trace.pinned = True
+            return False
+        except ProgramError:
+            undo()
+            raise
+        return True
+
+    def _undoing(self, trace: Trace) -> Callable[[], None]:
+        """Return what goes back to where the run is now."""
+        run, entered = self.run, self.interpreter.calls.entered
+        marks, mark, here, depth = run.marks(), trace.mark(), run.standing(), len(entered)
+
+        def undo() -> None:
             run.back_to(marks)
             trace.back_to(mark)
             run.stand(here)
-            trace.pinned = True
-            return False
-        return True
+            del entered[depth:]
+
+        return undo
 
     def _inlined(self, at: Place, call: Call, trace: Trace, module: Module, routine: Routine) -> None:
         run = self.run
@@ -239,13 +253,11 @@ class Flow:
                 problem = f"a force comment stands inside {block.word}, and it is not known what runs"
                 raise inexact(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
-        marks, mark, here = run.marks(), trace.mark(), run.standing()
+        undo = self._undoing(trace)
         try:
             self._exactly(source, block, trace)
         except InexactError as cause:
-            run.back_to(marks)
-            trace.back_to(mark)
-            run.stand(here)
+            undo()
             trace.run_to(block.first - 1)
             trace.keep(block.last, cause)
             self.roughly(source, block)

@@ -7,15 +7,20 @@ therefore followed as one that moves; behind what cannot be followed the force i
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from postproc.dialects.krl.course import Course, Kept
+from postproc.dialects.krl.course import Branch, Course, Fork, Join, Kept
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.program import FORCE_COMMENT, Bools, ForceNote, Ints, parse_force_note
 
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
+_Force = ForceNote | str | None
+_SAME = 0.01
+"""Forces that differ by less [N, N·m] are one: they move the tool of a robot by some nanometres."""
+_MEETING_ADVICE = "Let the last motion of each branch have the same force, in the axes of $BASE or of the tool."
 _ADVICE = "Write a force comment before this motion."
 
 
@@ -27,9 +32,11 @@ def noted_lines(source: Source) -> tuple[int, ...]:
 def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, str]) -> list[tuple[int, ForceNote]]:
     """Return the force comments of a course that hold, by its lines.
 
+    Where a branch begins, and where branches meet, the force that holds there is stated once more.
+
     :param motions: (M,) lines of the course on which its motions stand.
     :param rapid: (M,) True for motions that carry no force.
-    :param unknown: lines of the course from which on it is not known which force acts, and why.
+    :param unknown: lines of the course behind which it is not known which force acts, and why.
     :raises ProgramError: that is so for a motion.
     :raises ForceError: a comment cannot be read.
     """
@@ -38,16 +45,14 @@ def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, 
     places, lines = _places(source)
     if course.live is not None:
         places, lines = places[course.live[lines - 1]], lines[course.live[lines - 1]]
-    unknown = dict(unknown)
+    lost = dict(unknown)
     for step in course.steps:
         if isinstance(step, Kept):
             inside = (lines >= step.first) & (lines <= step.last)
             if inside.any():
-                unknown[step.last] = (
-                    f"a force comment stands in what stays as it is ({source.origin(int(lines[inside][0]))})"
-                )
+                stands = source.origin(int(lines[inside][0]))
+                lost[step.last] = f"a force comment stands in what stays as it is ({stands})"
                 places, lines = places[~inside], lines[~inside]
-    _check_known(course, motions[~rapid], lines, unknown)
     before = np.searchsorted(motions, lines).tolist()
     parsed: dict[str, ForceNote | None] = {}
     notes = []
@@ -59,7 +64,112 @@ def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, 
         note = parsed[comment]
         if note is not None:
             notes.append((line, ForceNote(origin.line, note.wrench, note.frame, row)))
-    return notes
+    marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    if not marks and not lost:
+        return notes
+    return _Held(course, motions, rapid).through(notes, lost, marks)
+
+
+class _Held:
+    """Which comment holds, from line to line.
+
+    :ivar now: what holds; a text: that is not known, and why.
+    :ivar last: what acts on the last motion.
+    """
+
+    def __init__(self, course: Course, motions: Ints, rapid: Bools) -> None:
+        self.course, self.motions, self.rapid = course, motions, rapid
+        self.notes: list[tuple[int, ForceNote]] = []
+        self.now: _Force = None
+        self.last: _Force = None
+        self.since = 0
+
+    def through(
+        self, notes: Sequence[tuple[int, ForceNote]], lost: Mapping[int, str], marks: Sequence[Fork | Branch | Join]
+    ) -> list[tuple[int, ForceNote]]:
+        """Return the comments, and those that state once more what holds.
+
+        :param lost: lines behind which it is not known which force acts, and why.
+        """
+        events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
+            *((line, 0, note) for line, note in notes),
+            *((line, 1, why) for line, why in lost.items()),
+            *((mark.line, 2, mark) for mark in marks),
+        ]
+        forks: list[tuple[tuple[_Force, _Force], list[tuple[_Force, _Force]]]] = []
+        for line, _, event in sorted(events, key=lambda event: event[:2]):
+            self._move(line - isinstance(event, ForceNote))
+            if isinstance(event, ForceNote):
+                self.notes.append((line, event))
+                self.now = event
+            elif isinstance(event, str):
+                self.now = event
+            elif isinstance(event, Fork):
+                forks.append(((self.now, self.last), []))
+            elif isinstance(event, Branch):
+                entry, ends = forks[-1]
+                ends.append((self.now, self.last))
+                self.last = entry[1]
+                self._state(line, entry[0])
+            elif isinstance(event, Join):
+                entry, ends = forks.pop()
+                self._meet(line, [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])])
+        self._move(len(self.course.source.starts))
+        return self.notes
+
+    def _meet(self, line: int, ends: Sequence[tuple[_Force, _Force]]) -> None:
+        """Come to where branches meet.
+
+        :raises ProgramError: they end under different forces: corrected, they would not meet.
+        """
+        held, last = ([_force_of(end[which]) for end in ends] for which in (0, 1))
+        if any(_differ(force, last[0]) or _turns(*force) for force in last):
+            problem = "the branches that end here do so under different forces: corrected, they would not meet"
+            raise self.course.source.line_error(problem, line, _MEETING_ADVICE)
+        alike = all(force == held[0] for force in held)
+        self._state(line, ends[0][0] if alike else "branches that meet before it leave different ones")
+
+    def _state(self, line: int, held: _Force) -> None:
+        """Have a force hold from a line on."""
+        self.now = held
+        if isinstance(held, str) or (held is None and not self.notes):
+            return
+        wrench, frame = _force_of(held)
+        origin = self.course.source.origin(line).line
+        self.notes.append((line, ForceNote(origin, wrench, frame, int(np.searchsorted(self.motions, line)))))
+
+    def _move(self, line: int) -> None:
+        """Pass the motions up to a line.
+
+        :raises ProgramError: it is not known which force acts on one of them.
+        """
+        first, beyond = np.searchsorted(self.motions, [self.since, line], side="right").tolist()
+        self.since = max(self.since, line)
+        if first >= beyond:
+            return
+        cutting = np.flatnonzero(~self.rapid[first:beyond])
+        if isinstance(self.now, str) and len(cutting):
+            problem = f"which force acts is not known: {self.now}"
+            raise self.course.source.line_error(problem, int(self.motions[first + cutting[0]]), _ADVICE)
+        self.last = None if self.rapid[beyond - 1] else self.now
+
+
+def _differ(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
+    """Return whether two forces are different ones: what is in other axes may be the same force."""
+    still = not any(one[0]) or not any(other[0])
+    return (still or one[1] == other[1]) and any(abs(a - b) > _SAME for a, b in zip(one[0], other[0], strict=True))
+
+
+def _turns(wrench: Sequence[float], frame: str) -> bool:
+    """Return whether a force depends on the direction of travel."""
+    return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))
+
+
+def _force_of(held: _Force) -> tuple[Any, ...]:
+    """Return what a comment says."""
+    if isinstance(held, ForceNote):
+        return held.wrench, held.frame
+    return ((0.0,) * 6, "BASE") if held is None else (held, "")
 
 
 def _places(source: Source) -> tuple[Ints, Ints]:
@@ -71,13 +181,3 @@ def _places(source: Source) -> tuple[Ints, Ints]:
     begins = [comment_start(text, *span) for span in zip(starts, stops, strict=True)]
     real = np.array(begins, dtype=np.int64) == places  # else the semicolon stands in a string or a comment
     return places[real], lines[real]
-
-
-def _check_known(course: Course, cutting: Ints, noted: Ints, unknown: Mapping[int, str]) -> None:
-    """Refuse a motion behind a line from which on the force is not known, unless a comment stands between."""
-    for line, why in sorted(unknown.items()):
-        motion = int(np.searchsorted(cutting, line, side="right"))
-        note = int(np.searchsorted(noted, line, side="right"))
-        if motion < len(cutting) and not (note < len(noted) and noted[note] <= cutting[motion]):
-            problem = f"which force acts is not known: {why}"
-            raise course.source.line_error(problem, int(cutting[motion]), _ADVICE)

@@ -134,7 +134,7 @@ class _Reading(Struct, frozen=True, eq=False):
         ordered, after, kept = without_unresolved(main, ordered)
         notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced)
         lost = [line for line, _ in main.run.unresolved]
-        after, meetings = branching(course, ordered, after, [line for line, _ in notes], lost)
+        after, meetings = branching(course, ordered, after, lost)
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
         motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
