@@ -59,7 +59,7 @@ def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool, s
         other = next((other for other in job.others if _of_one_family(name, other)), None)
         if other is not None:
             raise InputError(
-                f"{job.program} is divided into files, and {name} may be of {other} too, which is written in this run",
+                f"{job.program} writes {name} too, which may be of {other}, which is also written in this run",
                 advice="Rename one, or convert them one by one with different -o folders.",
             )
     if not overwrite:

@@ -49,7 +49,7 @@ def running(program: Program, process: Process) -> Running:
     keys = tuple(process.tools)
     place = np.full(m, -1)
     for value in np.unique(number).tolist():
-        found = process.tool(None if value < 0 else value)
+        found = process.tool(value) if value > 0 or str(value) in process.tools else process.tool(None)
         if found is not None:
             here = number == value
             place[here] = keys.index(found[0])
@@ -67,7 +67,7 @@ def _refuse(program: Program, process: Process, number: Ints, missing: Bools) ->
     for value in np.unique(number[missing]).tolist()[: MOST + 1]:
         line = int(program.motions.line[np.flatnonzero(missing & (number == value))[0]])
         known = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
-        if value < 0:
+        if value <= 0:  # T0, and M6 without a T, name none
             problem = "no tool number (T… M6) before this move"
             advice = f"Give [tools.default] in {process.path}; there: {known}."
         else:

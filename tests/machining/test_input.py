@@ -50,6 +50,10 @@ def test_no_tool_number_takes_the_only_tool_but_not_one_of_two(tmp_path):
     two = process(tool(10, 4), BOX, 1.0).replace("[stock]", "[tools.2]\n" + tool(8, 2) + "[stock]")
     assert "no tool number" in refused(tmp_path, text, two)
     forces(tmp_path, text, two.replace("[tools.2]", "[tools.default]"))
+    for change in ("M6", "T0 M6"):  # neither names one
+        named = gcode(*SLOT).replace("T1 M6", change)
+        forces(tmp_path, named, process(tool(10, 4), BOX, 1.0))
+        assert "no tool number" in refused(tmp_path, named, two)
 
 
 def mesh_process(name):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.names import OPENING
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import word_at
+from postproc.dialects.krl.language.statements import MOTION_WORDS, word_at
+from postproc.errors import MOST, ProgramError, together
 from postproc.program import Bools, Ints
 
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
@@ -53,6 +56,13 @@ class Block(Struct, frozen=True, eq=False):
                 else:
                     yield node
         yield self.last
+
+
+_BARE = frozenset({"ELSE", "DEFAULT", "LOOP", "REPEAT", *OPENING.values()})
+"""Words that stand alone on their lines."""
+_THEN = re.compile(r"(.*?)[ \t]*\bTHEN", re.IGNORECASE)
+_MOTION = re.compile(rf"(?<![\w$#.])(?:{'|'.join(MOTION_WORDS)})[ \t]", re.IGNORECASE)
+_STRING = re.compile(r'"[^"]*"')
 
 
 Node = int | Block
@@ -112,3 +122,54 @@ def outside(source: Source, lines: Sequence[int], others: Ints) -> Bools:
             depth -= 1
             closed += [] if depth else [line]
     return np.asarray(np.searchsorted(opened, others) == np.searchsorted(closed, others))
+
+
+def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
+    """Return statements and control structures as they are.
+
+    :raises ProgramError: something stands behind words of control structures, where it would not be read; or they lack
+        something.
+    """
+    exits = "EXIT" in source.text.upper()
+    if errors := list(islice(_mistakes(source, nodes, exits=exits), MOST + 1)):
+        raise together(errors)
+    return nodes
+
+
+def _mistakes(source: Source, nodes: Sequence[Node], *, exits: bool) -> Iterator[ProgramError]:
+    """Yield what is wrong with control structures.
+
+    :param exits: EXIT may stand there, and would be outside of a loop.
+    """
+    for node in nodes:
+        if isinstance(node, Block):
+            for line in dict.fromkeys((*(part.head for part in node.parts), node.last)):
+                wrong = _mistake(source, line)
+                if wrong is not None:
+                    yield source.line_error(wrong[0], line, wrong[1])
+            for part in node.parts:
+                yield from _mistakes(source, part.nodes, exits=exits and node.word not in LOOPS)
+        elif exits and word_at(source.text, *source.code_span(node)) == "EXIT":
+            advice = "It leaves LOOP, FOR, WHILE or REPEAT: check where these end."
+            yield source.line_error("EXIT outside of a loop", node, advice)
+
+
+def _mistake(source: Source, line: int) -> tuple[str, str] | None:
+    """Return what is wrong with a line of a control structure, and what to do."""
+    start, stop = source.code_span(line)
+    word = word_at(source.text, start, stop)
+    rest = _STRING.sub("", source.text[start + len(word) : stop]).strip()
+    own = "Write it on a line of its own."
+    if word in _BARE and rest:
+        return f"{rest!r} stands behind {word}", own
+    if word == "IF":
+        then = _THEN.match(rest)
+        if then is None:
+            return "IF without THEN", "Write THEN behind the condition, on the same line."
+        if not then[1]:
+            return "IF without a condition", "Write it between IF and THEN."
+        if behind := rest[then.end() :].strip():
+            return f"{behind!r} stands behind THEN", own
+    elif _MOTION.search(rest):
+        return f"a motion stands behind {word}", own
+    return None

@@ -455,10 +455,21 @@ class _Counter:
         step = 1
         if match := _STEP.match(source.text, end, stop):
             width, end = parse(source, match.end(), stop)
-            step = self._whole(width)
-        if source.text[end:stop].strip() or step == 0:
+            step = self._step(width)
+        if source.text[end:stop].strip():
             raise self._unknown()
         return self._whole(last), step
+
+    def _step(self, width: Value) -> int:
+        """Return a step.
+
+        :raises ProgramError: nothing can be counted by it.
+        """
+        known = self.run.variables.evaluate(self.at.source, width)
+        if isinstance(known, Number) and (not known.integer or known.value == 0.0):
+            problem = f"FOR cannot count by STEP {known.value:g}"
+            raise self.at.error(problem, "Give a whole number other than 0, as it is or by an INT.")
+        return self._whole(width)
 
     def _whole(self, value: Value) -> int:
         known = self.run.variables.evaluate(self.at.source, value)

@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.names import NAME, fault_of
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import MOTION_WORDS, calls, word_at
-from postproc.dialects.krl.language.structures import Block, nodes_of, outside
+from postproc.dialects.krl.language.structures import Block, checked, nodes_of, outside
 from postproc.dialects.krl.language.values import Call
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.inexact import UnresolvedError
@@ -40,7 +40,7 @@ def course_of(
 
     :param settings: as they are before it; they are changed.
     :param elsewhere: routines whose motions are not those of the program.
-    :raises ProgramError: that order is not known before the program runs.
+    :raises ProgramError: that order is not known before the program runs, or a control structure is none.
     """
     run = Run(library, main, settings)
     run.elsewhere = elsewhere
@@ -49,6 +49,7 @@ def course_of(
     flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
     others = np.setdiff1d(main.lines, main.settings).tolist()
     nodes = nodes_of(main.source, _one_by_one(main.source, others, np.array(main.settings))[0])
+    checked(main.source, nodes)
     if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
         return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=taken)

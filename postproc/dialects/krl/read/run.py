@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Node, nodes_of
+from postproc.dialects.krl.language.structures import Node, checked, nodes_of
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
 from postproc.dialects.krl.read.library import Library
@@ -110,9 +110,12 @@ class Run:
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
     def nodes(self, routine: Routine) -> tuple[Node, ...]:
-        """Return the statements and control structures of a routine."""
+        """Return the statements and control structures of a routine.
+
+        :raises ProgramError: these are not as they must be.
+        """
         if routine not in self._nodes:
-            self._nodes[routine] = nodes_of(routine.source, routine.lines)
+            self._nodes[routine] = checked(routine.source, nodes_of(routine.source, routine.lines))
         return self._nodes[routine]
 
     @property
