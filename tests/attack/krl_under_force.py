@@ -147,7 +147,8 @@ def compare(nominal, corrected, kept, text):
             made = next(todo, None)
             if made is None:
                 raise Wrong(f"{where} is not made")
-            if stays and text[0][motion.file, motion.line] == text[1][made.file, made.line]:
+            stays = stays and text[0][motion.file, motion.line] == text[1][made.file, made.line]
+            if stays:
                 guess = inverse(arm, made.base @ abc(*made.numbers), made.tool, guess)
                 break
             if made.kind == "PTP" != motion.kind:
