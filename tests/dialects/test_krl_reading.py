@@ -110,6 +110,14 @@ def test_every_single_slip_in_a_plain_setting_is_read_or_refused_as_in_a_stateme
         assert_read_alike(body(FULL, line[:at] + line[at + 1 :], f"{FULL} C_DIS"))
 
 
+def test_speed_and_distance_hold_until_they_are_set_anew_in_whatever_order_that_is():
+    part = "LIN {X 1,Y 2,Z 3} C_DIS"
+    speeds = ("$VEL.CP=0.01", part, "$VEL.CP=0.025", part, "$APO.CDIS=0.2", part, "$APO.CDIS=0.02", part, "$VEL.CP=0.3")
+    motions = read(body(FULL, *speeds, part)).motions
+    assert motions.feed[-5:].tolist() == [0.01, 0.025, 0.025, 0.025, 0.3]
+    assert motions.blend[-3:].tolist() == pytest.approx([2e-4, 2e-5, 2e-5], rel=1e-12)
+
+
 def test_settings_between_motions_are_read_in_bulk():
     speeds = np.random.default_rng(7).uniform(0.01, 1.0, 9_000).round(4)
     lines = [line for v in speeds for line in (f"$VEL.CP={v}", f"$APO.CDIS={v}", "LIN {X 1,Y 2,Z 3} C_DIS ;FORCE FX=1")]

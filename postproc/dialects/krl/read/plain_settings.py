@@ -8,7 +8,7 @@ TRUE and FALSE.
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 
 import numpy as np
 from msgspec import Struct
@@ -88,17 +88,22 @@ class Coming:
         self._done = [0] * len(NUMBERS)
 
     def before(self, line: int) -> list[tuple[int, str, float]]:
-        """Return the first and the last assignment of each field before a line, but behind the line asked for before.
+        """Return what is in force at the first and the last assignment of each field before a line, but behind the line
+        asked for before: of all fields that are assigned there, since a state is put together at each of them.
 
         :returns: (line, field, value), in order.
         """
+        spans = [(done, bisect_left(lines, line, done)) for done, lines in zip(self._done, self._lines, strict=True)]
+        places = {lines[k] for (first, stop), lines in zip(spans, self._lines, strict=True) if stop > first
+                  for k in (first, stop - 1)}  # fmt: skip
         out = []
-        for row, (lines, (_, values)) in enumerate(zip(self._lines, self._given, strict=True)):
-            first, stop = self._done[row], bisect_left(lines, line, self._done[row])
-            if stop > first:
-                out += [(lines[k], NUMBERS[row], float(values[k])) for k in sorted({first, stop - 1})]
-                self._done[row] = stop
-        return sorted(out)
+        for place in sorted(places):
+            for row, (first, stop) in enumerate(spans):
+                k = bisect_right(self._lines[row], place, first, stop) - 1
+                if k >= first:
+                    out.append((place, NUMBERS[row], float(self._given[row][1][k])))
+        self._done = [stop for _, stop in spans]
+        return out
 
     def at(self, row: int, line: Ints, changed: Ints, otherwise: Array) -> Array:
         """Return one of the `NUMBERS` on lines (n,).
