@@ -180,7 +180,7 @@ def test_what_readings_can_not_tell_is_not_found_to_be_monstrous():
     structure = Structure((flat, shown), harness.PRIOR)
     design = np.column_stack([np.full(60, 1e-3), np.linspace(1e6, 1e8, 60)])
     target = design @ [0.0, 1e-7] + np.random.default_rng(1).normal(size=60) + 0.5
-    equations = Linearised(design, target, np.repeat(np.arange(20), 3), np.ones(60))
+    equations = Linearised(design, target, *structure.stated, np.repeat(np.arange(20), 3), np.ones(60))
     found = equations.solve(np.arange(2), _ridge(structure, equations, 0.001)) / equations.scale
     assert found[0] < 1e-4
     assert found[1] == pytest.approx(1e-7, rel=0.2)
@@ -252,7 +252,7 @@ def test_noise_counts_once_in_the_covariance_and_at_most_twice_where_gears_bend(
     found, told = [], []
     for _ in range(60):
         target = design @ values + rng.normal(size=len(design))
-        equations = Linearised(design, target, config, np.ones(len(design)))
+        equations = Linearised(design, target, np.zeros(size), np.full(size, np.inf), config, np.ones(len(design)))
         members = tuple(choice._Member(name, bends, columns, ridge, np.zeros(len(design))) for name in ("one", "other"))
         mix = choice._Mix(Structure((), harness.PRIOR), equations, members, np.array([0.3, 0.7]))
         without = np.array([mix.solve(np.array([index])) for index in range(configs)])
