@@ -7,10 +7,12 @@ not decide between two that are alike, and as the model is linear in its paramet
 kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), noise and scatter
 between configurations; and what all of them share, the pull of ridge and bounds. With rows D, ridge R and
 A = (DᵀD + R²)⁻¹ the posterior is A = A DᵀD A + A R² A. The first is the noise that the jackknife has seen; the second,
-the mean square of the pull where values spread as the ridge says, is added. Where gears bend, which fading parts and
-knees stand for the real ones is open too, and the whole posterior is added: without the first part of it the bound of
-simulated robots whose gears no structure describes held for 0.92 of the places, of the worst robot for 0.43; with it
-for 0.96 and 0.62. Gears that bend are taken only if without them configurations left out are predicted worse.
+the mean square of the pull where values spread as the ridge says, is added. Where gears do not bend, the posterior
+tells the noise as well as the jackknife does, which thirty configurations make uncertain by a quarter: the mean of both
+is taken. Where gears bend, which fading parts and knees stand for the real ones is open too, and the whole posterior is
+added: without the first part of it the bound of simulated robots whose gears no structure describes held for 0.92 of
+the places, of the worst robot for 0.43; with it for 0.96 and 0.62. Gears that bend are taken only if without them
+configurations left out are predicted worse.
 """
 
 from __future__ import annotations
@@ -325,7 +327,7 @@ def _uncertain(mix: _Mix, without: Array) -> tuple[Array, Array]:
     """
     equations, configs = mix.equations, len(without)
     apart = without - without.mean(axis=0)
-    covariance = (configs - 1) / configs * apart.T @ apart
+    covariance = (1.0 if mix.bends else 0.5) * (configs - 1) / configs * apart.T @ apart
     influence = np.zeros((without.shape[1], len(equations.target)))
     for weight, member in zip(mix.weights, mix.members, strict=True):
         if weight > 0.0:
@@ -335,7 +337,8 @@ def _uncertain(mix: _Mix, without: Array) -> tuple[Array, Array]:
             about = np.divide(1.0, found, out=np.zeros_like(found), where=(found > 0.0) & (equations.firm == 0.0))
             pull = np.hypot(member.ridge, about)
             inverse = np.linalg.inv(equations.normal(on, pull))
-            share = inverse if mix.bends else (inverse * pull[on] ** 2) @ inverse
+            # what noise does: told by the jackknife, and without bends one half of it by the posterior
+            share = inverse if mix.bends else 0.5 * (inverse + (inverse * pull[on] ** 2) @ inverse)
             covariance[np.ix_(on, on)] += weight * share
             rows = equations.design[:, on] / equations.scale[on] * equations.weight[:, None]
             influence[on] += weight * inverse @ rows.T
