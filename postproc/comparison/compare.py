@@ -14,6 +14,7 @@ import numpy as np
 from postproc import forces, kinematics, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
+from postproc.comparison.curves import SAME_FRAME, Curves
 from postproc.comparison.pairing import Track, partners
 from postproc.comparison.result import Comparison, Cuts
 from postproc.errors import ForceError, Issue, NotConvergedError, ProgramError, group_issues
@@ -33,8 +34,8 @@ _MOST_MOVED = 200
 """Targets beside the path that are asked whether they were moved: where there are more, another program is meant."""
 _SETTLING, _AHEAD = 4, 1e-3
 """Rounds in which the nearest place of the path is found, and the share of it that its direction is taken over."""
-_SAME_FRAME = 1e-6
-"""Frames that differ by less [m, rad] are the same."""
+_SAME_LENGTH = 1e-5
+"""So are places of the axis that carries the robot, and approximation distances [m]."""
 
 
 def compare(
@@ -68,7 +69,7 @@ def compare(
     cuts = _cuts(found, place, other, wrench, off) if told_by_nominal or corrected.notes else None
     if cuts is not None and told_by_nominal:
         cuts = replace(cuts, **_between(found, place, one, other, source))
-    differences = [*_differences(found), *_arcs_astray(found, one, other)]
+    differences = [*_differences(found), *_astray(found)]
     return replace(found, cuts=cuts, issues=group_issues(differences))
 
 
@@ -118,6 +119,7 @@ def _paired(one: _Side, other: _Side, partner: Ints, place: RobotInCell) -> Comp
         pose, off = _offsets(one, other, pair, place)
         rest = np.setdiff1d(other.rows, pair[:, 1])
         on_path = _on_path(one, other, pair, norm(off[:, :3]), rest, place)
+    curves = Curves.of((nominal, one.path), (corrected, other.path), pair)
     return Comparison(
         nominal=nominal,
         corrected=corrected,
@@ -128,6 +130,8 @@ def _paired(one: _Side, other: _Side, partner: Ints, place: RobotInCell) -> Comp
         only_corrected=rest[~on_path],
         pose=pose,
         rotation=norm(off[:, 3:]),
+        curves=curves,
+        between=np.full(len(pair), np.nan) if curves is None else curves.apart(),
         cuts=None,
         issues=(),
     )
@@ -174,16 +178,6 @@ def _on_path(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, 
     That is: between two pairs that follow one another in the nominal program too, hardly farther from the nominal path
     than the offsets (P,) there.
     """
-    aside, allowed = _aside(one, other, pair, distance, rows, 1.0)
-    return np.asarray(aside <= allowed)
-
-
-def _aside(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, t: float) -> tuple[Array, Array]:
-    """Return how far the second program's motions, `rows` (r,), are from the nominal path at their place t (r,) [m].
-
-    Infinite where they are not between two pairs that follow one another in the nominal program too. The second (r,) is
-    how far they may be, by the offsets (P,) there.
-    """
     out, most = np.full(len(rows), np.inf), np.zeros(len(rows))
     nominal, kind = one.program, other.program.motions.kind
     behind = np.searchsorted(pair[:, 1], rows)
@@ -191,10 +185,9 @@ def _aside(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, t:
     behind = behind[between]
     along = np.cumsum(other.path.length)
     here, first, last = (along[motion] for motion in (rows[between], pair[behind - 1, 1], pair[behind, 1]))
-    here = here - (1.0 - t) * other.path.length[rows[between]]
     motion = pair[behind, 0]
     length = np.maximum(one.path.length[motion], 1e-12)
-    target = toolpath.at(other.program, other.path, rows[between], np.full(len(between), t)).pose
+    target = toolpath.at(other.program, other.path, rows[between], np.ones(len(between))).pose
     flange = toolpath.flange_from_tcp(other.program, rows[between], target, None)
     spot = toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion), None)[:, :3, 3]
     aside = np.full(len(spot), np.inf)
@@ -206,41 +199,53 @@ def _aside(one: _Side, other: _Side, pair: Ints, distance: Array, rows: Ints, t:
     allowed = _OFF_PATH + _BESIDE * np.maximum(distance[behind - 1], distance[behind])
     follows = (motion - pair[behind - 1, 0] == 1) & (nominal.motions.kind[motion] != PTP)
     out[between], most[between] = np.where(follows, aside, np.inf), allowed
-    return out, most
+    return np.asarray(out <= most)
 
 
-def _arcs_astray(found: Comparison, one: _Side, other: _Side) -> Iterator[Issue]:
-    """Tell arcs of the second program whose ends stand on the nominal path, and whose middle does not.
+def _astray(found: Comparison) -> Iterator[Issue]:
+    """Tell moves of the second program whose ends stand on the nominal path, and that leave it between them.
 
-    Their auxiliary point sends the robot elsewhere, which no target shows.
+    Such an arc has an auxiliary point that sends the robot elsewhere, which no target shows.
     """
-    rows = np.sort(np.concatenate([found.pair[:, 1], found.inserted]))
-    rows = rows[found.corrected.motions.kind[rows] == CIRC]
-    aside, allowed = _aside(one, other, found.pair, found.distance, rows, 0.5)
-    bad = np.flatnonzero(np.isfinite(aside) & (aside > allowed))
+    if not len(found.pair):
+        return
+    allowed = _OFF_PATH + _BESIDE * np.maximum(found.distance, np.roll(found.distance, 1))
+    follows = np.diff(found.pair[:, 0], prepend=-2) == 1
+    bad = np.flatnonzero(follows & (np.nan_to_num(found.between) > allowed))
     if len(bad):
-        worst = bad[np.argmax(aside[bad])]
-        line = int(found.corrected.motions.line[rows[worst]])
+        worst = bad[np.argmax(found.between[bad])]
+        arc = CIRC in found.corrected.motions.kind[found.pair[worst - 1, 1] + 1 : found.pair[worst, 1] + 1]
         message = (
-            f"line {line} of the corrected program: the arc runs {aside[worst] * MM_PER_M:.4f} mm beside the nominal "
-            "path between its ends. Look at its auxiliary point."
+            f"line {found.corrected_line[worst]} of the corrected program: it runs "
+            f"{found.between[worst] * MM_PER_M:.4f} mm beside the nominal path before this target."
+            + (" Look at the auxiliary point of its arc." if arc else "")
         )
-        yield Issue("warning", "arc", message, output_line=line, count=len(bad))
+        yield _issue(found, "between", message, worst, len(bad))
 
 
-def _deviation(place: RobotInCell, program: Program, motion: Ints, q: Array, wrench: Array) -> Array:
+def _deviation(
+    place: RobotInCell,
+    program: Program,
+    motion: Ints,
+    q: Array,
+    wrench: Array,
+    carried: tuple[Program, Ints] | None = None,
+) -> Array:
     """Return how far the loaded tip stands from the targets of motions (n,) [m], `$BASE`.
 
     :param q: (n, 6) joint angles that the controller holds [rad].
     :param wrench: (n, 6) at the tip, root axes.
+    :param carried: the program and its motions (n,) that say where the robot is carried to; None: these.
     """
+    by, rows = (program, motion) if carried is None else carried
+    stands = np.zeros((len(motion), 3)) if by.carriage is None else by.carriage.offset(rows)
 
-    def off(motion: Ints, q: Array, wrench: Array) -> tuple[Array]:
-        tip = place.tip(q, toolpath.tool_of(program, motion), wrench)
-        return (toolpath.points_in_base(program, motion, tip) - program.motions.target[motion, :3, 3],)
+    def off(motion: Ints, q: Array, wrench: Array, stands: Array) -> tuple[Array]:
+        tip = place.tip(q, toolpath.tool_of(program, motion), wrench) + stands
+        return (toolpath.points_in_base(program, motion, tip, None) - program.motions.target[motion, :3, 3],)
 
     try:
-        return in_chunks(off, motion, q, wrench)[0]
+        return in_chunks(off, motion, q, wrench, stands)[0]
     except NotConvergedError as cause:
         raise _not_held(program, motion, cause) from None
 
@@ -254,7 +259,7 @@ def _not_held(program: Program, motion: Ints, cause: NotConvergedError) -> Force
 def _cuts(found: Comparison, place: RobotInCell, other: _Side, wrench: Array, nominal: Array) -> Cuts:
     """Return what both programs cut at the pairs: wrenches (P, 6) in the root, `nominal` (P, 3) found already."""
     first, two = found.pair.T
-    corrected = _deviation(place, found.nominal, first, other.joints[two], wrench)
+    corrected = _deviation(place, found.nominal, first, other.joints[two], wrench, (other.program, two))
     rotation = found.nominal.bases[found.nominal.motions.base[first], :3, :3]
     turned = np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
     return Cuts(turned, nominal, corrected, np.zeros(0), np.zeros(0))
@@ -277,12 +282,13 @@ def _between(
     share = (along[row] - first) / np.maximum(last - first, 1e-12)
     load = forces.along(program, path, source, place.spindle, place.ramp)
 
-    unloaded = toolpath.points_in_base(program, motion, place.tip(q, tool, np.zeros((len(row), 6))))
+    stands = np.zeros((len(row), 3)) if other.program.carriage is None else other.program.carriage.offset(row)
+    unloaded = toolpath.points_in_base(program, motion, place.tip(q, tool, np.zeros((len(row), 6))) + stands, None)
     for _ in range(_SETTLING):
         wrench = load.at(toolpath.at(program, path, motion, share))
         wrench = toolpath.wrench_in_root(program, motion, wrench)
         try:
-            moved = toolpath.points_in_base(program, motion, place.tip(q, tool, wrench))
+            moved = toolpath.points_in_base(program, motion, place.tip(q, tool, wrench) + stands, None)
         except NotConvergedError as cause:
             raise _not_held(program, motion, cause) from None
         step = np.minimum(share + _AHEAD, 1.0), np.maximum(share - _AHEAD, 1e-9)
@@ -318,20 +324,21 @@ def _joints(program: Program, place: RobotInCell) -> Array:
 def _differences(found: Comparison) -> Iterator[Issue]:
     """Yield what differs besides positions."""
     one, other = found.nominal.motions, found.corrected.motions
-    for name, bad in (("speed", found.speed_differs), ("kind", found.kind_differs)):
-        where = np.flatnonzero(bad)
-        if len(where):
-            first = where[0]
-            if name == "speed":
-                was, now = found.speeds[first] * MM_PER_M
-                message = f"the speed is {now:.4g} mm/s instead of {was:.4g} mm/s."
-            else:
-                message = "one program moves point to point (PTP) where the other follows a line or an arc."
-            yield _issue(found, name, message, first, len(where))
+    where = np.flatnonzero(found.speed_differs)
+    if len(where):
+        was, now = found.speeds[where[0]] * MM_PER_M
+        message = f"the speed is {now:.4g} mm/s instead of {was:.4g} mm/s."
+        yield _issue(found, "speed", message, where[0], len(where))
+    where = np.flatnonzero(found.kind_differs)
+    if len(where):
+        message = "one program moves point to point (PTP) where the other follows a line or an arc."
+        yield _issue(found, "kind", message, where[0], len(where))
+    yield from _approximation(found)
+    yield from _external_axes(found)
     for name, (frames, used), (others, others_used) in zip(
         ("$BASE", "$TOOL"), _frames(found.nominal), _frames(found.corrected), strict=True
     ):
-        apart = np.abs(twist_between(frames[:, None], others[None])).max(axis=2) > _SAME_FRAME
+        apart = np.abs(twist_between(frames[:, None], others[None])).max(axis=2) > SAME_FRAME
         where = np.flatnonzero(apart[used[found.pair[:, 0]], others_used[found.pair[:, 1]]])
         if len(where):
             first = where[0]
@@ -353,6 +360,44 @@ def _differences(found: Comparison) -> Iterator[Issue]:
             else:
                 message = f"line {line} of the corrected program: a target without partner, beside the nominal path."
                 yield Issue("warning", name, message, output_line=line, count=len(rows))
+
+
+def _approximation(found: Comparison) -> Iterator[Issue]:
+    """Tell targets that are approximated by another distance; what C_DIS comes of G-code is for the writer to say."""
+    if not found.nominal.keeps_text:
+        return
+    was, now = (p.motions.blend[rows] for p, rows in zip((found.nominal, found.corrected), found.pair.T, strict=True))
+    where = np.flatnonzero(np.abs(now - was) > _SAME_LENGTH)
+    if len(where):
+        told = (f"{value * MM_PER_M:.4g} mm" if value > 0.0 else "none" for value in (now[where[0]], was[where[0]]))
+        message = f"the approximation before the target ($APO.CDIS, C_DIS) is {' instead of '.join(told)}."
+        yield _issue(found, "approximation", message, where[0], len(where))
+
+
+def _external_axes(found: Comparison) -> Iterator[Issue]:
+    """Tell where external axes stand elsewhere; of pairs, where the axis that carries the robot does."""
+    one, other = found.nominal.carriage, found.corrected.carriage
+    if one is not None and other is not None:
+        was, now = (axis.at(rows) for axis, rows in ((one, found.pair[:, 0]), (other, found.pair[:, 1])))
+        where = np.flatnonzero(np.abs(now - was) > _SAME_LENGTH)
+        if len(where):
+            values = " mm instead of ".join(f"{value[where[0]] * MM_PER_M:.4f}" for value in (now, was))
+            message = f"E1 is at {values} mm: the robot stands elsewhere, and gives way otherwise, for the same path."
+            yield _issue(found, "external-axis", message, where[0], len(where))
+    elif (one is None) != (other is None) and found.nominal.keeps_text:
+        name = (found.nominal if other is None else found.corrected).documents[0].name
+        message = f"E1, which carries the robot, has values in {name} only."
+        yield Issue("warning", "external-axis", message, count=len(found.pair))
+    standing = [
+        {issue.subject: issue for issue in program.issues if issue.kind == "external-axis"}
+        for program in (found.nominal, found.corrected)
+    ]
+    for axis in sorted({*standing[0], *standing[1]}):
+        told = [each[axis].message.partition(":")[0] if axis in each else f"{axis} at 0 or unsaid" for each in standing]
+        if told[0] != told[1]:
+            line = next(each[axis].source_line for each in standing if axis in each)
+            message = f"{told[1]} in the corrected program, {told[0]} in the nominal one."
+            yield Issue("warning", "external-axis", message, line if axis in standing[0] else None, subject=axis)
 
 
 def _issue(found: Comparison, kind: str, message: str, pair: int, count: int) -> Issue:

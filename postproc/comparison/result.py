@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from postproc.comparison.curves import Curves
 from postproc.errors import Issue
 from postproc.frames import Array, norm
 from postproc.program import PTP, Bools, Ints, Program
@@ -42,6 +43,9 @@ class Comparison:
     :param only_corrected: rows of `corrected.motions` without a partner that do not stand on the path.
     :param pose: (P, 4, 4) where the second program commands the nominal program's tool, in the nominal `$BASE` [m].
     :param rotation: (P,) angle between the two orientations [rad].
+    :param curves: both paths between the pairs; None for less than two.
+    :param between: (P,) how far they are apart at most on the way to each pair from the one before [m]; NaN for the
+        first, and where a PTP is between.
     :param cuts: what each would cut, where forces are known.
     :param issues: what the user should know, grouped.
     """
@@ -55,6 +59,8 @@ class Comparison:
     only_corrected: Ints
     pose: Array
     rotation: Array
+    curves: Curves | None
+    between: Array
     cuts: Cuts | None
     issues: tuple[Issue, ...]
 

@@ -260,12 +260,13 @@ def test_an_arc_that_is_sent_astray_by_its_auxiliary_point_is_told():
     text = convert()
     line = next(line for line in text.splitlines() if line.startswith("CIRC"))
     told = compare("part.nc", "out/part.src")
-    assert [issue for issue in told["issues"] if issue["kind"] == "arc"] == []
+    assert [issue for issue in told["issues"] if issue["kind"] == "between"] == []
     moved = re.sub(r"X [-0-9.]+", "X 5.0", line, count=1)
     foreign = re.sub(r"^;POSTPROC .*\n", "", text.replace(line, moved), flags=re.M)
     Path("foreign.src").write_bytes(foreign.replace("DEF part", "DEF foreign").encode())
     told = compare("part.nc", "foreign.src", "--overwrite")
-    (issue,) = [issue for issue in told["issues"] if issue["kind"] == "arc"]
+    (issue,) = [issue for issue in told["issues"] if issue["kind"] == "between"]
+    assert "auxiliary point of its arc" in issue["message"]
     assert f"line {line_of(foreign, 'CIRC {X 5.0')} of" in issue["message"]
     assert told["verdict"]["state"] != "ok"
 

@@ -16,9 +16,9 @@ _NUMBERS = (
     *(f"{name}_nominal" for name in _XYZABC),
     *(f"{name}_corrected" for name in _XYZABC),
     "offset_mm", "rotation_deg", "speed_nominal_mm_per_s", "speed_corrected_mm_per_s",
-    "cut_nominal_mm", "cut_corrected_mm",
+    "cut_nominal_mm", "cut_corrected_mm", "between_mm",
 )  # fmt: skip
-_PLACES = (6,) * 13 + (6, 3, 3, 6, 6)
+_PLACES = (6,) * 13 + (6, 3, 3, 6, 6, 6)
 PAIR_COLUMNS = ("state", "nominal_line", "corrected_line", "rapid", *_NUMBERS)
 """Columns of the file, in order."""
 _STATES = ("pair", "inserted", "only_nominal", "only_corrected")
@@ -61,6 +61,7 @@ def pairs_csv(found: Comparison) -> Iterator[bytes]:
             of_pairs(found.rotation * DEG_PER_RAD),
             *speeds,
             *(of_pairs(None if off is None else norm(off) * MM_PER_M) for off in cuts),
+            of_pairs(found.between * MM_PER_M),
         ]
     )[order]
     rapid = np.where(nominal >= 0, one.rapid[nominal], other.rapid[corrected]).astype(float)[order]

@@ -19,6 +19,7 @@ from postproc.report.deviation.operations import operation_starts
 from postproc.report.summary import Distances, IssueEntry, Judged, issue_entry
 
 _MOST = 20
+_DIFFERENCES = ("speed", "kind", "approximation", "base", "tool", "external-axis")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,14 @@ class Between(TypedDict):
     corrected_line: int
 
 
+class Apart(TypedDict):
+    """How far the two paths are apart at most on the way from one pair to the next, and where; 0 and None of no way."""
+
+    max_mm: float
+    nominal_line: int | None
+    corrected_line: int | None
+
+
 class OperationEntry(TypedDict):
     """An operation of the nominal program."""
 
@@ -109,6 +118,7 @@ class ComparisonSummary(TypedDict):
     only_corrected: int
     offset: Distances
     rotation: Rotations
+    between_targets: Apart
     largest: list[PairEntry]
     differences: dict[str, int]
     cut: Cut | None
@@ -142,8 +152,9 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         only_corrected=len(found.only_corrected),
         offset=_distances(distance, rapid),
         rotation={"max_deg": turned.largest * DEG_PER_RAD, "rms_deg": turned.rms * DEG_PER_RAD},
+        between_targets=_apart(found),
         largest=_largest(found),
-        differences={name: count.get(name, 0) for name in ("speed", "kind", "base", "tool")},
+        differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
         cut=_cut(found, slice(None)),
         between=_between(found),
         tolerance_mm=tolerance * MM_PER_M,
@@ -210,6 +221,15 @@ def _doubtful(content: ComparisonSummary) -> Iterator[str]:
         yield f"{content['corrected']} was made with {' and '.join(f'another {name}' for name in others)}"
     if origin["mode"] == "nominal" and content["cut"] is not None:
         yield f"{content['corrected']} is nominal: it was written without correction"
+    if (
+        content["cut"] is None
+        and content["offset"]["max_mm"] > content["tolerance_mm"]
+        and not content["differences"]["base"]
+    ):
+        yield (
+            f"a target is {content['offset']['max_mm']:.4f} mm off, and no forces are known that would call for it: give "
+            "--forces"
+        )
     for issue in content["issues"]:
         if issue["level"] == "warning":
             more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
@@ -233,6 +253,18 @@ def _cut(found: Comparison, rows: slice) -> Cut | None:
     rapid = found.rapid[rows]
     one, other = (_distances(norm(off[rows]), rapid) for off in (found.cuts.nominal, found.cuts.corrected))
     return {"nominal": one, "corrected": other}
+
+
+def _apart(found: Comparison) -> Apart:
+    size = np.where(found.rapid | np.isnan(found.between), -1.0, found.between)
+    worst = int(np.argmax(size)) if len(size) else -1
+    if worst < 0 or size[worst] < 0.0:
+        return {"max_mm": 0.0, "nominal_line": None, "corrected_line": None}
+    return {
+        "max_mm": float(size[worst]) * MM_PER_M,
+        "nominal_line": int(found.nominal_line[worst]),
+        "corrected_line": int(found.corrected_line[worst]),
+    }
 
 
 def _between(found: Comparison) -> Between | None:

@@ -38,6 +38,12 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
         )
     lines += [display.table(head, rows, range(1, len(head)), "  "), ""]
     lines.append(f"  orientation: {content['rotation']['max_deg']:.4f}° at most")
+    apart = content["between_targets"]
+    if apart["nominal_line"] is not None:
+        lines.append(
+            f"  on the way between targets: {millimetres(apart['max_mm'])} mm at most, before "
+            f"{content['nominal']}:{apart['nominal_line']} and {content['corrected']}:{apart['corrected_line']}"
+        )
     for pair in content["largest"][:_SHOWN]:
         if pair["mm"] > 0.0:
             where = f"{content['nominal']}:{pair['nominal_line']} and {content['corrected']}:{pair['corrected_line']}"

@@ -1,0 +1,199 @@
+"""How far two programs are apart between their targets, against formulas and against many places of both paths."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CELL = (SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
+TURNED = "A 180,B 0,C 180"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def program(name, *moves, tool="Z 350", at=""):
+    """Write a program from (0, 0, 0) on."""
+    head = [
+        f"DEF {name}( )",
+        "BAS (#INITMOV,0 )",
+        "$VEL.CP=0.05",
+        "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}",
+        f"$TOOL={{X 0,Y 0,{tool},A 0,B 0,C 0}}",
+        "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}",
+        f"LIN {{X 0,Y 0,Z 0,{TURNED}{at}}}",
+    ]
+    Path(f"{name}.src").write_text("\n".join([*head, *moves, "END", ""]))
+    return f"{name}.src"
+
+
+def lin(x, y, z=0.0, more=""):
+    return f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},{TURNED}{more}}}"
+
+
+def circ(via, end):
+    return f"CIRC {{X {via[0]:.5f},Y {via[1]:.5f},Z 0}},{{X {end[0]:.5f},Y {end[1]:.5f},Z 0,{TURNED}}}"
+
+
+def compared(nominal, corrected, *more, code=None, cell=CELL):
+    """Return the summary and the rows of the pairs."""
+    Path("cell.toml").write_text(cell, encoding="utf-8")
+    arguments = ["compare", nominal, corrected, "--cell", "cell.toml", "-o", "found", "--json", "--overwrite", *more]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code in ((0, 3) if code is None else (code,)), done.output
+    with Path(f"found/{Path(corrected).stem}.compare.pairs.csv").open(newline="") as file:
+        return json.loads(done.output), list(csv.DictReader(file))
+
+
+def between(rows):
+    return [float(row["between_mm"]) if row["between_mm"] else math.nan for row in rows if row["state"] == "pair"]
+
+
+def kinds(content):
+    return {issue["kind"] for issue in content["issues"]}
+
+
+def test_a_line_instead_of_a_half_circle_is_its_radius_away():
+    one = program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
+    other = program("OTHER", lin(40, 0), lin(60, 0))
+    content, rows = compared(one, other)
+    np.testing.assert_allclose(between(rows)[1:], [20.0, 0.0], atol=1e-5)
+    assert content["between_targets"] == {
+        "max_mm": pytest.approx(20.0, abs=1e-5),
+        "nominal_line": 8,
+        "corrected_line": 8,
+    }
+    assert "between" in kinds(content)
+    assert content["offset"]["max_mm"] < 1e-9
+
+
+def test_two_lines_are_farthest_apart_at_an_end():
+    one = program("ONE", lin(40, 0), lin(80, 0), lin(80, 40))
+    other = program("OTHER", lin(40, 0.3), lin(80, 0.1), lin(80, 40))
+    np.testing.assert_allclose(between(compared(one, other)[1])[1:], [0.3, 0.3, 0.1], atol=1e-6)
+
+
+def _arc(begin, via, end, share):
+    """Points (n, 2) of an arc through three points, at shares of its length, by complex numbers."""
+    a, b, c = complex(*begin), complex(*via), complex(*end)
+    w = (c - a) / (b - a)
+    centre = (b - a) * (w - abs(w) ** 2) / (2j * w.imag) + a
+    centre = -centre + 2 * a if abs(abs(centre - a) - abs(centre - c)) > 1e-6 * abs(c - a) else centre
+    first, way = a - centre, np.angle((c - centre) / (a - centre)) % (2 * np.pi)
+    middle = np.angle((b - centre) / (a - centre)) % (2 * np.pi)
+    way = way if middle < way else way - 2 * np.pi
+    point = centre + first * np.exp(1j * way * share)
+    return np.stack([point.real, point.imag], axis=1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_arcs_that_differ_are_as_far_apart_as_a_hundred_thousand_places_say(seed):
+    random = np.random.default_rng(seed)
+    end = np.array([50.0, 10.0])
+    vias = [
+        np.array([25.0, 5.0]) + random.uniform(6.0, 14.0) * np.array([-0.2, 1.0]) + random.uniform(-3, 3, 2)
+        for _ in "ab"
+    ]
+    ends = [end, end + random.uniform(-0.5, 0.5, 2)]
+    files = [
+        program(name, circ(via, to), lin(90, 0)) for name, via, to in zip(("ONE", "OTHER"), vias, ends, strict=True)
+    ]
+    share = np.linspace(0.0, 1.0, 100_001)
+    paths = [_arc((0, 0), via.round(5), to.round(5), share) for via, to in zip(vias, ends, strict=True)]
+    np.testing.assert_allclose(paths[0][-1], ends[0], atol=1e-4)
+    wanted = np.linalg.norm(paths[1] - paths[0], axis=1).max()
+    assert between(compared(*files)[1])[1] == pytest.approx(wanted, abs=1e-4)
+
+
+def test_an_arc_divided_by_inserted_targets_is_not_apart():
+    points = _arc((0, 0), (20, 20), (40, 0), np.linspace(0, 1, 9))
+    one = program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
+    pieces = [circ(points[k + 1], points[k + 2]) for k in (0, 2, 4, 6)]
+    content, rows = compared(one, program("OTHER", *pieces, lin(60, 0)))
+    assert content["inserted"] == 3
+    np.testing.assert_allclose(between(rows)[1:], 0.0, atol=1e-4)
+    assert "between" not in kinds(content)
+    chords = [lin(*point) for point in points[1:]]
+    content, rows = compared(one, program("CHORDS", *chords, lin(60, 0)))
+    assert content["inserted"] == 7
+    assert between(rows)[1] == pytest.approx(20.0 * (1.0 - math.cos(math.pi / 16)), rel=1e-3)
+
+
+def test_a_missing_line_tells_how_far_the_short_cut_goes():
+    moves = [lin(40, 0), lin(40, 30), lin(80, 30), lin(120, 30), lin(120, 60), lin(160, 60)]
+    one, other = program("ONE", *moves), program("OTHER", *moves[:3], *moves[4:])
+    content, rows = compared(one, other)
+    assert content["only_nominal"] == 1
+    told = [value for value in between(rows) if value > 1e-6]
+    corner = 40.0 / (40.0 + 30.0)  # of the way
+    assert told == [pytest.approx(math.hypot(40.0 - corner * 40.0, corner * 30.0), abs=1e-5)]
+
+
+def test_a_point_to_point_move_says_nothing_of_the_way():
+    ptp = f"PTP {{X 60,Y 0,Z 30,{TURNED},S 2,T 2}}"
+    files = [program(name, lin(40, 0), ptp, lin(80, 0)) for name in ("ONE", "OTHER")]
+    values = between(compared(*files)[1])
+    assert [math.isnan(value) for value in values] == [True, False, True, False]
+
+
+def test_another_tool_length_is_seen_between_targets_too():
+    moves = [circ((20, 20), (40, 0)), lin(60, 0)]
+    content, rows = compared(program("ONE", *moves), program("OTHER", *moves, tool="Z 352"))
+    assert content["differences"]["tool"] == content["pairs"]
+    np.testing.assert_allclose(between(rows)[1:], 2.0, atol=1e-6)
+
+
+def test_another_approximation_is_told():
+    moves = [lin(40, 0) + " C_DIS", lin(40, 30) + " C_DIS", lin(80, 30)]
+    one = program("ONE", "$APO.CDIS=1", *moves)
+    content, _ = compared(one, program("OTHER", "$APO.CDIS=5", *moves))
+    assert content["differences"]["approximation"] == 2
+    assert any("is 5 mm instead of 1 mm" in issue["message"] for issue in content["issues"])
+    content, _ = compared(one, program("EXACT", "$APO.CDIS=1", moves[0], lin(40, 30), moves[2]))
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "approximation"]
+    assert (issue["source_line"], issue["count"]) == (10, 1)
+    assert "is none instead of 1 mm" in issue["message"]
+    assert compared(one, one)[0]["issues"] == []
+
+
+CARRIED = CELL + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"
+
+
+def test_another_place_of_the_axis_that_carries_the_robot_is_told_and_changes_what_is_cut():
+    force = ";FORCE FX=-250 FY=180 FZ=120"
+    moves = [lin(40, 0, more=",E1 0.0"), lin(40, 30, more=",E1 0.0"), lin(80, 30, more=",E1 0.0")]
+    one = program("ONE", force, *moves, at=",E1 0.0")
+    content, _ = compared(one, one, cell=CARRIED)
+    assert content["differences"]["external_axis"] == 0
+    same = content["cut"]["nominal"]["max_mm"]
+    assert content["cut"]["corrected"]["max_mm"] == pytest.approx(same)
+    other = program("OTHER", force, *(move.replace("E1 0.0", "E1 250.0") for move in moves), at=",E1 250.0")
+    content, rows = compared(one, other, cell=CARRIED)
+    assert content["differences"]["external_axis"] == content["pairs"]
+    assert any("E1 is at 250.0000 mm instead of 0.0000 mm" in issue["message"] for issue in content["issues"])
+    assert content["offset"]["max_mm"] < 1e-9  # the tool goes where it went
+    assert 1e-3 < abs(content["cut"]["corrected"]["max_mm"] - same) < 0.5 * same
+    np.testing.assert_allclose(between(rows)[1:], 0.0, atol=1e-6)
+
+
+def test_an_external_axis_that_stands_elsewhere_is_told_without_the_cell_knowing_it():
+    moves = [lin(40, 0, more=",E1 100.0,E2 5.0"), lin(40, 30, more=",E1 100.0,E2 5.0")]
+    one = program("ONE", *moves)
+    content, _ = compared(one, program("OTHER", *(move.replace("E2 5.0", "E2 7.5") for move in moves)))
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
+    assert issue["message"] == "E2 stands at 7.5 in the corrected program, E2 stands at 5 in the nominal one."
+    content, _ = compared(one, program("LESS", *(move.replace(",E2 5.0", "") for move in moves)))
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
+    assert "E2 at 0 or unsaid in the corrected program" in issue["message"]
