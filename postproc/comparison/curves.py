@@ -57,7 +57,7 @@ class Chain:
     def any(self, wanted: Bools) -> Bools:
         """Return for each pair (P,) whether any of the motions (M,) between it and the one before is wanted."""
         out = np.zeros(int(self.end[-1]) + 1, dtype=bool)
-        out[np.ceil(self.end[wanted[self.row]]).astype(np.int64)] = True
+        out[np.ceil(self.end[wanted[self.row]] - _NOTHING).astype(np.int64)] = True
         return out
 
 
@@ -109,6 +109,17 @@ class Curves:
             largest[curved] = np.maximum(largest[curved], in_chunks(self._largest, begin[curved], end[curved])[0])
         np.fmax.at(out, pair, largest)
         out[~known] = np.nan
+        return out
+
+    def parts(self, angle: float) -> Ints:
+        """Return by how many chords (P,) the way to each pair is drawn, of arcs one for so much of an angle [rad]."""
+        out = np.ones(int(self.one.end[-1]) + 1, dtype=np.int64)
+        for chain in (self.one, self.other):
+            arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
+            turned = np.zeros(len(out))
+            pair = np.ceil(chain.end[arc] - _NOTHING).astype(np.int64)
+            np.add.at(turned, pair, chain.program.motions.sweep[chain.row[arc]])
+            out = np.maximum(out, np.ceil(turned / angle).astype(np.int64))
         return out
 
     @property

@@ -2,9 +2,9 @@
 
 Run: python -m tests.benchmarks.page [--targets N] [--repeats N]
 
-A finishing pass is converted and its report opened from disk, 1440 × 1000 pixels, drawn by the processor. Printed are,
-of the quickest of some openings, seconds since navigation by the clock, and the processor time of all processes of the
-browser up to there, which other work on the machine changes less:
+A finishing pass is converted, and compared with what it became; both pages are opened from disk, 1440 × 1000 pixels,
+drawn by the processor. Printed are, of the quickest of some openings, seconds since navigation by the clock, and the
+processor time of all processes of the browser up to there, which other work on the machine changes less:
 
 - text: the verdict can be read;
 - rows: a click on a row of the worst shows its place;
@@ -38,18 +38,19 @@ _ROWS = """typeof stage !== 'undefined' && (() => {
   row.click();
   return document.querySelector('#place dd')?.textContent === row.dataset.sourceLine;
 })()"""
-_PICTURE = "document.querySelector('#view3d-view .gl-container canvas') !== null"
+_PICTURE = "document.querySelector('#view3d .gl-container canvas') !== null"
 _PATH = "selection.place !== null && selection.place !== window.before"
 
 
-def report(folder: Path, targets: int) -> Path:
-    """Return the report of a finishing pass with so many targets."""
+def reports(folder: Path, targets: int) -> tuple[Path, Path]:
+    """Return the report of a finishing pass with so many targets, and the page of its comparison."""
     program = folder / "pass.nc"
     program.write_text(programs.lines(targets, "G1 X{:.3f} Y{:.3f} Z{:.3f}"))
-    done = CliRunner().invoke(postproc, ["convert", str(program), "--cell", CELL, "-o", str(folder)])
-    if done.exit_code not in (0, 3):
-        raise SystemExit(done.output)
-    return folder / "pass.report.html"
+    for command in (["convert", str(program)], ["compare", str(program), str(folder / "pass.src")]):
+        done = CliRunner().invoke(postproc, [*command, "--cell", CELL, "-o", str(folder)])
+        if done.exit_code not in (0, 3):
+            raise SystemExit(done.output)
+    return folder / "pass.report.html", folder / "pass.compare.report.html"
 
 
 def _used(root: int) -> float:
@@ -88,7 +89,7 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
             page.wait_for_function(condition, polling=_POLLED_MS)
             reached(stage)
         page.evaluate("document.getElementById('view3d').scrollIntoView()")
-        box = page.locator("#view3d-view").bounding_box()
+        box = page.locator("#view3d .js-plotly-plot").bounding_box()
         page.evaluate("window.before = selection.place")
         for step in range(100):
             across = 0.3 + 0.4 * (step * 0.618 % 1.0)
@@ -115,12 +116,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     wanted = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        path = report(Path(folder), wanted.targets)
-        print(f"{wanted.targets} targets: {path.stat().st_size / 1e6:.1f} MB")
-        openings = [opening(path) for _ in range(wanted.repeats)]
-    print(f"{'stage':8s} {'seconds':>8s} {'processor':>10s}")
-    for stage in openings[0]:
-        print(f"{stage:8s} {min(o[stage][0] for o in openings):8.2f} {min(o[stage][1] for o in openings):10.2f}")
+        for path in reports(Path(folder), wanted.targets):
+            print(f"{path.name}, {wanted.targets} targets: {path.stat().st_size / 1e6:.1f} MB")
+            openings = [opening(path) for _ in range(wanted.repeats)]
+            print(f"{'stage':8s} {'seconds':>8s} {'processor':>10s}")
+            for stage in openings[0]:
+                seconds, processor = (min(each[stage][k] for each in openings) for k in (0, 1))
+                print(f"{stage:8s} {seconds:8.2f} {processor:10.2f}")
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def test_page_draws_its_plots_without_network_and_fits_the_screen(browser, compa
 _SHOWN = """(line) => {
   const plots = [...document.querySelectorAll('#along .plot')];
   const dot = Number([...document.querySelectorAll('#view3d circle')].at(-1).dataset.at.split(' ')[0]);
-  return plots.length === 2 && plots.every((plot) => plot.layout.shapes.at(-1).x0 === line)
+  return plots.length === 2 && plots.every((plot) => Number(plot.querySelector('.cursor')?.dataset.x) === line)
     && Math.abs(dot - columns.places.X[selection.chosen]) < 1e-3
     && columns.places.nominal_line[selection.chosen] === line
     && document.querySelector('#place dd').textContent === String(line);

@@ -38,6 +38,9 @@ from postproc.report.kit.plots import Colour
 from postproc.report.text import millimetres
 
 _DRAWN = 4_000
+_MOST_POINTS = 24_000
+_CHORD = np.radians(10.0)
+"""Angle of a chord that an arc is drawn by."""
 _WORST = 20
 _BINS = 40
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
@@ -96,6 +99,10 @@ def _numbers(content: ComparisonSummary) -> Section:
         Tile("Largest offset", millimetres(content["offset"]["max_mm"]), "mm"),
         Tile("Largest change of orientation", f"{content['rotation']['max_deg']:.4f}", "°"),
     ]
+    if content["between_targets"]["nominal_line"] is not None:
+        tiles.append(
+            Tile("Paths apart between targets, largest", millimetres(content["between_targets"]["max_mm"]), "mm")
+        )
     head, sources = ["Criterion", "Offset, mm"], [content["offset"]]
     if cut is not None:
         tiles.append(Tile("The nominal program cuts, largest", millimetres(cut["nominal"]["max_mm"]), "mm"))
@@ -115,7 +122,12 @@ def _shown(found: Comparison) -> Ints:
     if not len(found.pair):
         return np.zeros(0, dtype=np.int64)
     each = -(-len(found.pair) // _DRAWN)
-    measures = [found.distance, *(() if found.cuts is None else (norm(found.cuts.nominal), norm(found.cuts.corrected)))]
+    between = np.nan_to_num(found.between)
+    measures = [
+        found.distance,
+        between,
+        *(() if found.cuts is None else (norm(found.cuts.nominal), norm(found.cuts.corrected))),
+    ]
     rows = [_worst(found)]
     for measure in measures:
         size = np.where(found.rapid, -1.0, measure)
@@ -149,6 +161,7 @@ def _columns(found: Comparison, shown: Ints) -> Columns:
         "rapid": found.rapid[shown],
         "offset": found.distance[shown] * MM_PER_M,
         "turned": found.rotation[shown] * DEG_PER_RAD,
+        "between": found.between[shown] * MM_PER_M,
         "nominal_speed": found.speeds[shown, 0] * MM_PER_M,
         "corrected_speed": found.speeds[shown, 1] * MM_PER_M,
         **dict(zip(("oX", "oY", "oZ"), found.offset[shown].T * MM_PER_M, strict=True)),
@@ -167,29 +180,56 @@ def _place() -> Section:
 
 
 def _path(found: Comparison, rows: Ints) -> Section:
-    nominal, offset = found.target[rows, :3, 3], found.offset[rows]
+    nominal, offset, place = _drawn(found, rows)
     extent = float(np.ptp(nominal, axis=0).max())
     largest = float(norm(offset).max())
-    factor = 10.0 ** np.floor(np.log10(0.1 * extent / largest)) if largest > 0.0 and extent > 0.0 else 1.0
-    factor = max(1.0, float(factor))
+    factor = _round(0.1 * extent / largest) if largest > 0.0 and extent > 0.0 else 1.0
+    larger = f", offsets {factor:g} times larger" if factor > 1.0 else ""
     traces = [
-        _line(nominal, "nominal", "before"),
-        _line(nominal + factor * offset, f"corrected, offsets {factor:g} times", "after"),
+        _line(nominal, "nominal", "before", place),
+        _line(nominal + factor * offset, f"corrected{larger}", "after", place),
     ]
+    some = (
+        "" if len(rows) == len(found.pair) else f" {len(rows)} of {len(found.pair)} pairs; the largest are among them."
+    )
     plot = Plot(
         label="Both paths in space; offsets of the corrected one are exaggerated. Arrow keys turn, N and P step.",
         unit="mm",
         traces=[*traces],
         height=480,
-        note=f"Pairs joined by straight lines, {len(rows)} of {len(found.pair)}; the largest offsets are among them. "
-        "Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place.",
+        note="Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place." + some,
     )
-    return Section("view3d", f"Both paths, offsets {factor:g} times larger", (plot,))
+    return Section("view3d", f"Both paths{larger}", (plot,))
 
 
-def _line(points: Array, name: str, colour: str) -> Lines:
+def _round(factor: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20 … that is not larger, or 1."""
+    power = 10.0 ** np.floor(np.log10(factor))
+    return max(1.0, float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor)))
+
+
+def _drawn(found: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
+    """Return points of the nominal path (n, 3), how far the other is off there, both [m], and the place of each (n,).
+
+    Between pairs that follow one another, both paths are followed: arcs are drawn as arcs.
+    """
+    if found.curves is None:
+        return found.target[rows, :3, 3], found.offset[rows], np.arange(len(rows))
+    parts = np.where(np.isnan(found.between[rows]), 1, found.curves.parts(_CHORD)[rows])
+    parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
+    place = np.repeat(np.arange(len(rows)), parts)
+    left = np.cumsum(parts)[place] - 1 - np.arange(len(place))
+    u = rows[place] - left / parts[place]
+    one, other = found.target[rows[place], :3, 3], found.pose[rows[place], :3, 3]
+    between = np.flatnonzero(left)
+    if len(between):
+        one[between], other[between] = found.curves.at(u[between])
+    return one, other - one, place
+
+
+def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
     x, y, z = (points * MM_PER_M).T.tolist()
-    return Lines(x, y, z, name, "before" if colour == "before" else "after", places=[*range(len(points))])
+    return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
 
 
 def _along(found: Comparison, content: ComparisonSummary, rows: Ints) -> Section:
@@ -262,7 +302,16 @@ def _operations(found: Comparison, content: ComparisonSummary, shown: Ints) -> S
 
 
 def _worst_pairs(found: Comparison, shown: Ints) -> Section:
-    head = ["Nominal line", "Corrected line", "Offset, mm", "X, mm", "Y, mm", "Z, mm", "Turned, °"]
+    head = [
+        "Nominal line",
+        "Corrected line",
+        "Offset, mm",
+        "X, mm",
+        "Y, mm",
+        "Z, mm",
+        "Turned, °",
+        "On the way there, mm",
+    ]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if found.cuts is not None else []
     cuts = () if found.cuts is None else (found.cuts.nominal, found.cuts.corrected)
     rows = []
@@ -271,6 +320,8 @@ def _worst_pairs(found: Comparison, shown: Ints) -> Section:
         cells.append(millimetres(float(found.distance[row]) * MM_PER_M))
         cells += [f"{value:.4f}" for value in found.offset[row] * MM_PER_M + 0.0]
         cells.append(f"{np.degrees(found.rotation[row]):.4f}")
+        between = float(found.between[row])
+        cells.append("-" if np.isnan(between) else millimetres(between * MM_PER_M))
         cells += [millimetres(float(norm(off[row])) * MM_PER_M) for off in cuts]
         rows.append(Row(tuple(cells), int(np.searchsorted(shown, row)), int(found.nominal_line[row])))
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))

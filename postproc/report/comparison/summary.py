@@ -227,8 +227,8 @@ def _doubtful(content: ComparisonSummary) -> Iterator[str]:
         and not content["differences"]["base"]
     ):
         yield (
-            f"a target is {content['offset']['max_mm']:.4f} mm off, and no forces are known that would call for it: give "
-            "--forces"
+            f"a target is {content['offset']['max_mm']:.4f} mm off, and no forces are known that would call for it: "
+            "give --forces"
         )
     for issue in content["issues"]:
         if issue["level"] == "warning":

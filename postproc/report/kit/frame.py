@@ -17,7 +17,7 @@ from postproc.report.kit.plots import encoded
 if TYPE_CHECKING:
     from jinja2 import Template
 
-_ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "stage", "space", "plots")
+_ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "stage", "cursor", "space", "plots")
 _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
 

@@ -7,8 +7,7 @@
   const count = at.offset.length;
   view.setAttribute("aria-live", "polite");
   view.removeAttribute("tabindex");
-  const number = (value, decimals) => (Number.isFinite(value) ? value.toFixed(decimals) : "–");
-  const list = (i, names, decimals) => names.map((name) => number(at[name][i], decimals)).join(", ");
+  const list = (i, names, decimals) => names.map((name) => fixed(at[name][i], decimals)).join(", ");
 
   function rows(i) {
     return [
@@ -16,12 +15,13 @@
       [`Line of ${facts.corrected}`, at.corrected_line[i]],
       ["Nominal X, Y, Z", `${list(i, ["X", "Y", "Z"], 3)} mm`],
       ["Nominal A, B, C", `${list(i, ["A", "B", "C"], 3)}°`],
-      ["Offset", `${number(at.offset[i], 4)} mm${at.rapid[i] ? " (rapid)" : ""}`],
+      ["Offset", `${fixed(at.offset[i], 4)} mm${at.rapid[i] ? " (rapid)" : ""}`],
       ["– X, Y, Z", `${list(i, ["oX", "oY", "oZ"], 4)} mm`],
-      ["Turned by", `${number(at.turned[i], 4)}°`],
-      ["Speeds", `${number(at.nominal_speed[i], 1)}, ${number(at.corrected_speed[i], 1)} mm/s`],
-      ...(at.force ? [["Force", `${number(at.force[i], 1)} N`], ["Nominal cuts", `${number(at.nominal_cuts[i], 4)} mm`],
-        ["Corrected cuts", `${number(at.corrected_cuts[i], 4)} mm`]] : []),
+      ["Turned by", `${fixed(at.turned[i], 4)}°`],
+      ["On the way there, largest", Number.isFinite(at.between[i]) ? `${fixed(at.between[i], 4)} mm` : "unknown"],
+      ["Speeds", `${fixed(at.nominal_speed[i], 1)}, ${fixed(at.corrected_speed[i], 1)} mm/s`],
+      ...(at.force ? [["Force", `${fixed(at.force[i], 1)} N`], ["Nominal cuts", `${fixed(at.nominal_cuts[i], 4)} mm`],
+        ["Corrected cuts", `${fixed(at.corrected_cuts[i], 4)} mm`]] : []),
     ];
   }
 

@@ -65,7 +65,7 @@
   function figure() {
     const shownStrips = on();
     const height = tall();
-    const layout = theme.layout({ height, hovermode: "x", hoverdistance: -1, dragmode: "zoom", annotations: [], shapes: cursor(),
+    const layout = theme.layout({ height, hovermode: "x", hoverdistance: -1, dragmode: "zoom", annotations: [],
       margin: { l: 60, r: 12, t: 6, b: 40 } });
     const gap = 26 / height;
     const data = [];
@@ -85,11 +85,6 @@
     layout.xaxis = theme.axis({ title: { text: over === "length" ? "length of the path, mm" : "time, s" }, range: range ?? undefined, automargin: false,
       anchor: shownStrips.length > 1 ? `y${shownStrips.length}` : "y" });
     return [data, layout];
-  }
-  function cursor() {
-    if (selection.place === null) return [];
-    const x = at[over][selection.place];
-    return [{ type: "line", xref: "x", yref: "paper", x0: x, x1: x, y0: 0, y1: 1, line: { color: theme.colour("chosen"), width: 1.5 } }];
   }
   const draw = () => {
     view.style.minHeight = `${tall()}px`;
@@ -114,10 +109,9 @@
     event.preventDefault();
     selection.choose(places.step(selection.chosen, by * (event.shiftKey ? 10 : 1)));
   });
-  let drawn = false;
   view.style.minHeight = `${tall()}px`; // what is not drawn yet has its room
   stage.add(view, () => draw().then(() => {
-    drawn = true;
+    cursor.follow(view, () => (selection.place === null ? null : at[over][selection.place]));
     view.on("plotly_hover", ({ points: [point] }) => selection.point(point.customdata));
     view.on("plotly_unhover", () => selection.point(null));
     view.on("plotly_click", ({ points: [point] }) => selection.choose(point.customdata));
@@ -129,11 +123,4 @@
     });
     theme.onChange(draw);
   }));
-
-  let asked = false;
-  selection.subscribe(() => {
-    if (asked || !drawn) return;
-    asked = true;
-    requestAnimationFrame(() => { asked = false; Plotly.relayout(view, { shapes: cursor() }); });
-  });
 })();

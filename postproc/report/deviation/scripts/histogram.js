@@ -44,6 +44,11 @@
   stage.add(view, () => draw().then(() => {
     view.on("plotly_click", ({ points: [point] }) => selection.choose(worst(measures[point.curveNumber], ...point.customdata)));
     theme.onChange(draw);
-    selection.subscribe(() => requestAnimationFrame(draw));
+    let shown = "";
+    selection.subscribe((place) => {
+      const bins = place === null || at.rapid[place] ? "" : String(measures.map((name) => bin(name, place)));
+      if (bins !== shown) requestAnimationFrame(draw);
+      shown = bins;
+    });
   }));
 })();

@@ -2,11 +2,11 @@
 // Details of the chosen place, or of the one pointed at, and ways to go to others.
 (() => {
   const view = document.getElementById("place-view");
-  const { at, number, values } = places;
+  const { at, values } = places;
   view.setAttribute("aria-live", "polite");
   view.removeAttribute("tabindex");
 
-  const list = (i, names, decimals) => names.map((name) => number(at[name][i], decimals)).join(", ");
+  const list = (i, names, decimals) => names.map((name) => fixed(at[name][i], decimals)).join(", ");
   function rows(i) {
     const margins = places.margins(i);
     const axes = ["X", "Y", "Z"];
@@ -16,22 +16,22 @@
     return [
       ["Source line", at.source_line[i]],
       [places.compared ? "Output line" : "Line", at.output_line[i]],
-      ["On the move", `${number(at.t[i], 3)}${at.rapid[i] ? " (rapid)" : ""}`],
-      [values.before.title, `${number(at.before[i], 4)} mm`],
+      ["On the move", `${fixed(at.t[i], 3)}${at.rapid[i] ? " (rapid)" : ""}`],
+      [values.before.title, `${fixed(at.before[i], 4)} mm`],
       ["– X, Y, Z", `${list(i, axes.map((axis) => `b${axis}`), 4)} mm`],
       ...parts("b"),
-      ...(places.compared ? [["Deviation after", `${number(at.after[i], 4)} mm`]] : []),
-      ["Expected on the part (95 %)", facts.bounded ? `${number(at.u95[i], 4)} mm` : "unknown"],
-      ...(places.compared ? [["Correction", `${number(at.correction[i], 4)} mm`], ["– X, Y, Z", `${list(i, axes.map((axis) => `c${axis}`), 4)} mm`]] : []),
-      ["Force", `${number(at.force[i], 1)} N`],
+      ...(places.compared ? [["Deviation after", `${fixed(at.after[i], 4)} mm`]] : []),
+      ["Expected on the part (95 %)", facts.bounded ? `${fixed(at.u95[i], 4)} mm` : "unknown"],
+      ...(places.compared ? [["Correction", `${fixed(at.correction[i], 4)} mm`], ["– X, Y, Z", `${list(i, axes.map((axis) => `c${axis}`), 4)} mm`]] : []),
+      ["Force", `${fixed(at.force[i], 1)} N`],
       ["– Fx, Fy, Fz", `${list(i, ["Fx", "Fy", "Fz"], 1)} N`],
       ...moment,
       ["X, Y, Z", `${list(i, axes, 3)} mm`],
       ["A, B, C", `${list(i, ["A", "B", "C"], 3)}°`],
-      ...places.joints.map((name, k) => [name, `${number(at[name][i], 2)}° (margin ${number(margins[k], 1)}°)`]),
-      ["Smallest singular value", `${number(at.singular[i], 3)} m/rad`],
-      ["Speed", `${number(at.speed[i], 1)} mm/s`],
-      ["Path, time", `${number(at.length[i], 1)} mm, ${number(at.time[i], 2)} s`],
+      ...places.joints.map((name, k) => [name, `${fixed(at[name][i], 2)}° (margin ${fixed(margins[k], 1)}°)`]),
+      ["Smallest singular value", `${fixed(at.singular[i], 3)} m/rad`],
+      ["Speed", `${fixed(at.speed[i], 1)} mm/s`],
+      ["Path, time", `${fixed(at.length[i], 1)} mm, ${fixed(at.time[i], 2)} s`],
     ];
   }
 

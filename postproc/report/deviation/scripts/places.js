@@ -56,15 +56,6 @@ const places = (() => {
     return best;
   }
 
-  // A number with fixed decimals; what is smaller than the text can say is told as that.
-  function number(value, decimals) {
-    if (!Number.isFinite(value)) return "–";
-    const least = 10 ** -decimals;
-    if (decimals >= 4 && value !== 0 && Math.abs(value) < least) return value > 0 ? `<${least.toFixed(decimals)}` : "0.0000";
-    const text = value.toFixed(decimals);
-    return Number(text) === 0 ? (0).toFixed(decimals) : text;
-  }
-
   return { at, count, joints, margins, compared, values, matrix, turned, moved, bases, inRoot, vector, position, step,
-    ofLine, number };
+    ofLine };
 })();

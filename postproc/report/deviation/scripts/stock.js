@@ -8,7 +8,7 @@
   const bounds = space.reach([columns.stock_points]);
   view.style.height = "480px";
   space.add(view, {
-    reach: () => bounds, unit: "mm", camera: { eye: { x: -1.5, y: -1.5, z: 1.5 } },
+    reach: () => bounds, unit: "mm",
     traces: () => [{ type: "mesh3d", x, y, z, i, j, k, color: "#a9b4bf", flatshading: true, hoverinfo: "skip",
       lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.1 } }],
   });

@@ -3,7 +3,7 @@
 (() => {
   const view = document.getElementById("view3d-view");
   if (!view) return;
-  const { at, values, number } = places;
+  const { at, values } = places;
   const drawn = columns.drawn;
   const points = drawn.x.length;
   const MOST = 8000;
@@ -161,12 +161,10 @@
     return out;
   }
 
-  const eye = { x: -1.1, y: -1.5, z: 1.1 };
   const of = places.inRoot ? "root" : "$BASE";
   const { draw, look } = space.add(view, {
     reach: () => (shown.robot ? space.reach([drawn, room()]) : reach), unit: "mm", names: ["X", "Y", "Z"].map((axis) => `${axis} ${of}`), traces, marks,
     points: () => ({ ...runs.cut, joined: true }),
-    camera: { eye: { ...eye }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.12 } },
     keys: {
       n: () => selection.choose(places.step(selection.chosen, 1)),
       p: () => selection.choose(places.step(selection.chosen, -1)),
@@ -176,7 +174,7 @@
 
   // Controls.
   const controls = document.getElementById("view3d-controls");
-  const sides = { Oblique: eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 } };
+  const sides = { Oblique: space.OBLIQUE.eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 } };
   const tick = (prefix) => `<label><input type="checkbox" data-path="${prefix}"${shown.paths[prefix] ? " checked" : ""}>
     <span style="color:var(--${paths[prefix].colour})">${paths[prefix].title}</span></label>`;
   controls.innerHTML = `

@@ -41,12 +41,8 @@ const plots = (() => {
   // Where the chosen place is: on the first trace that has places.
   function chosen(plot) {
     const trace = plot.traces.find(({ type, places }) => places && type !== "counts");
-    const index = trace && selection.place !== null ? trace.places.findIndex((place) => place >= selection.place) : -1;
+    const index = trace && selection.place !== null ? trace.places.findLastIndex((place) => place <= selection.place) : -1;
     return index < 0 ? null : { x: trace.x[index], y: trace.y[index], z: trace.z?.[index] };
-  }
-  function cursor(plot) {
-    const at = chosen(plot);
-    return at ? [{ type: "line", xref: "x", yref: "paper", x0: at.x, x1: at.x, y0: 0, y1: 1, line: { color: colour("chosen"), width: 1.5 } }] : [];
   }
   const stepping = (plot) => {
     const last = Math.max(...plot.traces.flatMap(({ places }) => places ?? []));
@@ -65,15 +61,7 @@ const plots = (() => {
       event.preventDefault();
       step(by * (event.shiftKey ? 10 : 1));
     });
-    let asked = false;
-    selection.subscribe(() => {
-      if (asked) return;
-      asked = true;
-      requestAnimationFrame(() => {
-        asked = false;
-        Plotly.relayout(element, { shapes: figure(plot)[1].shapes });
-      });
-    });
+    if (plot.traces.some(({ type, places }) => places && type !== "counts")) cursor.follow(element, () => chosen(plot)?.x ?? null);
   }
 
   function axis({ title, logarithmic, range, categories }, square) {
@@ -99,7 +87,7 @@ const plots = (() => {
       : { x0: mark.at, x1: mark.at, xref: "x", y0: 0, y1: 1, yref: "paper" });
     layout.shapes = plot.marks.map((mark) => ({
       type: "line", ...along(mark), line: { color: colour(mark.colour), width: 1.5, dash: "dash" },
-    })).concat(cursor(plot));
+    }));
     layout.annotations = plot.marks.map((mark, i) => {
       const log = (mark.level ? plot.y : plot.x).logarithmic;
       const at = log ? Math.log10(mark.at) : mark.at;

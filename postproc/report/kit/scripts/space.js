@@ -3,6 +3,7 @@
 // the pointer is found here: both are exact at once, where the library would have to draw its picture anew.
 const space = (() => {
   const NEAR = 10; // pixels from what is pointed at
+  const OBLIQUE = { eye: { x: -1.1, y: -1.5, z: 1.1 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.12 } };
   const LINES = 6; // of the box around, along its longest side
 
   // The library makes the texts of its own from pictures that it reads back: those are kept by the processor.
@@ -169,7 +170,7 @@ const space = (() => {
   // marks     () → what is drawn over it
   // points    () → { x, y, z, place, joined }: what can be pointed at, and the place that each is; or nothing
   // keys      what further keys do; camera, layout: where it is seen from at first, further layout
-  function add(view, { reach, unit, names = ["X", "Y", "Z"], traces, marks = () => [], points = null, keys = {}, camera, layout = {} }) {
+  function add(view, { reach, unit, names = ["X", "Y", "Z"], traces, marks = () => [], points = null, keys = {}, camera = OBLIQUE, layout = {} }) {
     let step = 1;
     let over = null;
     let drawn = false;
@@ -263,5 +264,5 @@ const space = (() => {
       });
     return [low, high];
   }
-  return { add, reach, round };
+  return { add, reach, round, OBLIQUE };
 })();
