@@ -26,7 +26,10 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
         parameter = parameters.named(name)
         assert (name if parameter is None else parameter.title) in read.text("parameters")
         if entry.ci95 is not None and entry.ci95 > 0.5 * abs(entry.value):
-            assert f"± {entry.ci95:.2g} {entry.unit} not by itself: wide" in read.text("parameters")
+            word = "only together with others" if entry.ci95 > abs(entry.value) else "barely known"
+            told = f"± {entry.ci95:.2g} {entry.unit.replace('urad', 'µrad')} {word}"
+            assert told in read.text("parameters")
+    assert "within its bound" in read.text("verdict")
     for entry in done.data.not_observable:
         assert f"{entry.name} is not observable" in read.text("to-know")
     assert ("structures" in read.ids) == (kind == "hard")

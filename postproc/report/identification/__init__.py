@@ -9,6 +9,7 @@ from postproc.report.identification import sections
 from postproc.report.kit import Note, Page, Section
 
 SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
+    sections.verdict,
     sections.summary,
     sections.to_know,
     sections.configurations,

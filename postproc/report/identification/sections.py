@@ -25,19 +25,44 @@ from postproc.report.kit import (
     Table,
     Tile,
     Tiles,
+    Verdict,
 )
+from postproc.report.kit.plots import Traced
 from postproc.robot import WITH_LINKS
 from postproc.robot.parameters import named
 
-_GOOD, _ROUGH = 0.1, 0.5
-"""Half width of an interval as a share of the value: up to the first well known, beyond the second not."""
+_GOOD, _ROUGH, _KNOWN = 0.1, 0.5, 1.0
+"""Half width of an interval as a share of the value: up to which it is well, roughly, and barely known."""
+_LEAST, _LARGE = 1e-3, 1e5
 _FLOOR_MM = 1e-5
 _SPRINGS = (
-    f"A hollow circle is the robot's prior value. {WITH_LINKS}: the intervals are of that sum. Springs "
-    "of links that lie alike in the chain are determined together, not one by one: each interval is wide, that of "
-    "their sum is not."
+    "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
+    f"{WITH_LINKS}: the intervals are of that sum. Springs of links that lie alike in the chain are determined "
+    "together, not one by one: each interval is wide, that of their sum is not."
 )
 _JOINTS = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
+
+
+def verdict(told: Identified) -> Section | None:
+    """Return whether the model may be used, and within which bound."""
+    if told.verdict is None:
+        return None
+    if told.verdict.refused:
+        reason = told.verdict.line.partition(": ")[2]
+        part = Verdict("failed", "Not to be trusted.", f"{reason[:1].upper()}{reason[1:].rstrip('.')}.")
+    else:
+        part = Verdict("ok", "May be used,", "within its bound.")
+    notes = [
+        Note(
+            f"On configurations left out, {level.load_N:.0f} N: {level.held_out_mm:.3f} mm RMS, of which "
+            f"{level.noise_mm:.3f} mm noise; 95 % of what the model does not explain is below {level.u95_mm:.3f} mm."
+        )
+        for level in told.discrepancy or ()
+    ]
+    if told.torque_Nm is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in told.torque_Nm)
+        notes.append(Note(f"The loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated."))
+    return Section("verdict", "Verdict", (part, *((Notes(tuple(notes), marked=True),) if notes else ())))
 
 
 def summary(told: Identified) -> Section | None:
@@ -45,18 +70,24 @@ def summary(told: Identified) -> Section | None:
     residual = told.residual
     if residual is None or told.parameters is None:
         return None
-    shares = [entry.share for entry in told.parameters.values()]
-    good = sum(share is not None and share <= _GOOD for share in shares)
-    rough = sum(share is not None and _GOOD < share <= _ROUGH for share in shares)
-    rest = len(shares) - good - rough
-    note = (
-        f"{rough} more to {_ROUGH * 100:.0f} %; {rest} not by themselves: prior value, or an interval as wide as that"
-    )
+    shares = [entry.share for entry in told.parameters.values() if entry.share is not None]
+    good, rough, known = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _KNOWN))
+    words = [
+        f"{good} to {_GOOD * 100:.0f} %",
+        f"{rough - good} more to {_ROUGH * 100:.0f} %",
+        *([f"{known - rough} barely"] if known > rough else []),
+        *([f"{len(shares) - known} only together with others"] if len(shares) > known else []),
+        *(
+            [f"{len(told.parameters) - len(shares)} not seen: prior value"]
+            if len(shares) < len(told.parameters)
+            else []
+        ),
+    ]
     gain = residual.before_rms_mm / max(residual.rms_mm, 1e-12)
     tiles = (
         Tile("Displacement under load, RMS", f"{residual.before_rms_mm:.3f}", "mm"),
         Tile("Left by the model on these readings, RMS", f"{residual.rms_mm:.3f}", "mm", f"{gain:.0f} times less"),
-        Tile(f"Parameters known to {_GOOD * 100:.0f} %", str(good), f"of {len(shares)}", note),
+        Tile("Parameters determined", str(known), f"of {len(told.parameters)}", "; ".join(words)),
     )
     return Section("summary", "What came of it", (Tiles(tiles),))
 
@@ -110,63 +141,74 @@ def parameters(told: Identified) -> Section | None:
 
 def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
     titles = [_title(name) for name in entries]
-    shown = [(row, entry) for row, entry in enumerate(entries.values()) if entry.share is not None]
+    shown = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
     priors = [
-        (row, entry.prior / entry.value - 1.0)
+        (row, abs(entry.prior / entry.value - 1.0))
         for row, entry in enumerate(entries.values())
-        if entry.prior is not None and entry.value
+        if entry.prior is not None and entry.value and entry.share is not None
     ]
-    texts = [f"{titles[row]}: {entry.value:.5g} ± {entry.ci95:.2g} {entry.unit}" for row, entry in shown]
+    least = min([_LEAST, *(share for _, share in shown)])
+    most = max([1.0, *(share for _, share in shown)])
+    texts = [f"{titles[row]}: known to {_percent(share)}" for row, share in shown]
+    traces: list[Traced] = [
+        Points(
+            [100.0 * min(max(off, least), most) for _, off in priors],
+            [float(row) for row, _ in priors],
+            "prior value off by",
+            "soft",
+            hollow=True,
+            texts=[f"{titles[row]}: prior value off by {_percent(off)}" for row, off in priors],
+        ),
+        Points(
+            [100.0 * share for _, share in shown],
+            [float(row) for row, _ in shown],
+            "half width of the interval",
+            "after",
+            texts=texts,
+        ),
+    ]
+    marks = [Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_GOOD, _KNOWN)]
     plot = Plot(
-        label="Half width of each interval in per cent of the value; the table has the numbers",
-        traces=[
-            Points(
-                [max(-0.6, min(0.6, share)) * 100.0 for _, share in priors],
-                [float(row) for row, _ in priors],
-                "prior value",
-                "soft",
-                hollow=True,
-            ),
-            Points(
-                [0.0] * len(shown),
-                [float(row) for row, _ in shown],
-                "value and interval",
-                "after",
-                half=[min(entry.share or 0.0, 1.0) * 100.0 for _, entry in shown],
-                across=True,
-                texts=texts,
-            ),
-        ],
-        x=Axis(title="off the value, %", range=(-60.0, 60.0)),
+        label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
+        traces=traces,
+        x=Axis(title="% of the value", logarithmic=True, range=(80.0 * least, 130.0 * most)),
         y=Axis(categories=titles),
+        marks=marks,
         height=90 + 22 * len(titles),
         note=note,
     )
     rows = tuple(
-        Row(
-            (
-                title,
-                "-" if entry.value is None else f"{entry.value:.5g}",
-                "prior" if entry.ci95 is None else f"± {entry.ci95:.2g}",
-                entry.unit,
-                _judged(entry),
-            )
-        )
-        for title, entry in zip(titles, entries.values(), strict=True)
+        Row((title, *_valued(entry), _judged(entry))) for title, entry in zip(titles, entries.values(), strict=True)
     )
     table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
     return plot, table
 
 
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
+
+
+def _valued(entry: Parameter) -> tuple[str, str, str]:
+    """Return value, interval and unit; large values in millions of it."""
+    large = entry.value is not None and abs(entry.value) >= _LARGE
+    scale, unit = (1e6, f"10⁶ {entry.unit}") if large else (1.0, entry.unit)
+    value = "-" if entry.value is None else f"{entry.value / scale:.5g}"
+    return value, "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}", unit.replace("urad", "µrad")
+
+
 def _judged(entry: Parameter) -> Cell:
-    kinds: tuple[tuple[float, str, Kind], ...] = ((_GOOD, "well known", "good"), (_ROUGH, "roughly known", ""))
+    kinds: tuple[tuple[float, str, Kind], ...] = (
+        (_GOOD, "well known", "good"),
+        (_ROUGH, "roughly known", ""),
+        (_KNOWN, "barely known", "warning"),
+    )
     share = entry.share
     if share is None:
         return Cell("not from these readings", "warning")
     for limit, text, kind in kinds:
         if share <= limit:
             return Cell(text, kind)
-    return Cell("not by itself: wide", "warning")
+    return Cell("only together with others", "warning")
 
 
 def _title(name: str) -> str:
@@ -196,7 +238,7 @@ def levels(told: Identified) -> Section | None:
         "compensator together (Eq. (4)). Levels are found with joint springs alone: flexible links and stiffening "
         "gears show in them too.",
     )
-    return Section("levels", "Equivalent compliance of joint 2 by level of q2", (plot,), "half")
+    return Section("levels", "Equivalent compliance of joint 2 by level of q2", (plot,))
 
 
 def structures(told: Identified) -> Section | None:

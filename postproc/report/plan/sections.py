@@ -24,27 +24,20 @@ from postproc.report.kit import (
 )
 from postproc.robot import JOINTS, WITH_LINKS
 
-_SMALL_MM = 0.01
 _GOOD = 0.1
 _BINS = 60
 
 
-def _unit(result: PlanResult) -> tuple[str, float]:
-    """Return mm, or µm where everything would be hundredths of a millimetre; and its factor."""
-    return ("mm", MM_PER_M) if result.accuracy.rms * MM_PER_M >= _SMALL_MM else ("µm", 1e6)
-
-
 def expected(result: PlanResult) -> Section:
     """Return what to expect of the plan."""
-    unit, factor = _unit(result)
-    low, high = (value * factor for value in result.accuracy.interval)
+    low, high = (value * MM_PER_M for value in result.accuracy.interval)
     uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2))
     tiles = [
         Tile(
             "After compensation, RMS",
-            f"{result.accuracy.rms * factor:.3g}",
-            unit,
-            f"95 %: {low:.3g} … {high:.3g} {unit}",
+            f"{result.accuracy.rms * MM_PER_M:.3g}",
+            "mm",
+            f"95 %: {low:.3g} … {high:.3g} mm",
         ),
         Tile("Without compensation, RMS", f"{uncompensated * MM_PER_M:.3g}", "mm"),
     ]
@@ -67,22 +60,21 @@ def comparison(result: PlanResult) -> Section | None:
     """Return the plan among random ones."""
     if not len(result.random):
         return None
-    unit, factor = _unit(result)
-    random = np.sqrt(result.random) * factor
-    own = float(np.sqrt(result.plan.value)) * factor
-    serial = None if result.serial is None else float(np.sqrt(result.serial.value)) * factor
+    random = np.sqrt(result.random) * MM_PER_M
+    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    serial = None if result.serial is None else float(np.sqrt(result.serial.value)) * MM_PER_M
     # some random plans are hopeless: the picture ends where 97 % of them are in
     top = max(float(np.quantile(random, 0.97)), serial or 0.0, own) * 1.05
     counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
     median = float(np.median(random))
     marks = [Mark(own, f"this plan {own:.3g}", "after"), Mark(median, f"median of random plans {median:.3g}", "before")]
     marks += [] if serial is None else [Mark(serial, f"semi-intuitive plan {serial:.3g}", "before")]
-    best = f"The best of {len(random)} random plans has {random.min():.3g} {unit}, this one {own:.3g} {unit}"
-    intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} {unit}"
+    best = f"The best of {len(random)} random plans has {random.min():.3g} mm, this one {own:.3g} mm"
+    intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} mm"
     plot = Plot(
         label="Histogram of the criterion of random plans; this plan is marked",
         traces=[Counts(edges.tolist(), counts.tolist(), "random plans")],
-        x=Axis(title=f"criterion (root: RMS distance that remains), {unit}", range=(0.0, top)),
+        x=Axis(title="criterion (root: RMS distance that remains), mm", range=(0.0, top)),
         y=Axis(title="plans"),
         marks=marks,
         note=f"{best}{intuitive}. Random plans: levels, poses and loads at random among those that can be measured. "
@@ -95,10 +87,9 @@ def sizes(result: PlanResult) -> Section | None:
     """Return the criterion against the number of poses."""
     if len(result.sizes) < 2:
         return None
-    unit, factor = _unit(result)
     number = [float(size.configurations) for size in result.sizes]
-    own = (np.sqrt([size.value for size in result.sizes]) * factor).tolist()
-    random = (np.sqrt([size.random for size in result.sizes]) * factor).tolist()
+    own = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
+    random = (np.sqrt([size.random for size in result.sizes]) * MM_PER_M).tolist()
     chosen = [(n, value) for n, value in zip(number, own, strict=True) if n == len(result.plan)]
     high = min(max(random), 4.0 * max(own)) * 1.05
     plot = Plot(
@@ -109,7 +100,7 @@ def sizes(result: PlanResult) -> Section | None:
             Points([n for n, _ in chosen], [v for _, v in chosen], "this plan", "ink", hollow=True),
         ],
         x=Axis(title="number of poses"),
-        y=Axis(title=unit, range=(0.0, high)),
+        y=Axis(title="mm", range=(0.0, high)),
         note="Other sizes by a shorter search, good to some per cent. Once the curve falls with the root of the number "
         "only, further poses merely average out noise.",
     )
@@ -129,7 +120,6 @@ def angles(result: PlanResult) -> Section:
 
 def tests(result: PlanResult) -> Section:
     """Return the test poses."""
-    unit, factor = _unit(result)
     order = np.argsort(-result.tests.weight, kind="stable")
     rows = tuple(
         Row(
@@ -138,12 +128,12 @@ def tests(result: PlanResult) -> Section:
                 f"{100 * result.tests.weight[row]:.1f}",
                 f"{np.linalg.norm(result.tests.wrench[row, :3]):.0f}",
                 f"{result.tests.deflection[row] * MM_PER_M:.3f}",
-                f"{result.accuracy.poses[row] * factor:.3g}",
+                f"{result.accuracy.poses[row] * MM_PER_M:.3g}",
             )
         )
         for place, row in enumerate(order, 1)
     )
-    head = ("Test pose", "Share, %", "Force, N", "Deflection, mm", f"Expected to remain, {unit}")
+    head = ("Test pose", "Share, %", "Force, N", "Deflection, mm", "Expected to remain, mm")
     note = f"They stand for all cutting moves (Σ w A₀ᵀA₀ agrees to {100 * result.represented:.2g} %)."
     table = Table(head, rows, "Test poses", sortable=True, note=note)
     return Section("tests", "Test poses: where it will be milled", (table,), "half")

@@ -22,12 +22,12 @@ def section(told: Deviation) -> Section | None:
     after = surface.after if told.compared else surface.before
     words = "with the program as written" if told.compared else "as it stands"
     tiles = [
-        Tile("Gouged before, at most", _depth(-surface.before[touched].min()), "mm"),
-        Tile("Left before, at most", _depth(surface.before[touched].max()), "mm"),
+        _depth("Gouged before, at most", -surface.before[touched].min()),
+        _depth("Left before, at most", surface.before[touched].max()),
     ]
     if told.compared:
-        tiles.append(Tile("Gouged after, at most", _depth(-after[touched].min()), "mm", "as the model predicts it"))
-        tiles.append(Tile("Left after, at most", _depth(after[touched].max()), "mm"))
+        tiles.append(_depth("Gouged after, at most", -after[touched].min(), "as the model predicts it"))
+        tiles.append(_depth("Left after, at most", after[touched].max()))
     if surface.bound is not None:
         tiles.append(Tile("To be expected (95 %), up to", millimetres(surface.bound[touched].max() * MM_PER_M), "mm"))
     share = 100.0 * _area(surface.corners[touched]) / _area(surface.corners)
@@ -38,8 +38,11 @@ def section(told: Deviation) -> Section | None:
     return Section("surface", "Surface of the part", tuple(parts))
 
 
-def _depth(value: float) -> str:
-    return millimetres(max(float(value) * MM_PER_M, 0.0))
+def _depth(label: str, value: float, note: str = "") -> Tile:
+    """Return the largest depth [m] below the surface, or height above it; negative: there is none."""
+    if value <= 0.0:
+        return Tile(label, "nothing", "", note)
+    return Tile(label, millimetres(float(value) * MM_PER_M), "mm", note)
 
 
 def _area(corners: np.ndarray) -> float:

@@ -18,8 +18,8 @@ const plots = (() => {
       x: x.flatMap((at) => [at, at, null]), y: low.flatMap((from, i) => [from, high[i], null]),
     }),
     bars: ({ lengths, texts, chosen }) => ({
-      type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), text: texts, textposition: "outside",
-      hoverinfo: "text", cliponaxis: false, marker: { color: chosen.map((is) => colour(is ? "after" : "rule")) },
+      type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), text: texts, textposition: "auto",
+      insidetextanchor: "start", textangle: 0, hoverinfo: "text", cliponaxis: false, marker: { color: chosen.map((is) => colour(is ? "after" : "rule")) },
     }),
     counts: ({ edges, counts, name, places }) => ({
       type: "bar", name, customdata: places, x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, marker: { color: colour("soft") },
@@ -72,6 +72,13 @@ const plots = (() => {
     });
   }
 
+  // Whether a place on x is in the right part of a plot: its text stands to the left, then.
+  function far({ x, traces }, at) {
+    const values = traces.flatMap((trace) => trace.edges ?? trace.lengths ?? trace.x ?? []);
+    const [low, high] = x.range ?? [Math.min(...values), Math.max(...values)];
+    return x.logarithmic ? Math.log(at / low) > 0.6 * Math.log(high / low) : at - low > 0.6 * (high - low);
+  }
+
   function figure(plot) {
     const square = plot.traces.some(({ type }) => type === "matrix");
     const layout = theme.layout({ showlegend: plot.traces.filter(({ name }) => name).length > 1 });
@@ -94,7 +101,7 @@ const plots = (() => {
       return {
         text: mark.text, showarrow: false, font: { color: colour(mark.colour) },
         ...(mark.level ? { x: 1, xref: "paper", xanchor: "right", y: at, yanchor: "bottom" }
-          : { x: at, xanchor: "left", y: 1 - 0.09 * i, yref: "paper", yanchor: "top" }),
+          : { x: at, xanchor: far(plot, mark.at) ? "right" : "left", y: 1 - 0.09 * i, yref: "paper", yanchor: "top" }),
       };
     });
     return [data, layout];
