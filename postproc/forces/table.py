@@ -20,6 +20,7 @@ _SIGMAS = tuple(f"s{name}" for name in WRENCH)
 """Columns of the standard deviations of the wrench."""
 _OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, "sigma_percent")
 _MOST_LINES = 1e9
+_SHOWN = 5
 
 
 class ForceTable(Struct, frozen=True, eq=False):
@@ -72,11 +73,15 @@ class ForceTable(Struct, frozen=True, eq=False):
         lines = np.sort(np.concatenate([program.motions.line, program.still]))
         empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
         if empty.any():
-            advice = f"{int(empty.sum())} such rows. Line numbers are those of the file, counted from 1, not N words."
-            name = program.documents[0].name
-            raise together(
-                ForceError(f"no motion starts on line {first} of {name}", file=self.file, line=row, advice=advice)
-                for first, row in zip(self.first[empty].tolist(), self.row[empty].tolist(), strict=True)
+            first, row = (values[empty].tolist() for values in (self.first, self.row))
+            others = ", ".join(str(line) for line in first[1 : 1 + _SHOWN])
+            more = f", nor on {others}{', …' if len(first) > 1 + _SHOWN else ''}: {len(first)} rows of {len(self.row)}"
+            raise ForceError(
+                f"no motion starts on line {first[0]} of {program.documents[0].name}{more if others else ''}",
+                file=self.file,
+                line=row[0],
+                advice="Line numbers are those of the file, counted from 1, not N words. A force file that was written "
+                "beside a corrected program is for that program, not for the one it was made from.",
             )
 
 

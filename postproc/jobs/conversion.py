@@ -96,6 +96,8 @@ def _result(
         else:
             result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
         found = process.found
+    if job.forces is None and job.process is None:
+        result = replace(result, issues=tuple(_with_file_beside(issue, job) for issue in result.issues))
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     result = marked(result, job, settings, cell)
@@ -105,6 +107,14 @@ def _result(
         note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
     return result, found
+
+
+def _with_file_beside(issue: Issue, job: Job) -> Issue:
+    """Return an issue that forces are missing with the name of a force file that lies beside the program."""
+    beside = job.program.with_name(f"{job.program.stem}.forces.csv")
+    if issue.kind != "no-force" or not beside.is_file():
+        return issue
+    return replace(issue, message=f"{issue.message} ({beside.name} lies beside: give --forces {beside})")
 
 
 def _contents(

@@ -274,3 +274,14 @@ def test_feed_axes_do_not_depend_on_which_axis_of_the_tool_frame_is_the_spindle(
     force = (10.0, 20.0, 30.0, 1.0, 2.0, 3.0)
     made = program(SQUARE, notes=[(2, force, "FEED")], orientation=np.stack(columns, axis=1))
     np.testing.assert_allclose(along(made, 1, 50, axis=axis), force, atol=1e-12)
+
+
+def test_rows_for_another_program_are_one_error_that_says_which_program_they_may_be_for(tmp_path):
+    """As with the file that lies beside a written program, given for the nominal one."""
+    path = write(tmp_path, "line,Fx,Fy,Fz\n" + "".join(f"{line},1,0,0\n" for line in (2, *range(900, 960))))
+    with pytest.raises(ForceError) as raised:
+        at_ends(program(SQUARE), forces.read(path))
+    told = str(raised.value)
+    assert told.count("no motion starts") == 1
+    assert "60 rows of 61" in told
+    assert "the one it was made from" in told
