@@ -27,7 +27,7 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
         assert (name if parameter is None else parameter.title) in read.text("parameters")
         if entry.ci95 is not None and entry.ci95 > 0.5 * abs(entry.value):
             word = "only together with others" if entry.ci95 > abs(entry.value) else "barely known"
-            told = f"± {entry.ci95:.2g} {entry.unit.replace('urad', 'µrad')} {word}"
+            told = f"± {entry.ci95:.2g} {entry.unit.replace('urad', 'µrad').replace('um/', 'µm/')} {word}"
             assert told in read.text("parameters")
     assert "within its bound" in read.text("verdict")
     for entry in done.data.not_observable:

@@ -193,7 +193,11 @@ def _valued(entry: Parameter) -> tuple[str, str, str]:
     large = entry.value is not None and abs(entry.value) >= _LARGE
     scale, unit = (1e6, f"10⁶ {entry.unit}") if large else (1.0, entry.unit)
     value = "-" if entry.value is None else f"{entry.value / scale:.5g}"
-    return value, "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}", unit.replace("urad", "µrad")
+    return (
+        value,
+        "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}",
+        unit.replace("urad", "µrad").replace("um/", "µm/"),
+    )
 
 
 def _judged(entry: Parameter) -> Cell:

@@ -3,7 +3,7 @@
 // the pointer is found here: both are exact at once, where the library would have to draw its picture anew.
 const space = (() => {
   const NEAR = 10; // pixels from what is pointed at
-  const OBLIQUE = { eye: { x: -1.1, y: -1.5, z: 1.1 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.12 } };
+  const OBLIQUE = { eye: { x: -1.42, y: -1.9, z: 1.4 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.12 } };
   const LINES = 6; // of the box around, along its longest side
 
   // The library makes the texts of its own from pictures that it reads back: those are kept by the processor.
