@@ -432,3 +432,30 @@ def test_a_called_file_that_cannot_be_followed_is_an_error_in_the_line_of_its_ca
     with pytest.raises(ProgramError, match="CUT changes what motions depend on at any time") as caught:
         read_files(files, tmp_path)
     assert caught.value.line == 8
+
+
+ALIASED = "DEF SUB(r)\r\nREAL r\r\nr=3\r\n{}\r\nEND\r\n"
+LINE_TO = "LIN {{X {},Y 1,Z 2,A 0,B 0,C 0}}"
+
+
+def test_a_variable_that_a_routine_also_knows_under_its_own_name_is_not_followed_under_two():
+    deep = f"DEF DEEP()\r\n{LINE_TO.format('Z')}\r\nEND\r\n"
+    for sub in (ALIASED.format(LINE_TO.format("Z")), ALIASED.format("DEEP()") + deep):
+        with pytest.raises(ProgramError, match="cannot be followed"):
+            read(body(FULL, "SUB(Z)") + sub, DATA)
+    with pytest.raises(ProgramError, match="K is changed"):
+        read(body(FULL, "SUB(Z)", "LIN P[K]") + ALIASED.format("K=Z"), DATA)
+    for inside in ("r", "r+1-1"):
+        program = read(body(FULL, "SUB(Z)", LINE_TO.format("Z")) + ALIASED.format(LINE_TO.format(inside)), DATA)
+        assert numbers(program)[:, 0].tolist() == [0, 3, 3]
+
+
+def test_a_global_point_is_corrected_by_numbers_where_another_file_uses_it(tmp_path):
+    files = files_of(["cut()", "LIN XG", "LIN XG"], "")
+    files["part.dat"] = DATA.replace("ENDDAT", "DECL GLOBAL E6POS XG={X 8,Y 3,Z 3,A 0,B 0,C 0}\r\nENDDAT")
+    files["cut.src"] = "DEF cut()\nLIN XG\nEND\n"
+    program = read_files(files, tmp_path)
+    out = krl.rewrite(program, targets(program, np.arange(12.0).reshape(4, 3) * 1e-3))
+    text = {document.name: document.text for document in out.documents}
+    assert "LIN {X 11.0000," in text["cut.src"]
+    assert "LIN XG_2" in text["part.src"]

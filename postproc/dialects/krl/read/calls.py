@@ -202,6 +202,8 @@ class Calls:
         roots = [self.run.stored(reference.name) for _, reference in written]
         if len(set(roots)) < len(roots) or any(root in effects.writes or root in RELEVANT for root in roots):
             return None  # one variable under two names
+        if roots and not self.run.analysis.names(module, routine).isdisjoint(roots):
+            return None  # the same
         if any(reference.element == "" for _, reference in written) or len(call.arguments) > len(routine.parameters):
             return None
         self.run.calls += 1

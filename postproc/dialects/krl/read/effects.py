@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 
 from msgspec import Struct, field
 
-from postproc.dialects.krl.language.names import DECLARING, RESERVED, STANDARD
+from postproc.dialects.krl.language.names import DECLARING, NAME, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import (
@@ -43,6 +43,7 @@ IMPORTED = re.compile(
 """A variable of a `.dat` under another name: both are written where one of them is."""
 _FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 _COMMAND = re.compile(r"BAS[ \t]*\([ \t]*(#\w+)", re.I | re.A)
+_COMPONENT_NAME = re.compile(r"(?<=[{,])[ \t]*[A-Za-z]\w*[ \t]*(?=[-+ \t(][^,{}()]*[,}])", re.ASCII)
 _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
 """System variables of which but one component matters, and which."""
 
@@ -111,6 +112,7 @@ class Analysis:
         self._direct: dict[Routine, _Direct] = {}
         self._all: dict[Routine, Effects] = {}
         self._noted: dict[Source, tuple[int, ...]] = {}
+        self._names: dict[Routine, frozenset[str]] = {}
 
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return what a routine may do, all that it calls included."""
@@ -122,6 +124,19 @@ class Analysis:
                 self._add_later(total, direct)
             self._all[routine] = total
         return self._all[routine]
+
+    def names(self, module: Module, routine: Routine) -> frozenset[str]:
+        """Return the names, as they are stored, of all variables in the code of a routine and of all that it calls."""
+        found: set[str] = set()
+        for where in self._reached([(module, routine)]):
+            if where[1] not in self._names:
+                source, scope = where[1].source, self.scope_of(*where)
+                lines = (source.text[slice(*source.code_span(line))] for line in where[1].lines)
+                words = {word.upper() for line in lines for word in NAME.findall(_COMPONENT_NAME.sub("", line))}
+                own = words - where[1].local
+                self._names[where[1]] = frozenset(scope.stored(word) for word in own)
+            found |= self._names[where[1]]
+        return frozenset(found)
 
     def noted(self, source: Source) -> tuple[int, ...]:
         """Return the lines of a file with force comments."""

@@ -89,7 +89,8 @@ class NamedPoints(Struct, eq=False):
         names: dict[str, str] = {}
         for use in uses:
             text = self.sources[0].text[use.operand.start : use.operand.stop]
-            if aggregate.source.index != 1 or len(self.sources) < 2 or not NAME.fullmatch(text):
+            away = self._away(use)  # there a new point would not be seen
+            if aggregate.source.index != 1 or len(self.sources) < 2 or away or not NAME.fullmatch(text):
                 self._replace(use)
                 continue
             declared = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
@@ -101,6 +102,11 @@ class NamedPoints(Struct, eq=False):
                 "The text of an inline form still names the old point."
             )
             self.issues.append(Issue("info", "new-point", message, use.line))
+
+    def _away(self, use: Use) -> bool:
+        """Return whether the motion of a use stands in another file than the program."""
+        source = self.sources[0]
+        return source.origin(source.line_at(use.operand.start)).source.document.name != source.document.name
 
     def _declare(self, name: str, literal: str, aggregate: Aggregate) -> str:
         """Declare a new point behind the line of another; return its name."""
