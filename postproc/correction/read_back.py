@@ -18,7 +18,8 @@ from postproc.toolpath import Segments
 from postproc.under_load import PathUnderLoad
 
 _PRINTED = 1e-6
-"""What printing may move a commanded pose by [m, rad]; the text has at least 1e-4 mm and 1e-5°."""
+"""What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
+1e-5° and 1e-3 mm/s."""
 
 
 class UnusableTextError(PostprocError):
@@ -94,6 +95,7 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     ):
         differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
         wrong |= differ[used, wanted]
+    wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRINTED  # of PTP it is NaN, which is not more
     wrong |= _carried_elsewhere(program, targets, written, row)
     if wrong.any():
         first = int(np.argmax(wrong))

@@ -49,18 +49,19 @@ class Axes(Struct, frozen=True, eq=False):
         return out
 
     def at_start(self, columns: Array, frame: Ints) -> Array:
-        """Return what acts at the start of motions: the columns (M, 2, 3, m) at the end of the motion before each.
+        """Return what acts at the start of motions: the columns (M, 2, 3, m) at the end at which each begins.
 
         :param frame: (M,) in which they are given there.
-        :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero before the first.
+        :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero at the start of the program.
         """
         m, bases = self.program.motions, self.program.bases
         ends = columns.copy()
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
         end = at(self.program, self.path, rows, np.ones(len(rows)))
         ends[rows] = self.into_base(columns[rows], frame[rows], end)
-        out = np.concatenate([np.zeros_like(ends[:1]), ends[:-1]])
-        changed = np.flatnonzero(np.diff(m.base)) + 1
-        turn = np.swapaxes(bases[m.base[changed], :3, :3], 1, 2) @ bases[m.base[changed - 1], :3, :3]
+        before = np.arange(len(m)) - 1 if self.program.after is None else self.program.after
+        out = np.where((before >= 0)[:, None, None, None], ends[before], 0.0)
+        changed = np.flatnonzero((before >= 0) & (m.base != m.base[before]))
+        turn = np.swapaxes(bases[m.base[changed], :3, :3], 1, 2) @ bases[m.base[before[changed]], :3, :3]
         out[changed] = np.einsum("nij,nhjm->nhim", turn, out[changed])
         return out

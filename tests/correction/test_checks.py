@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,24 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
     )
     assert result.failed
     assert {issue.kind for issue in result.issues if issue.level == "error"} == {"read-back"}
+    assert result.documents == ()
+
+
+def test_a_speed_that_the_text_does_not_say_is_told(monkeypatch):
+    from postproc.dialects.krl import write
+
+    honest = write.emit
+
+    def wrong(made, targets, *others):
+        feed = made.motions.feed.copy()
+        feed[-2] += 1e-4
+        return honest(replace(made, motions=replace(made.motions, feed=feed)), targets, *others)
+
+    monkeypatch.setattr(write, "emit", wrong)
+    result = correction.process(
+        program(FINE, notes=[(2, (0.0, 50.0, 90.0, 0, 0, 0))], orientation=DOWN), MODEL, CELL, mode="convert"
+    )
+    assert [issue.kind for issue in result.issues if issue.level == "error"] == ["read-back"]
     assert result.documents == ()
 
 

@@ -8,6 +8,7 @@ from postproc import cell as cells
 from postproc import correction, robot, toolpath
 from postproc.dialects import krl
 from postproc.dialects.text import decode
+from postproc.errors import ProgramError
 from postproc.program import CIRC
 from tests.correction.test_end_to_end import SAMPLES, check_targets, rows_of, simulator
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, read, targets
@@ -92,6 +93,32 @@ def test_inline_forms_name_the_modes_by_their_data():
     program = read(body(FULL, f"{circle}$CIRC_TYPE=SCIRC_TYP(LCPDAT1), $CIRC_MODE=SCIRC_M(LCPDAT1)"), data)
     assert program.with_path.tolist() == [False, True]
     assert program.layout.constant.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("circle", ["#BASE", "#PATH"])
+@pytest.mark.parametrize(("word", "short"), [("SCIRC", 100.0), ("SCIRC", 80.0), ("CIRC", 100.0)])
+def test_scirc_goes_by_the_auxiliary_point_which_way_the_tool_turns(word, short, circle):
+    def lines(auxiliary, end):
+        return (
+            "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}",
+            f"$CIRC_TYPE={circle}",
+            f"{word} {{X 50,Y -50,Z 0,A {auxiliary},B 0,C 180}},{{X 100,Y 0,Z 0,A {end},B 0,C 180}}",
+        )
+
+    # the path itself turns by 90° up to the auxiliary point and by 180° up to the end, counter-clockwise
+    along = (90.0, 180.0) if circle == "#PATH" else (0.0, 0.0)
+    near, far = along[0] + 0.5 * short + 40.0, along[0] + 0.5 * short + 180.0 + 40.0
+    end = along[1] + short
+    path = path_of(read(body(*lines(near, end))), (0.5,))[1, 0, :3, :3]
+    np.testing.assert_allclose(path, abc(0, 0, 0, along[0] + 0.5 * short, 0, 180)[:3, :3], atol=1e-12)
+    if word == "CIRC":
+        assert len(read(body(*lines(far, end))).motions) == 2
+        return
+    for data, point in ((None, "{X 50,Y -50,Z 0,A %g,B 0,C 180}"), ("DEFDAT part\nFRAME XM={%s}\nENDDAT\n", "XM")):
+        text, numbers = lines(far, end), f"X 50,Y -50,Z 0,A {far:g},B 0,C 180"
+        arc = f"scirc {point % far if data is None else point},{text[2].split('},')[1]}"
+        with pytest.raises(ProgramError, match="closer to the longer way round"):
+            read(body(*text[:2], arc), data and data % numbers)
 
 
 # --- writing -----------------------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,19 @@ def test_comment_force_is_modal_ramps_up_over_1_mm_and_down_in_the_rapid():
     np.testing.assert_allclose(along(made, 2, 50.0), [0, 200, 0, 0, 0, 0])
     np.testing.assert_allclose(along(made, 3, 0.75), [0, 50, 0, 0, 0, 0])
     np.testing.assert_allclose(along(made, 3, 5.0), np.zeros(6))
+
+
+def test_the_ramp_begins_with_what_acts_where_the_motion_begins():
+    """The third motion begins where the first ends: another branch than the second, under another base."""
+    lines = [("LIN", 100, 0, 0), ("LIN", 100, 50, 0), ("LIN", 100, 0, 40), ("LIN", 0, 0, 40)]
+    notes = [(1, (80.0, 0, 0, 0, 0, 0)), (2, (0.0, 0, 300.0, 0, 0, 0)), (3, (0.0, 40.0, 0, 0, 0, 0))]
+    made = program(lines, notes=notes)
+    turned = made.bases[0] @ frames.pose_from_xyzabc([0, 0, 0, 90, 0, 0])
+    motions = replace(made.motions, base=np.array([0, 0, 1, 1]))
+    made = replace(made, motions=motions, bases=np.stack([made.bases[0], turned]), after=np.array([-1, 0, 0, 2]))
+    # half of what acted there, −Y of the base turned by 90°, and half of its own
+    np.testing.assert_allclose(along(made, 2, 0.5), [0, -40 + 20, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(along(made, 2, 2.0), [0, 40, 0, 0, 0, 0], atol=1e-12)
 
 
 def test_on_a_segment_shorter_than_the_ramp_the_force_is_reached_at_its_end():

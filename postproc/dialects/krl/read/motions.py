@@ -14,6 +14,7 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.read.auxiliary_points import turned_the_longer_way
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
@@ -290,6 +291,14 @@ def _arcs(
             "the orientation changes on a circle with CA: where it is reached is not certain",
             int(line[turning][0]),
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
+        )
+    tools = start, ends.pose[circular]
+    longer = turned_the_longer_way(source, rows, circular, moves, tools, (centre[circular], axis, via, angle), led)
+    if longer.any():
+        raise source.line_error(
+            "the orientation of the auxiliary point is closer to the longer way round: SCIRC turns the tool that way",
+            int(line[longer][0]),
+            "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC.",
         )
     normal[circular] = np.where(angled, np.sign(own), 1.0)[:, None] * axis
     sweep[circular] = np.where(angled, np.abs(own), angle)
