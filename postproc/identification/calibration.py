@@ -195,7 +195,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     for label, base, free in variants:
         try:
             solution = _solve(base, nominal, name, data, free)
-        except PostprocError:  # a model that cannot carry its own weight
+        except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
             continue
         held = _held_out(solution, data)
         fits[label] = solution, held
@@ -370,11 +370,12 @@ def _with_geometry(
             told = intervals.setdefault((of_gear, parameter.joint), [])
             told.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
             table["source"] = f"{source} (95 %: {', '.join(told)})"
-    return msgspec.structs.replace(
-        content,
-        geometry=msgspec.convert(tables[False], dict[str, Displacement]),
-        transmission=msgspec.convert(tables[True], dict[str, TransmissionEntry]),
-    )
+    try:
+        geometry = msgspec.convert(tables[False], dict[str, Displacement])
+        transmission = msgspec.convert(tables[True], dict[str, TransmissionEntry])
+    except msgspec.ValidationError as cause:  # values beyond any arm: the readings do not hold the parameters
+        raise MeasurementError(f"the geometry cannot be found: {cause}", file="") from None
+    return msgspec.structs.replace(content, geometry=geometry, transmission=transmission)
 
 
 def report_data(result: Geometry) -> record.Geometry:

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
+from postproc.errors import MeasurementError
 from postproc.identification import Choices, calibration, geometry_folder, identify_folder
 from postproc.identification.model_folder import read_prior
 from postproc.identification.placement import kabsch
@@ -193,3 +194,11 @@ def test_too_few_configurations_are_refused(tmp_path):
     path.write_text("\n".join([rows[0], *(r for r in rows[1:] if int(r.split(",")[0]) <= 4)]) + "\n")
     with pytest.raises(Exception, match="Measure more configurations"):
         geometry_folder(path, tmp_path / "experiment.toml", tmp_path / "g")
+
+
+def test_a_geometry_beyond_any_arm_is_a_variant_that_is_left_out():
+    """Few readings let gear terms run away: such a fit is refused, and the others stand."""
+    content = read_prior(robot.find("kuka_kr270"), None, "")
+    parameters = (calibration.GeometryParameter("A1", "sin"),)
+    with pytest.raises(MeasurementError, match="geometry cannot be found"):
+        calibration._with_geometry(content, parameters, np.array([0.02]), "", None)
