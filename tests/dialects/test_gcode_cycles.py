@@ -1,5 +1,8 @@
 """Canned cycles, shifted program frames, tools and places of the machine."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -10,6 +13,7 @@ from postproc.cell import Frame, Machine
 from postproc.errors import ProgramError
 from postproc.program import LIN, PTP
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
+from tests.effort import calls_for_each
 from tests.oracle.rs274 import MACHINE, assert_same_moves, canonical, needs_rs274
 
 HEAD = "G21 G90 G17 G98 G0 X0 Y0 Z9 F60\n"
@@ -55,14 +59,20 @@ def holes(draw: st.DrawFn) -> str:
         code = draw(st.sampled_from([81, 82, 83, 73, 85, 86, 89, *taps]))
         lines.append("G90 G0 X0 Y0 Z" + number(-40, 80))
         depth, r = (number(-60, -8), number(-30, 30)) if relative else (number(-60, -8), number(0, 60))
-        more = {82: f"P{number(1, 9)}", 83: f"Q{number(3, 30)}", 73: f"Q{number(3, 30)}", 86: "P1", 89: "P.5"}.get(
-            code, ""
-        )
+        # G84 of rs274 takes the P of a cycle before
+        more = {
+            82: f"P{number(1, 9)}",
+            83: f"Q{number(3, 30)}",
+            73: f"Q{number(3, 30)}",
+            86: "P1",
+            89: "P.5",
+            84: "P0",
+        }.get(code, "")
         lines.append(f"{'G91' if relative else 'G90'} {draw(st.sampled_from(['G98', 'G99']))} G{code} "
                      f"{plane[0]}{number(-80, 80)} {across}{depth} R{r} {more}")  # fmt: skip
-        for _ in range(draw(st.integers(0, 3))):
+        for _ in range(draw(st.integers(0, 6))):
             extra = draw(
-                st.sampled_from(["", "", " L2", " G98", " G99", f" R{number(0, 30)}", f" {across}{number(-60, -8)}"])
+                st.sampled_from([*[""] * 9, " L2", " G98", " G99", f" R{number(0, 30)}", f" {across}{number(-60, -8)}"])
             )
             lines.append(f"{draw(st.sampled_from(plane))}{number(-80, 80)}{extra}")
         lines.append(draw(st.sampled_from(["G80", "G0 X1", "G1 X1"])))
@@ -74,6 +84,14 @@ def holes(draw: st.DrawFn) -> str:
 @given(holes())
 def test_random_holes_have_the_moves_of_rs274(text: str) -> None:
     assert_same_moves(read(text), canonical(text), 1.0, digits=1e-4)
+
+
+def test_rows_of_holes_are_read_in_bulk() -> None:
+    def work(count: int) -> Callable[[], object]:
+        lines = (f"X{n % 40} Y{n % 30}\n" for n in range(count))
+        return partial(read, f"{HEAD}G83 X1 Y1 Z-5 R2 Q2\n{''.join(lines)}G80\nM2\n")
+
+    assert calls_for_each(work) < 0.5  # hole by hole: 50
 
 
 def test_a_cycle_stops_at_its_bottoms() -> None:

@@ -43,12 +43,14 @@ class Cycle:
     """The words of a cycle as they hold, and the initial level.
 
     :ivar words: letter → number: Z and R in mm as programmed, P in s, Q in mm.
+    :ivar lifts: True where the tool goes up to R before it goes to a hole.
     """
 
     def __init__(self) -> None:
         self.code = 0.0
         self.words: dict[str, float] = {}
         self.level: float | None = None
+        self.lifts = False
 
     def end(self) -> None:
         """End a row of cycles: the next one begins anew."""
@@ -86,7 +88,8 @@ class Cycle:
             raise BlockError(f"R of the cycle is below its bottom: {r:.4f} mm, {z:.4f} mm", None)
         steps: list[Step] = []
         done: list[CycleEvent] = []
-        if self.level < r:
+        self.lifts = self.level < r
+        if self.lifts:
             steps.append(Step(0.0, (u, v, r)))
             height = r
         clear = r if to_r else max(self.level, r)

@@ -17,7 +17,7 @@ from msgspec import Struct
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.blocks import BlockError
-from postproc.dialects.gcode.cycles import Cycle, CycleEvent
+from postproc.dialects.gcode.cycles import Cycle, CycleEvent, Step
 from postproc.dialects.gcode.line_states import LineStates, held, in_force
 from postproc.dialects.gcode.modes import Modes
 from postproc.dialects.gcode.places import Origin, Return
@@ -195,43 +195,80 @@ class _Walk:
         return np.stack([before, after], axis=1)
 
     def _drill(self, begin: int, end: int) -> None:
-        rows = self.rows
+        """Take lines with cycles: where lines name nothing but the next hole, all holes after the second are alike."""
         self._check_drilling(begin, end)
         spindle = self._spindle(begin, end)
-        places: list[tuple[float, float, float]] = []
-        row_of: list[int] = []
-        codes_of: list[float] = []
-        start = self.position
-        for row in range(begin, end):
-            axes = PLANE_AXES[float(rows.plane[row])]
-            at = tuple(self.position[list(axes)].tolist())
-            xyz = rows.xyz[row]
-            given = dict(zip("UVZ", xyz[list(axes)].tolist(), strict=True))
-            given |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
-            given = {letter: value for letter, value in given.items() if value == value}
-            relative = bool(rows.incremental[row])
-            try:
-                steps, done = self.cycle.hole(
-                    float(rows.motion[row]), given, at, (relative, bool(rows.to_r[row])), spindle[row - begin]
-                )
-            except BlockError as cause:
-                self.faults.append((row, *cause.args))
-                continue
-            first = self.number + len(places)
-            self.done += [(first + one.behind, row, one) for one in done]
-            for n, step in enumerate(steps):
-                place = [0.0, 0.0, 0.0]
-                for axis, value in zip(axes, step.end, strict=True):
-                    place[axis] = value
-                places.append((place[0], place[1], place[2]))
-                if step.bottom:
-                    self.bottoms.append(first + n)
-            row_of += [row] * len(steps)
-            codes_of += [step.code for step in steps]
-            self.position = np.array(places[-1])
-        if places:
-            after = np.array(places)
-            self._add(np.array(row_of), np.array(codes_of), np.concatenate([start[None], after[:-1]]), after)
+        alike = self._alike(begin, end, spindle)
+        others = np.append(np.flatnonzero(~alike), end - begin) + begin
+        row, drilled = begin, False
+        while row < end:
+            steps, done = self._hole(row, spindle[row - begin])
+            second = drilled and bool(alike[row - begin])
+            row, drilled = row + 1, bool(steps)
+            if second and drilled:
+                stop = int(others[np.searchsorted(others, row)])
+                self._holes(row, stop, steps, done)
+                row = stop
+
+    def _alike(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
+        """Return which lines (n,) only say where the next hole is, all else being as on the line before."""
+        rows = self.rows
+        out = np.append(False, np.array(spindle[1:]) == spindle[:-1])
+        for state in (rows.motion, rows.plane, rows.to_r):
+            out[1:] &= state[begin + 1 : end] == state[begin : end - 1]
+        across = PLANE_AXES[float(rows.plane[begin])][2]
+        for words in (rows.xyz[:, across], rows.radius, rows.turns, rows.pecks, rows.repeats):
+            out &= np.isnan(words[begin:end])
+        return out
+
+    def _hole(self, row: int, spindle: EventKind) -> tuple[list[Step], list[CycleEvent]]:
+        """Take one line with a cycle; return what it does: nothing where it cannot be drilled."""
+        rows = self.rows
+        axes = list(PLANE_AXES[float(rows.plane[row])])
+        given = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
+        given |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
+        given = {letter: value for letter, value in given.items() if value == value}
+        modes = bool(rows.incremental[row]), bool(rows.to_r[row])
+        u, v, height = self.position[axes].tolist()
+        try:
+            steps, done = self.cycle.hole(float(rows.motion[row]), given, (u, v, height), modes, spindle)
+        except BlockError as cause:
+            self.faults.append((row, *cause.args))
+            return [], []
+        places = np.empty((len(steps), 3))
+        places[:, axes] = [step.end for step in steps]
+        self._drilled(np.full(len(steps), row), places, steps, done)
+        return steps, done
+
+    def _holes(self, row: int, stop: int, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
+        """Take lines that say but where the next hole is; `steps` and `done` are those of the hole before."""
+        axes = PLANE_AXES[float(self.rows.plane[row - 1])]
+        places = np.empty((stop - row, len(steps), 3))
+        places[:, :, axes[2]] = [step.end[2] for step in steps]
+        for axis in axes[:2]:
+            words = self.rows.xyz[row:stop, axis]
+            if self.rows.incremental[row - 1]:
+                at = self.position[axis] + np.cumsum(np.nan_to_num(words))
+            else:
+                at = held(words, self.position[axis])
+            places[:, :, axis] = at[:, None]
+            if self.cycle.lifts:
+                places[:, 0, axis] = np.append(self.position[axis], at[:-1])
+        self._drilled(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, done)
+
+    def _drilled(self, row: Ints, places: Array, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
+        """Take the moves (n,) of holes, of which each has the same steps."""
+        if not len(row):
+            return
+        first = np.arange(self.number, self.number + len(row), len(steps))
+        if done:
+            holes = zip(first.tolist(), row[:: len(steps)].tolist(), strict=True)
+            self.done += [(begin + one.behind, at, one) for begin, at in holes for one in done]
+        bottom = [n for n, step in enumerate(steps) if step.bottom]
+        self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
+        begin = np.concatenate([self.position[None], places[:-1]])
+        self._add(row, np.tile([step.code for step in steps], len(first)), begin, places)
+        self.position = places[-1].copy()
 
     def _check_drilling(self, begin: int, end: int) -> None:
         """See that no rotary axis turns in some lines with cycles, and that the tool points along the hole."""
