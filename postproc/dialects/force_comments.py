@@ -17,10 +17,10 @@ _DECIMALS = np.array([3, 3, 3, 4, 4, 4])
 _BASE = FORCE_FRAMES.index("BASE")
 
 
-def rounded(forces: TargetForces) -> Array:
-    """Return the wrenches (K, 6) as they are printed."""
+def rounded(wrench: Array) -> Array:
+    """Return wrenches (n, 6) as they are printed."""
     scale = 10.0**_DECIMALS
-    return np.asarray(np.rint(forces.wrench * scale) / scale + 0.0)
+    return np.asarray(np.rint(wrench * scale) / scale + 0.0)
 
 
 def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNote], start: float) -> Bools:
@@ -34,7 +34,7 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     rows = np.flatnonzero(kind != PTP)
     if not len(rows):
         return out
-    wanted = np.column_stack([forces.frame, rounded(forces)])[rows]
+    wanted = np.column_stack([forces.frame, rounded(forces.wrench)])[rows]
     state = np.concatenate([np.full((1, 7), start), wanted[:-1]])
     fresh = np.flatnonzero(np.diff(note[rows], prepend=-1) != 0)
     if len(fresh):
@@ -50,7 +50,7 @@ def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> l
 
     :param comment: what comments begin with.
     """
-    wrench, frame = rounded(forces)[rows] if len(rows) else np.zeros((0, 6)), forces.frame[rows]
+    wrench, frame = rounded(forces.wrench[rows]), forces.frame[rows]
     acts = shown & wrench.any(axis=1)
     turns = acts & wrench[:, 3:].any(axis=1)
     parts: list[Part] = [where(comment + b"FORCE OFF", shown & ~acts), where(comment + b"FORCE", acts)]

@@ -38,9 +38,9 @@ class Routine(Struct, frozen=True, eq=False):
     :param public: True for GLOBAL.
     :param first: line of DEF.
     :param last: line of END.
-    :param lines: those with code between, plain motions left out.
-    :param plain: lines of plain motions, in order.
-    :param settings: those of `lines` that are plain settings.
+    :param plain: lines of plain motions between, in order.
+    :param settings: lines of plain settings.
+    :param others: other lines with code.
     :param local: names that it declares, parameters included.
     """
 
@@ -50,10 +50,15 @@ class Routine(Struct, frozen=True, eq=False):
     public: bool
     first: int
     last: int
-    lines: tuple[int, ...]
     plain: Sequence[int]
     settings: Sequence[int]
+    others: Sequence[int]
     local: frozenset[str]
+
+    @property
+    def lines(self) -> Sequence[int]:
+        """Lines with code between, plain motions left out."""
+        return sorted([*self.others, *self.settings]) if self.settings else self.others
 
     @property
     def motion(self) -> int:
@@ -148,8 +153,8 @@ def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int], setti
         begun.public,
         begun.line,
         line,
-        tuple(sorted([*begun.lines, *settings])) if settings else tuple(begun.lines),
         plain,
         settings,
+        begun.lines,
         frozenset(local),
     )

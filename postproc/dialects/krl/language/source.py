@@ -56,6 +56,10 @@ class Source(Struct, frozen=True, eq=False):
             return Place(self, line)
         return Place(self.origins.sources[self.origins.source[line - 1]], int(self.origins.line[line - 1]))
 
+    def own(self, line: Ints) -> Ints:
+        """Return the lines of their files that lines (n,) come from."""
+        return line if self.origins is None else self.origins.line[line - 1]
+
     def shown(self, line: Ints) -> Ints:
         """Return the lines of the program's own `.src` that stand for lines (n,)."""
         return line if self.origins is None else self.origins.shown[line - 1]

@@ -53,17 +53,18 @@ def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, 
                 stands = source.origin(int(lines[inside][0]))
                 lost[step.last] = f"a force comment stands in what stays as it is ({stands})"
                 places, lines = places[~inside], lines[~inside]
-    before = np.searchsorted(motions, lines).tolist()
+    before, own = np.searchsorted(motions, lines).tolist(), source.own(lines).tolist()
+    stops = source.stops[lines - 1].tolist()
     parsed: dict[str, ForceNote | None] = {}
     notes = []
-    for place, line, row in zip(places.tolist(), lines.tolist(), before, strict=True):
-        comment = text[place + 1 : int(source.stops[line - 1])]
-        origin = source.origin(line)
+    for place, stop, line, shown, row in zip(places.tolist(), stops, lines.tolist(), own, before, strict=True):
+        comment = text[place + 1 : stop]
         if comment not in parsed:
+            origin = source.origin(line)
             parsed[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
         note = parsed[comment]
         if note is not None:
-            notes.append((line, ForceNote(origin.line, note.wrench, note.frame, row)))
+            notes.append((line, ForceNote(shown, note.wrench, note.frame, row)))
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not lost:
         return notes

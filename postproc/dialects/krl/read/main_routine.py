@@ -47,8 +47,8 @@ def course_of(
     trace = Trace(main)
     taken = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
     flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
-    others = np.setdiff1d(main.lines, main.settings).tolist()
-    nodes = nodes_of(main.source, _one_by_one(main.source, others, np.array(main.settings))[0])
+    given = np.array(main.settings, dtype=np.int64)
+    nodes = nodes_of(main.source, _one_by_one(main.source, main.others, given)[0])
     checked(main.source, nodes)
     if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
@@ -109,7 +109,7 @@ class MainRoutine:
         self._broken: set[str] = set()
         self._refused: set[int] = set()
         self._plain, self._given = plain.moving, plain.settings
-        self._lines = np.setdiff1d(main.lines, main.settings).tolist() if course.straight else _others(course, plain)
+        self._lines = main.others if course.straight else _others(course, plain)
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Follow the course.
@@ -148,20 +148,20 @@ class MainRoutine:
         if errors:
             raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
 
-    def _between(self, step: Lines | Kept) -> tuple[list[int], Ints]:
+    def _between(self, step: Lines | Kept) -> tuple[Sequence[int], Ints]:
         """Return the lines of a step that are not plain, and those that are settings."""
         lines, given = self._lines, self._given.line
         own = given[np.searchsorted(given, step.first) : np.searchsorted(given, step.last, "right")]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], own
 
-    def _come_to_settings(self) -> dict[Lines, list[int]]:
+    def _come_to_settings(self) -> dict[Lines, Sequence[int]]:
         """Have plain settings come into force where they stand; return the lines that are run one by one."""
-        found, free = {}, [np.zeros(0, dtype=np.int64)]
+        found, free = {}, np.zeros(len(self.run.source.starts) + 1, dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
                 found[step], own = _one_by_one(self.run.source, *self._between(step))
-                free.append(own)
-        self.run.settings.coming = Coming(self._given.take(np.isin(self._given.line, np.concatenate(free))))
+                free[own] = True
+        self.run.settings.coming = Coming(self._given.take(free[self._given.line]))
         return found
 
     def _run(self, step: Lines, lines: Sequence[int]) -> None:
@@ -288,7 +288,7 @@ class MainRoutine:
             self.motions.add(move, state)
 
 
-def _one_by_one(source: Source, lines: list[int], settings: Ints) -> tuple[list[int], Ints]:
+def _one_by_one(source: Source, lines: Sequence[int], settings: Ints) -> tuple[Sequence[int], Ints]:
     """Return the lines that are run one by one: those given and settings in control structures; and other settings."""
     free = outside(source, lines, settings)
     return (lines if free.all() else sorted([*lines, *settings[~free].tolist()])), settings[free]

@@ -59,20 +59,25 @@ def no_settings() -> PlainSettings:
 def scan(source: Source) -> PlainSettings:
     """Return the plain assignments of a document, wherever they stand."""
     text = source.text
-    found = [(match.start(), match[1], match[2]) for match in _SETTING.finditer(text)]
-    if not found:
+    starts, names, numbers = [], [], []
+    for match in _SETTING.finditer(text):
+        starts.append(match.start())
+        names.append(match[1])
+        numbers.append(match[2])
+    if not starts:
         return no_settings()
-    line = np.searchsorted(source.starts, [start for start, _, _ in found], side="right")
-    begins = source.starts[line - 1].tolist()
-    values = np.full((len(NUMBERS), len(found)), np.nan)
-    plain = np.ones(len(found), dtype=np.bool_)
-    for index, ((start, name, number), begin) in enumerate(zip(found, begins, strict=True)):
-        if begin != start and text[begin:start].strip(" \t"):
-            plain[index] = False
-        elif name is not None:
-            value, distance = float(number), name[0] in "Aa"
-            plain[index] = distance or 0.0 < value <= FASTEST
-            values[int(distance), index] = value * M_PER_MM if distance else value
+    place = np.array(starts)
+    line = np.searchsorted(source.starts, place, side="right")
+    begin = source.starts[line - 1]
+    values = np.full((len(NUMBERS), len(starts)), np.nan)
+    speed = np.array([name is not None and name[0] in "Vv" for name in names])
+    distance = np.array([name is not None and name[0] in "Aa" for name in names])
+    value = np.array([0.0 if number is None else float(number) for number in numbers])
+    values[0, speed] = value[speed]
+    values[1, distance] = value[distance] * M_PER_MM
+    plain = ~speed | ((value > 0.0) & (value <= FASTEST))
+    for index in np.flatnonzero(begin != place).tolist():
+        plain[index] &= not text[begin[index] : starts[index]].strip(" \t")
     return PlainSettings(line[plain], values[:, plain])
 
 

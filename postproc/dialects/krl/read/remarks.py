@@ -17,24 +17,28 @@ _OF_THE_EDITOR = re.compile(
 )
 """Forces, our own line, and what KUKA's editor writes."""
 _FOLD = re.compile(r"\A;\s*(?:FOLD\b)?\s*", re.IGNORECASE)
+_BLANKS = " \t"
 _MOST = 2000
 """Of more comments than this none names an operation."""
 
 
 def remarks(source: Source, motions: Ints) -> tuple[Event, ...]:
     """Return the comments of a file, each before the first motion (M,), by its line, that is behind it."""
-    text, found = source.text, [*_COMMENT.finditer(source.text)]
-    place = np.array([match.start() for match in found], dtype=np.int64)
-    lines = np.searchsorted(source.starts, place, side="right")
-    starts = source.starts[lines - 1].tolist()
-    alone = [k for k, start in enumerate(starts) if not text[start : found[k].start()].strip(" \t")]
-    if len(alone) > _MOST:
+    text = source.text
+    starts = np.array([match.start() for match in _COMMENT.finditer(text)], dtype=np.int64)
+    lines = np.searchsorted(source.starts, starts, side="right")
+    begins = source.starts[lines - 1]
+    alone = begins == starts
+    behind = np.flatnonzero(~alone)
+    for k, begin, start in zip(behind.tolist(), begins[behind].tolist(), starts[behind].tolist(), strict=True):
+        alone[k] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
+    if np.count_nonzero(alone) > _MOST:
         return ()
     out = []
-    for k in alone:
-        name = _FOLD.sub("", found[k][0]).strip(" \t-=*")
-        if name and not _OF_THE_EDITOR.match(found[k][0].rstrip()):
-            line = int(lines[k])
+    for start, line in zip(starts[alone].tolist(), lines[alone].tolist(), strict=True):
+        comment = _COMMENT.match(text, start)
+        name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
+        if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
             shown = int(source.shown(np.array([line]))[0])
             out.append(Event(int(np.searchsorted(motions, line)), "comment", shown, 0.0, name))
     return tuple(out)
