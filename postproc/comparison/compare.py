@@ -18,10 +18,10 @@ from postproc.comparison.curves import SAME_FRAME, Curves
 from postproc.comparison.pairing import Track, partners
 from postproc.comparison.result import Comparison, Cuts
 from postproc.errors import ForceError, Issue, NotConvergedError, ProgramError, group_issues
-from postproc.forces import ForceSource
+from postproc.forces import ForceSource, PathForces
 from postproc.frames import MM_PER_M, Array, norm, twist_between
-from postproc.kinematics import UnreachableError
-from postproc.program import CIRC, PTP, Bools, Ints, Program
+from postproc.kinematics import JointPath, UnreachableError
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program
 from postproc.robot import RobotModel
 from postproc.toolpath import Segments
 from postproc.under_load import RobotInCell
@@ -34,6 +34,8 @@ _MOST_MOVED = 200
 """Targets beside the path that are asked whether they were moved: where there are more, another program is meant."""
 _SETTLING, _AHEAD = 4, 1e-3
 """Rounds in which the nearest place of the path is found, and the share of it that its direction is taken over."""
+_BEYOND = 5e-6
+"""By how much more than the tolerance an arc's middle must be off, more than its ends, to be told [m]."""
 _SAME_LENGTH = 1e-5
 """So are places of the axis that carries the robot, and approximation distances [m]."""
 
@@ -68,9 +70,9 @@ def compare(
         off = _deviation(place, nominal, found.pair[:, 0], one.joints[found.pair[:, 0]], wrench)
     cuts = _cuts(found, place, other, wrench, off) if told_by_nominal or corrected.notes else None
     if cuts is not None and told_by_nominal:
-        cuts = replace(cuts, **_between(found, place, one, other, source))
-    differences = [*_differences(found), *_astray(found)]
-    return replace(found, cuts=cuts, issues=group_issues(differences))
+        cuts = _between(found, cuts, place, one, other, source)
+    found = replace(found, cuts=cuts)
+    return replace(found, issues=group_issues([*_differences(found), *_astray(found)]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,18 +82,21 @@ class _Side:
     :param path: the geometry of its motions.
     :param rows: (n,) motions with a Cartesian target.
     :param joints: (M, 6) joint angles at the ends of the motions [rad].
+    :param branch: (M,) the branch of the inverse kinematics that they are on.
     """
 
     program: Program
     path: Segments
     rows: Ints
     joints: Array
+    branch: Ints
 
     @classmethod
     def of(cls, program: Program, place: RobotInCell) -> _Side:
         m = program.motions
         path = toolpath.segments(program, place.start_flange)
-        return cls(program, path, np.flatnonzero(np.isnan(m.joints[:, 0])), _joints(program, place))
+        ends = _ends(program, place)
+        return cls(program, path, np.flatnonzero(np.isnan(m.joints[:, 0])), ends.q, ends.branch)
 
     def track(self, place: RobotInCell, offset: Array) -> Track:
         """Return the Cartesian targets as they stand in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
@@ -209,18 +214,33 @@ def _astray(found: Comparison) -> Iterator[Issue]:
     """
     if not len(found.pair):
         return
+    line = found.corrected.motions.line
     allowed = _OFF_PATH + _BESIDE * np.maximum(found.distance, np.roll(found.distance, 1))
     follows = np.diff(found.pair[:, 0], prepend=-2) == 1
-    bad = np.flatnonzero(follows & (np.nan_to_num(found.between) > allowed))
+    far = follows & (np.nan_to_num(found.between) > allowed)
+    bad = np.flatnonzero(far)
+    look = " Look at the auxiliary point of its arc."
     if len(bad):
         worst = bad[np.argmax(found.between[bad])]
         arc = CIRC in found.corrected.motions.kind[found.pair[worst - 1, 1] + 1 : found.pair[worst, 1] + 1]
         message = (
             f"line {found.corrected_line[worst]} of the corrected program: it runs "
-            f"{found.between[worst] * MM_PER_M:.4f} mm beside the nominal path before this target."
-            + (" Look at the auxiliary point of its arc." if arc else "")
+            f"{found.between[worst] * MM_PER_M:.4f} mm beside the nominal path before this target." + look * arc
         )
         yield _issue(found, "between", message, worst, len(bad))
+    if found.cuts is None:
+        return
+    row, off = (values[len(found.inserted) :] for values in (found.cuts.row, found.cuts.between_corrected))
+    pair = np.searchsorted(found.pair[:, 1], row)
+    alone = np.flatnonzero(~far[pair])
+    if len(alone):
+        worst = alone[np.argmax(off[alone])]
+        message = (
+            f"line {line[row[worst]]} of the corrected program: under the forces given it leaves "
+            f"{off[worst] * MM_PER_M:.4f} mm to the nominal path before this target." + look
+        )
+        lines = int(found.nominal_line[pair[worst]]), int(line[row[worst]])
+        yield Issue("warning", "between", message, *lines, count=len(alone))
 
 
 def _deviation(
@@ -262,27 +282,73 @@ def _cuts(found: Comparison, place: RobotInCell, other: _Side, wrench: Array, no
     corrected = _deviation(place, found.nominal, first, other.joints[two], wrench, (other.program, two))
     rotation = found.nominal.bases[found.nominal.motions.base[first], :3, :3]
     turned = np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
-    return Cuts(turned, nominal, corrected, np.zeros(0), np.zeros(0))
+    return Cuts(turned, nominal, corrected, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 
 def _between(
-    found: Comparison, place: RobotInCell, one: _Side, other: _Side, source: ForceSource | None
-) -> dict[str, Array]:
-    """Return how far from the nominal path the loaded tip would stand at inserted targets, by both programs (I,) [m].
+    found: Comparison, cuts: Cuts, place: RobotInCell, one: _Side, other: _Side, source: ForceSource | None
+) -> Cuts:
+    """Return the cuts with what the loaded tip would leave at inserted targets, and on arcs that are sent astray.
+
+    Those are told by their middle, where it is farther from the nominal path than the ends by more than the tolerance.
+    """
+    load = forces.along(one.program, one.path, source, place.spindle, place.ramp)
+    row = found.inserted
+    inserted = _left(found, place, one, other, load, (row, np.ones(len(row)), other.joints[row]))
+    at_end = np.zeros(len(other.program.motions))
+    at_end[found.pair[:, 1]], at_end[row] = norm(cuts.corrected), inserted[1]
+
+    arc, half, q = _middles(found, place, other)
+    middle = in_chunks(lambda *places: _left(found, place, one, other, load, places), arc, half, q)
+    astray = middle[1] > np.maximum(at_end[arc], at_end[arc - 1]) + place.tolerance + _BEYOND
+    nominal, corrected = (np.append(ends, off[astray]) for ends, off in zip(inserted, middle, strict=True))
+    return replace(cuts, row=np.append(row, arc[astray]), between_nominal=nominal, between_corrected=corrected)
+
+
+def _middles(found: Comparison, place: RobotInCell, other: _Side) -> tuple[Ints, Array, Array]:
+    """Return the middles of the second program's arcs between pairs that follow one another: motion, t, joint angles.
+
+    Left out are arcs in rapid moves or splines of the nominal program, whose path there is not known.
+    """
+    m, kind = other.program.motions, found.nominal.motions.kind
+    arc = np.flatnonzero(m.kind == CIRC)
+    behind = np.searchsorted(found.pair[:, 1], arc)
+    arc, behind = arc[(behind > 0) & (behind < len(found.pair))], behind[(behind > 0) & (behind < len(found.pair))]
+    motion, before = found.pair[behind, 0], found.pair[behind - 1, 0]
+    arc = arc[(motion - before == 1) & ~np.isin(kind[motion], (PTP, SPL)) & ~found.rapid[behind]]
+    half = np.full(len(arc), 0.5)
+
+    def joints(arc: Ints, half: Array) -> tuple[Array]:
+        pose = toolpath.at(other.program, other.path, arc, half).pose
+        flange = toolpath.flange_from_tcp(other.program, arc, pose, half)
+        return (kinematics.on_branch(place.robot, flange, other.branch[arc]),)
+
+    q = in_chunks(joints, arc, half)[0]
+    reached = np.isfinite(q).all(axis=1)
+    return arc[reached], half[reached], q[reached]
+
+
+def _left(
+    found: Comparison, place: RobotInCell, one: _Side, other: _Side, load: PathForces, places: tuple[Ints, Array, Array]
+) -> tuple[Array, Array]:
+    """Return how far from the nominal path the loaded tip would stand between pairs, by both programs (n,) [m].
 
     The nominal program stands there nearly as the corrected one does: the same deflection, from the path itself.
+
+    :param load: the forces along the nominal program.
+    :param places: motions of the second program (n,), t on them (n,), joint angles there (n, 6) [rad].
     """
-    row = found.inserted
+    row, t, q = places
     behind = np.searchsorted(found.pair[:, 1], row)
     motion = found.pair[behind, 0]
     program, path = found.nominal, one.path
-    tool, q = toolpath.tool_of(program, motion), other.joints[row]
+    tool = toolpath.tool_of(program, motion)
     along = np.cumsum(other.path.length)
     first, last = along[found.pair[behind - 1, 1]], along[found.pair[behind, 1]]
-    share = (along[row] - first) / np.maximum(last - first, 1e-12)
-    load = forces.along(program, path, source, place.spindle, place.ramp)
+    here_along = along[row] - (1.0 - t) * other.path.length[row]
+    share = np.clip((here_along - first) / np.maximum(last - first, 1e-12), 1e-9, 1.0)
 
-    stands = np.zeros((len(row), 3)) if other.program.carriage is None else other.program.carriage.offset(row)
+    stands = np.zeros((len(row), 3)) if other.program.carriage is None else other.program.carriage.offset(row, t)
     unloaded = toolpath.points_in_base(program, motion, place.tip(q, tool, np.zeros((len(row), 6))) + stands, None)
     for _ in range(_SETTLING):
         wrench = load.at(toolpath.at(program, path, motion, share))
@@ -298,14 +364,11 @@ def _between(
         share = np.clip(share + np.einsum("ni,ni->n", moved - here, tangent) / long, 1e-9, 1.0)
     deflection = moved - unloaded
     across = deflection - (np.einsum("ni,ni->n", deflection, tangent) / long)[:, None] * tangent
-    return {
-        "between_nominal": norm(across),
-        "between_corrected": norm(moved - toolpath.positions(program, path, motion, share)),
-    }
+    return norm(across), norm(moved - toolpath.positions(program, path, motion, share))
 
 
-def _joints(program: Program, place: RobotInCell) -> Array:
-    """Return the joint angles (M, 6) at the ends of the motions [rad]."""
+def _ends(program: Program, place: RobotInCell) -> JointPath:
+    """Return the joint angles at the ends of the motions."""
     m = program.motions
     ptp = np.flatnonzero(m.kind == PTP)
 
@@ -314,7 +377,7 @@ def _joints(program: Program, place: RobotInCell) -> Array:
 
     start = place.cell.start_joints
     try:
-        return kinematics.follow(place.robot, flange, start, m.kind == PTP, m.joints[ptp], m.status[ptp], m.turn[ptp]).q
+        return kinematics.follow(place.robot, flange, start, m.kind == PTP, m.joints[ptp], m.status[ptp], m.turn[ptp])
     except UnreachableError as cause:
         line = int(m.line[cause.rows[0]])
         name, problem = program.documents[0].name, "out of reach (on the branch of [start] joints)"

@@ -19,13 +19,16 @@ class Cuts:
     :param wrench: (P, 6) at the tip, `$BASE` axes of the nominal program [N, N·m].
     :param nominal: (P, 3) by the nominal program, its `$BASE`.
     :param corrected: (P, 3) by the corrected one.
-    :param between_nominal: (I,) at the inserted targets, how far it would stand from the nominal path by the nominal
-        program, `between_corrected` by the corrected one [m].
+    :param row: (B,) rows of `corrected.motions`: the inserted targets, then arcs that are sent astray, seen at
+        their middles.
+    :param between_nominal: (B,) there, how far it would stand from the nominal path by the nominal program,
+        `between_corrected` by the corrected one [m].
     """
 
     wrench: Array
     nominal: Array
     corrected: Array
+    row: Ints
     between_nominal: Array
     between_corrected: Array
 

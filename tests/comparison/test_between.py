@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -197,3 +198,56 @@ def test_an_external_axis_that_stands_elsewhere_is_told_without_the_cell_knowing
     content, _ = compared(one, program("LESS", *(move.replace(",E2 5.0", "") for move in moves)))
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
     assert "E2 at 0 or unsaid in the corrected program" in issue["message"]
+
+
+def corrected(force, cell):
+    """Write nominal.src; return its corrected program, without the line that says what it was made of."""
+    at = [f",E1 {60.0 * k}" if cell == CARRIED else "" for k in range(4)]
+    arc = circ((100, 80), (140, 40)).removesuffix("}") + at[2] + "}"
+    moves = [f";FORCE {force}", lin(60, 40, more=at[1]), arc, lin(140, 20, more=at[3])]
+    program("nominal", *moves, at=at[0])
+    convert("nominal.src", cell)
+    lines = Path("out/nominal.src").read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if not line.startswith(";POSTPROC")]
+
+
+def outwards(arc, by):
+    """Return a line of that arc with its auxiliary point moved away from the centre, (100, 40)."""
+    x, y = (float(value) for value in re.search(r"X ([-\d.]+),Y ([-\d.]+)", arc).groups())
+    scale = 1.0 + by / math.hypot(x - 100, y - 40)
+    moved = f"X {100 + scale * (x - 100):.4f},Y {40 + scale * (y - 40):.4f}"
+    return re.sub(r"X [-\d.]+,Y [-\d.]+", moved, arc, count=1)
+
+
+def convert(source, cell):
+    Path("cell.toml").write_text(cell, encoding="utf-8")
+    done = CliRunner().invoke(main, ["convert", source, "--cell", "cell.toml", "-o", "out", "--overwrite"])
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("force", ["FX=-150 FY=100 FZ=120", "FX=-180 FY=90 FZ=60 FRAME=FEED"])
+@pytest.mark.parametrize("cell", [CELL, CARRIED], ids=["still", "carried"])
+def test_a_moved_auxiliary_point_of_a_corrected_arc_is_told(force, cell):
+    lines = corrected(force, cell)
+    Path("other.src").write_text("\n".join(lines))
+    content, _ = compared("nominal.src", "other.src", cell=cell, code=0)
+    assert content["issues"] == []
+    arcs = [k for k, line in enumerate(lines) if line.startswith("CIRC")]
+    for arc in (arcs[0], arcs[-1]):
+        for moved in (0.1, 0.3, 1.0):
+            via = outwards(lines[arc], moved)
+            Path("other.src").write_text("\n".join([*lines[:arc], via, *lines[arc + 1 :]]))
+            content, _ = compared("nominal.src", "other.src", cell=cell, code=3)
+            (issue,) = [issue for issue in content["issues"] if issue["kind"] == "between"]
+            assert f"line {arc + 1} of the corrected program" in issue["message"]
+            assert "auxiliary point of its arc" in issue["message"]
+            assert content["between"]["corrected_line"] == arc + 1
+            assert content["between"]["corrected_max_mm"] > 0.3 * moved
+
+
+@pytest.mark.parametrize("name", ["pocket", "plate"])
+def test_arcs_of_corrected_samples_are_where_they_should_be(name):
+    Path(f"{name}.nc").write_bytes((SAMPLES / f"{name}.nc").read_bytes())
+    convert(f"{name}.nc", CELL)
+    content, _ = compared(f"{name}.nc", f"out/{name}.src", code=0)
+    assert "between" not in kinds(content)

@@ -160,7 +160,7 @@ def test_inserted_targets_are_told_by_what_they_cut():
     content = compare("part.nc", "out/part.src", code=3)
     assert content["between"]["corrected_line"] == place + 1
     assert content["between"]["corrected_max_mm"] == pytest.approx(0.05, abs=1e-3)
-    assert any(f"part.src:{place + 1}: an inserted target leaves 0.05" in why for why in content["verdict"]["reasons"])
+    assert any(f"part.src:{place + 1}: between targets it leaves 0.05" in why for why in content["verdict"]["reasons"])
 
 
 @pytest.mark.parametrize("digit", range(3))
@@ -264,7 +264,7 @@ def test_an_arc_that_is_sent_astray_by_its_auxiliary_point_is_told():
     moved = re.sub(r"X [-0-9.]+", "X 5.0", line, count=1)
     foreign = re.sub(r"^;POSTPROC .*\n", "", text.replace(line, moved), flags=re.M)
     Path("foreign.src").write_bytes(foreign.replace("DEF part", "DEF foreign").encode())
-    told = compare("part.nc", "foreign.src", "--overwrite")
+    told = compare("part.nc", "foreign.src", "--overwrite", code=3)
     (issue,) = [issue for issue in told["issues"] if issue["kind"] == "between"]
     assert "auxiliary point of its arc" in issue["message"]
     assert f"line {line_of(foreign, 'CIRC {X 5.0')} of" in issue["message"]

@@ -113,7 +113,7 @@ def _numbers(content: ComparisonSummary) -> Section:
     between = content["between"]
     if between is not None:
         told = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
-        rows += (Row(("Maximum at inserted targets, from the path", "-", *told)),)
+        rows += (Row(("Maximum between targets, from the path", "-", *told)),)
     return Section("numbers", "Offsets and deviations, mm", (Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")))
 
 

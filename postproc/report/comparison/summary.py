@@ -62,7 +62,10 @@ class Cut(TypedDict):
 
 
 class Between(TypedDict):
-    """Largest distances of the loaded tip from the nominal path at inserted targets, by each program."""
+    """Largest distances of the loaded tip from the nominal path between targets, by each program.
+
+    At inserted targets, and at the middles of arcs that are sent astray.
+    """
 
     nominal_max_mm: float
     corrected_max_mm: float
@@ -198,7 +201,7 @@ def _failed(content: ComparisonSummary, limit_mm: float) -> Iterator[str]:
     between = content["between"]
     if between is not None and not between["corrected_max_mm"] <= content["tolerance_mm"]:
         yield (
-            f"{content['corrected']}:{between['corrected_line']}: an inserted target leaves "
+            f"{content['corrected']}:{between['corrected_line']}: between targets it leaves "
             f"{between['corrected_max_mm']:.4f} mm to the nominal path under the forces given "
             f"(tolerance {content['tolerance_mm']:g} mm)"
         )
@@ -270,16 +273,16 @@ def _apart(found: Comparison) -> Apart:
 def _between(found: Comparison) -> Between | None:
     cuts = found.cuts
     motions = found.corrected.motions
-    if cuts is None or not len(cuts.between_corrected):
+    if cuts is None or not len(cuts.row):
         return None
-    cutting = ~motions.rapid[found.inserted]
+    cutting = ~motions.rapid[cuts.row]
     worst = int(np.argmax(np.where(cutting, cuts.between_corrected, -1.0)))
     if not cutting[worst]:
         return None
     return {
         "nominal_max_mm": float(cuts.between_nominal[cutting].max()) * MM_PER_M,
         "corrected_max_mm": float(cuts.between_corrected[worst]) * MM_PER_M,
-        "corrected_line": int(motions.line[found.inserted[worst]]),
+        "corrected_line": int(motions.line[cuts.row[worst]]),
     }
 
 
