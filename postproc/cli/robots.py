@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import click
@@ -82,7 +83,7 @@ def show(name: str, as_json: bool) -> None:
     click.echo(f"{model.title} ({model.name})\n")
     rows = [(entry.name, entry.value, "ASSUMED" if entry.assumed else "", entry.source) for entry in model.sources]
     click.echo(display().table(("", "value", "", "source"), rows))
-    click.echo(f"\n{robot.WITH_LINKS}.")
+    click.echo("\n" + click.wrap_text(f"{robot.WITH_LINKS}.", shutil.get_terminal_size().columns))
 
 
 @robots.command()
