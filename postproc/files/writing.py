@@ -70,13 +70,14 @@ def write_whole(
                         at = folder / name
                         _write(stage / "new" / name, content)
                 at = folder
-                _replace(stage, folder, list(contents), obsolete, shared or {})
-        except FileExistsError as cause:
-            raise InputError(
-                "a file of another program came there meanwhile",
-                file=str(cause.filename),
-                advice="Nothing was written. Write this program into another folder with -o.",
-            ) from cause
+                try:
+                    _replace(stage, folder, list(contents), obsolete, shared or {})
+                except FileExistsError as cause:
+                    raise InputError(
+                        "a file of another program came there meanwhile",
+                        file=str(cause.filename),
+                        advice="Nothing was written. Write this program into another folder with -o.",
+                    ) from cause
         except OSError as cause:
             name = Path(cause.filename or "").name
             raise InputError(
