@@ -49,29 +49,14 @@ class _Variables(Struct, frozen=True, eq=False):
         return {name for name, files in self.users.items() if len(files) > 1 and (always or name in self.written)}
 
 
-def with_shared_names(
-    base: str,
-    source: Source,
-    data: Document | None,
-    main: Routine,
-    others: Sequence[Routine],
-    file: Ints,
-    taken: set[str],
-) -> tuple[Source, Document | None, dict[str, str]]:
-    """Return a program, with as many lines, and its `.dat`, whose files see all that they use.
+class Sharing:
+    """Finds what the files of a divided program share, and edits both texts so that all of them see it.
 
     :param base: what GLOBAL names begin with.
     :param others: its own routines, which stand in files of their own.
     :param file: (L + 1,) number of the file in which each line of the program will stand.
     :param taken: names, upper case, that are used already; the new ones join them.
-    :returns: them, and the new name of each routine by its name, upper case.
-    :raises ProgramError: a variable has a type that other files do not see.
     """
-    return _Sharing(base, source, data, main, others, file, taken).done()
-
-
-class _Sharing:
-    """Finds what is shared, and edits both texts."""
 
     def __init__(
         self,
@@ -95,6 +80,10 @@ class _Sharing:
         self.hidden |= {parameter.name for parameter in main.parameters}
 
     def done(self) -> tuple[Source, Document | None, dict[str, str]]:
+        """Return the program, with as many lines, its `.dat`, and the new name of each routine by its name, upper case.
+
+        :raises ProgramError: a variable has a type that other files do not see.
+        """
         self._look()
         own = _together(self.own.shared(always=True), self._by_line(self.declared))
         stated = [(line, one) for line, names in self.stated.items() for one in names]

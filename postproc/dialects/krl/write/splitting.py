@@ -31,7 +31,7 @@ from postproc.dialects.krl.language.statements import MOTION_WORDS, word_at
 from postproc.dialects.krl.write.cuts import bounds, places, undivided
 from postproc.dialects.krl.write.file_data import with_data
 from postproc.dialects.krl.write.renaming import with_name
-from postproc.dialects.krl.write.shared_names import with_shared_names
+from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, together
 from postproc.program import Document, Ints, Written
 
@@ -119,9 +119,9 @@ class _Splitter:
         files = self._files()
         file_of, number_of = self._lines(files)
         data = self.whole.documents[1] if len(self.whole.documents) > 1 else None
-        source, data, renamed = with_shared_names(
+        source, data, renamed = Sharing(
             self.base, self.source, data, self.main, self.others, file_of, self.taken
-        )
+        ).done()
         if renamed:
             names = ", ".join(f"{old} is {new}" for old, new in list(renamed.items())[:_MOST_NAMES])
             more = f" and {len(renamed) - _MOST_NAMES} more" if len(renamed) > _MOST_NAMES else ""
