@@ -6,9 +6,9 @@ Eq. (3), (4). All angles are joint 2's, KUKA sign [rad]; lengths m, stiffness N/
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from postproc.errors import ModelError
 from postproc.frames import Array, sine_and_cosine
@@ -17,8 +17,7 @@ _NO_SPRING = 1e-12
 """Stiffness [N/m] that stands for none where one is divided by it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Compensator:
+class Compensator(Struct, frozen=True):
     """Spring of stiffness `stiffness` [N/m] and free length `free_length` [m]; |P2P1| = `L`, P0 at (`ax`, `ay`) [m].
 
     >>> law = Compensator(stiffness=1.2e5, free_length=0.458, L=0.18472, ax=0.68593, ay=0.1233)
@@ -78,11 +77,8 @@ class Compensator:
 
     def with_spring(self, stiffness: float, preload: float) -> Compensator:
         """Return the law with K_c [N/m] and K_c·s₀ [N], unchecked: on its way a fit may pass what no spring has."""
-        made = object.__new__(Compensator)
+        made = Compensator(0.0, 0.0, self.L, self.ax, self.ay)
         stiffness = stiffness if abs(stiffness) > _NO_SPRING else _NO_SPRING
-        free_length = preload / stiffness
-        for name, value in (("stiffness", stiffness), ("free_length", free_length)):
-            object.__setattr__(made, name, value)
-        for name in ("L", "ax", "ay"):
-            object.__setattr__(made, name, getattr(self, name))
+        force_setattr(made, "stiffness", stiffness)
+        force_setattr(made, "free_length", preload / stiffness)
         return made

@@ -8,8 +8,10 @@ moves is collected as `Issue`s; one of level ``"error"`` means that no program i
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from typing import Literal, Self, TypeVar
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 Level = Literal["error", "warning", "info"]
 MOST = 20
@@ -133,8 +135,7 @@ class NotConvergedError(PostprocError):
         self.rows = tuple(rows)
 
 
-@dataclass(frozen=True, slots=True)
-class Issue:
+class Issue(Struct, frozen=True):
     """What is wrong, or worth knowing, at one move.
 
     :param level: ``"error"`` (no program is written), ``"warning"`` or ``"info"``.

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeVar
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue
@@ -26,8 +25,7 @@ LIN, CIRC, PTP, SPL = 0, 1, 2, 3
 a spline, of whose path only the end is known."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Document:
+class Document(Struct, frozen=True, eq=False):
     """One file of a program, lossless: ``text`` encoded with ``encoding`` (BOM first if it had one) is the file.
 
     :param name: file name with extension, e.g. ``part.src``.
@@ -48,8 +46,7 @@ class Document:
         return self.bom + self.text.encode(self.encoding)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motions:
+class Motions(Struct, frozen=True, eq=False):
     """M motions in the order of execution, one end point each. Lengths m, angles rad, speeds m/s.
 
     :param kind: (M,) `LIN`, `CIRC`, `PTP` or `SPL`.
@@ -92,8 +89,7 @@ class Motions:
         return len(self.line)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Swivel:
+class Swivel(Struct, frozen=True, eq=False):
     """How motions turn the tool where its orientation is given by rotary axes, which turn evenly along a motion.
 
     The direction d from the tip to the spindle is that of R₁(a)·R₂(b)·z. The tool is tilted from z to d by the shortest
@@ -163,8 +159,7 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
     return np.asarray((moved[:, 0] * across + moved[:, 1] * last) * widened)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Carriage:
+class Carriage(Struct, frozen=True, eq=False):
     """Where the linear axis E1 that carries the robot stands along M motions: it moves evenly with them.
 
     :param begin: (M,) E1 at the start of each motion [m]; `end` (M,) at its end.
@@ -263,8 +258,7 @@ MOST_FORCE = 1e6
 """A force or moment beyond this [N, N·m], a hundred times what any arm carries, is taken for a mistake."""
 
 
-@dataclass(frozen=True, slots=True)
-class ForceNote:
+class ForceNote(Struct, frozen=True):
     """A force comment of the program: modal from its line on, until the next note.
 
     :param line: 1-based line of the comment.
@@ -346,8 +340,7 @@ EventKind = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(Struct, frozen=True):
     """What a program does besides moving, in order; of G-code it becomes lines of KRL. Of KRL only comments are known.
 
     :param before: row of the motion before which it takes place (number of motions = after the last).
@@ -373,8 +366,7 @@ class Layout(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Program:
+class Program(Struct, frozen=True, eq=False):
     """A program: its documents to the byte, its motions as arrays.
 
     :param name: name of the program (stem of its file); the written program gets the same.
@@ -410,7 +402,7 @@ class Program:
     swivel: Swivel | None = None
     carriage: Carriage | None = None
     with_path: Bools | None = None
-    layout: Layout | None = field(default=None, repr=False)
+    layout: Layout | None = None
 
     @property
     def keeps_text(self) -> bool:
@@ -427,8 +419,7 @@ class Program:
         return self.layout.numbers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class Targets(Struct, frozen=True, eq=False):
     """K Cartesian targets to be written, in order: at least the end of each motion, and inserted ones before it.
 
     Motions with axis targets (`Motions.joints`) have no row: they are written as they stand.
@@ -486,8 +477,7 @@ class TargetForces(Struct, frozen=True, eq=False):
     frame: Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Written:
+class Written(Struct, frozen=True, eq=False):
     """A program as text, before it is released.
 
     :param documents: files to write, the main one (`NAME.src`) first.
@@ -519,7 +509,7 @@ def distinct(values: Ints) -> Ints:
 def read_only(record: Record) -> Record:
     """Return a record with all its arrays, and those of the records in it, made read-only: it is handed on.
 
-    :param record: a dataclass or Struct; what else it holds is left alone.
+    :param record: a Struct; what else it holds is left alone.
     """
     for name in type(record).__match_args__:  # type: ignore[attr-defined]
         value = getattr(record, name)

@@ -14,9 +14,11 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Literal
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from postproc.program import Document
 
@@ -26,8 +28,7 @@ _END = re.compile(r"\r{0,2}\n|\r")
 _CONTENT = re.compile(r"\s*(\d+)((?:\s+\w+=\S+)*)\s*")
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
+class Origin(Struct, frozen=True):
     """What a program was made by and from.
 
     :param version: of postproc.
@@ -44,8 +45,7 @@ class Origin:
     forces: str = "-"
 
 
-@dataclass(frozen=True, slots=True)
-class Provenance:
+class Provenance(Struct, frozen=True):
     """What a program says of where it comes from.
 
     :param state: ``"intact"``: the text is what was written; ``"changed"``: it was edited since, or says what this
@@ -61,7 +61,7 @@ class Provenance:
     mode: str = ""
     version: str = ""
     line: int = 0
-    sums: Mapping[str, str] = field(default_factory=dict, compare=False)
+    sums: Mapping[str, str] = field(default_factory=dict)
     part_of: str = ""
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import robot
 from postproc.correction import Mode, Result
@@ -85,7 +85,7 @@ def with_changes(base: Result, **changes: object) -> Result:
     """The same result with other fields; distances `before` and `after` are taken straight down."""
     for name in {"before", "after"} & set(changes):
         changes[f"deviation_{name}"] = _down(changes.pop(name))
-    return replace(base, **changes)  # type: ignore[arg-type]
+    return replace(base, **changes)
 
 
 @cache

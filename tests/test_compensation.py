@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import dataclasses
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_sag_payload_and_calibrated_geometry_are_corrected_too(pair, tmp_path):
     shift[:3, :3] = frames.rotation_from_vector(np.radians([0.02, -0.03, 0.0]))
     shift[:3, 3] = [0.4e-3, 0.0, -0.3e-3]
     moved[2] = moved[2] @ shift
-    truth = replace(arm, origins=moved, rigid=True, payload=(40.0, np.array([0.0, 0.05, 0.1])))
+    truth = dataclasses.replace(arm, origins=moved, rigid=True, payload=(40.0, np.array([0.0, 0.05, 0.1])))
     q, target, wrench = targets(changed, 5, 2)
     found = compensate(changed, target, q, TOOL, wrench)
     for row in range(len(q)):

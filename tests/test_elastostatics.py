@@ -40,14 +40,16 @@ def test_deflection_equals_the_energy_oracle_at_2700_N_and_300_Nm(pair):
 
 
 def test_payload_and_rigid_reference_equal_the_oracle(pair):
-    from dataclasses import replace
+    import dataclasses
+
+    from msgspec.structs import replace
 
     model, arm = pair
     rng = np.random.default_rng(2)
     q = rng.uniform(model.lower, model.upper, (6, 6))
     centre = np.array([0.05, -0.1, 0.2])
     loaded = replace(model, subtract_reference=False).with_payload(60.0, centre)
-    arm = replace(arm, rigid=True, payload=(60.0, centre))
+    arm = dataclasses.replace(arm, rigid=True, payload=(60.0, centre))
     wrench = loads(rng, len(q), 200.0, 20.0)
     state = elastostatics.deflect(loaded, q, TOOL, wrench)
     for row in range(len(q)):

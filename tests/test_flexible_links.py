@@ -1,11 +1,11 @@
 """Springs of links and gears that stiffen: the folder, the equilibrium forward and inverse, the bound u95."""
 
 import re
-from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import compensation, elastostatics, files, kinematics, robot
 from postproc.errors import ModelError

@@ -1,12 +1,11 @@
 """Typed parameters of the elastic model: names, files, and a new kind that nothing else has to know of."""
 
-from dataclasses import dataclass, replace
-
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.compensator import Compensator
@@ -102,8 +101,7 @@ def test_slopes_in_files_are_those_by_finite_differences():
         np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-6, atol=1e-12)
 
 
-@dataclass(frozen=True, slots=True)
-class Play(robot.Spring):
+class Play(robot.Spring, frozen=True):
     """A kind that the package does not have: play of a joint, taken up as the torque passes 20 N·m."""
 
     joint: str

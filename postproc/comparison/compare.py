@@ -7,9 +7,10 @@ command the same. Offsets are those of the nominal program's tool, in its `$BASE
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import forces, kinematics, toolpath
 from postproc.cell import Cell
@@ -75,8 +76,7 @@ def compare(
     return replace(found, issues=group_issues([*_differences(found), *_astray(found)]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Side:
+class _Side(Struct, frozen=True, eq=False):
     """One of the programs in its cell.
 
     :param path: the geometry of its motions.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import toolpath
 from postproc.chunks import in_chunks
@@ -19,8 +18,7 @@ _SAMPLES, _ROUNDS = 9, 4
 _NOTHING = 1e-12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chain:
+class Chain(Struct, frozen=True, eq=False):
     """The motions of a program from its first to its last pair, by their share of the way: pair k stands at u = k.
 
     :param program: the program; `path` its geometry.
@@ -61,8 +59,7 @@ class Chain:
         return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Curves:
+class Curves(Struct, frozen=True, eq=False):
     """Both paths between pairs. Of a spline the chords of its pieces stand for it; where PTP goes is not known.
 
     :param one: of the nominal program, `other` of the second one.

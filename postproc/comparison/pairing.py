@@ -16,9 +16,8 @@ Only partners at about the same length of path as the last ones are looked at.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
@@ -42,8 +41,7 @@ _RUN, _AT_ONCE = 3, 4096
 _NONE = -1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class Track(Struct, frozen=True, eq=False):
     """The Cartesian targets of a program.
 
     :param position: (n, 3) in a frame that both programs share [m].
@@ -129,8 +127,7 @@ def _alike(one: Track, other: Track) -> int:
     return max(0, (count if same.all() else int(np.argmin(same))) - 2)
 
 
-@dataclass(slots=True, eq=False)
-class _States:
+class _States(Struct, eq=False):
     """The cheapest assignments of the targets so far whose last pair is (`row`, `partner`); each field (w,)."""
 
     partner: Ints

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.comparison.curves import Curves
 from postproc.errors import Issue
@@ -12,8 +11,7 @@ from postproc.frames import Array, norm
 from postproc.program import PTP, Bools, Ints, Program
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cuts:
+class Cuts(Struct, frozen=True, eq=False):
     """Where the tip would stand at the pairs, under the same force, from its nominal position [m].
 
     :param wrench: (P, 6) at the tip, `$BASE` axes of the nominal program [N, N·m].
@@ -33,8 +31,7 @@ class Cuts:
     between_corrected: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Struct, frozen=True, eq=False):
     """The targets of two programs. Row i of the pairs' arrays is the same pair; SI units.
 
     :param nominal: the first program.

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.compensation import Compensation
@@ -57,8 +56,7 @@ class Task(Struct, frozen=True, eq=False):
         return (*self.told, *self.program.issues, *path.motions.forces.issues, *of_path)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Draft:
+class Draft(Struct, frozen=True, eq=False):
     """A program with targets at some of the samples of its path.
 
     :param path: the path.

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import toolpath
 from postproc.chunks import in_chunks

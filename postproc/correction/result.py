@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,8 +16,7 @@ from postproc.robot import RobotModel
 Mode = Literal["convert", "nominal", "predict"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(Struct, frozen=True, eq=False):
     """Result of one program. Row i of every array is the same Cartesian target; SI units, `$BASE` axes.
 
     :param program: what was read.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.compensation import Compensation
@@ -19,8 +19,7 @@ _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a target is left to the byte where the program keeps it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chosen:
+class Chosen(Struct, frozen=True, eq=False):
     """The K targets chosen of the N samples of a path.
 
     :param targets: what is to be written.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import ForceError, Issue
 from postproc.frames import Array
@@ -16,8 +16,7 @@ BASE, TOOL, FEED = range(3)
 """Values of `Knots.frame`: places in `FORCE_FRAMES`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Knots:
+class Knots(Struct, frozen=True, eq=False):
     """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
 
     Linear in the axes that `frame` names: a FEED wrench turns with the travel, a TOOL wrench with the tool. A motion
@@ -70,7 +69,7 @@ class Knots:
         return Knots(*both)
 
     def _arrays(self) -> dict[str, Any]:
-        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "issues"}
+        return {name: getattr(self, name) for name in self.__struct_fields__ if name != "issues"}
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.

@@ -10,10 +10,9 @@ so is whether gears turn further than their angle, once and twice a turn (`robot
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, PostprocError
@@ -41,8 +40,7 @@ _FOLDS = 10
 _INDEPENDENT = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class GeometryParameter:
+class GeometryParameter(Struct, frozen=True):
     """Displacement of a joint along or about one axis of its nominal frame, or (``A2.sin2``) an error of its gear."""
 
     joint: str
@@ -68,8 +66,7 @@ class GeometryParameter:
         return f"{self.joint}.{self.axis}"
 
 
-@dataclass(frozen=True, eq=False)
-class Geometry:
+class Geometry(Struct, frozen=True, eq=False):
     """Calibrated geometry.
 
     :param parameters: what was identified, in order.
@@ -239,8 +236,7 @@ def _error_95(held_out: Array, data: Measurements) -> float:
     return float(LENGTH_95 * np.sqrt(max(0.0, rest.mean() + rest.std(ddof=1) / np.sqrt(len(rest)))))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solution:
+class _Solution(Struct, frozen=True, eq=False):
     content: ModelFile
     parameters: tuple[GeometryParameter, ...]
     values: Array

@@ -18,9 +18,10 @@ configurations left out are predicted worse.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import PostprocError
 from postproc.frames import Array
@@ -48,8 +49,7 @@ _CHANCE = 2.0
 """Standard errors by which what fits better is so by chance."""
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(Struct, frozen=True):
     """A structure that was tried.
 
     :param name: for the user.
@@ -86,8 +86,7 @@ class Candidate:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
+class Choice(Struct, frozen=True, eq=False):
     """The chosen fit and why.
 
     :param fit: the mean of structures, with its covariance.
@@ -110,8 +109,7 @@ class Choice:
     worth: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
+class _Member(Struct, frozen=True, eq=False):
     """A structure with a ridge: its columns, and what it leaves (rows,) of configurations left out.
 
     `bends`: its gears do not give way in proportion to the torque.
@@ -124,8 +122,7 @@ class _Member:
     left: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Mix:
+class _Mix(Struct, frozen=True, eq=False):
     """Structures and their weights on one set of linear equations."""
 
     structure: Structure

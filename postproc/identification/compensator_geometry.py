@@ -9,11 +9,11 @@ L·(cos q2, sin q2), and Eq. (3) holds for P0 = −(a_x, a_y): the spring is lon
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from postproc import files
 from postproc.errors import InputError, MeasurementError
@@ -29,8 +29,7 @@ _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MarkerReadings:
+class MarkerReadings(Struct, frozen=True, eq=False):
     """Positions of the markers, means over the repeats.
 
     :param q2: (m,) angles of joint 2, KUKA sign [rad].
@@ -54,8 +53,7 @@ class MarkerReadings:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CompensatorGeometry:
+class CompensatorGeometry(Struct, frozen=True, eq=False):
     """L, a_x, a_y of Eq. (3) with their uncertainty.
 
     :param value: (3,) L, a_x, a_y [m].

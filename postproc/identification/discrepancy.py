@@ -11,9 +11,8 @@ to the bound as such.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array, norm
 from postproc.identification.displacements import unwhiten, visible, whitening
@@ -36,8 +35,7 @@ _CLEAR_SCATTER = 30
 """Degrees of freedom from which on the scatter of the repeats tells their noise better than what is stated."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Discrepancy:
+class Discrepancy(Struct, frozen=True, eq=False):
     """What a fit leaves on configurations left out, at m load levels.
 
     :param load: (m,) force [N] and moment [N·m] in one.

@@ -7,9 +7,9 @@ leave.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.compensator import Compensator
 from postproc.errors import MeasurementError, PostprocError
@@ -25,8 +25,7 @@ _REFUTED = 13.8
 """Growth of χ² by two parameters fewer that noise makes once in a thousand."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Levels:
+class Levels(Struct, frozen=True, eq=False):
     """Equivalent compliance of joint 2 at the levels of q2: first step of the paper.
 
     :param q2: (m,) [rad].
@@ -39,8 +38,7 @@ class Levels:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpringOfJoint2:
+class SpringOfJoint2(Struct, frozen=True, eq=False):
     """K⁰_θ2 [N·m/rad], K_c [N/m], s₀·K_c [N] from the levels: second step of the paper, with covariance (3, 3)."""
 
     values: Array

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
@@ -26,8 +25,7 @@ _DEAD = 1e-6
 """Effect of a parameter of usual size on all readings, in σ, below which it has none."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Struct, frozen=True, eq=False):
     """Parameters that minimise the weighted squares of the residuals.
 
     :param structure: what was fitted.

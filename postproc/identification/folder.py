@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import robot as robots
 from postproc.compensator import Compensator
@@ -21,8 +22,7 @@ from postproc.identification.report_data import report_data
 from postproc.robot import RobotModel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Choices:
+class Choices(Struct, frozen=True, kw_only=True):
     """What is identified, and how.
 
     :param compensator: file of `identify compensator`, whose geometry is taken; None = that of the robot.
@@ -37,8 +37,7 @@ class Choices:
     geometry: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class IdentifiedFolder:
+class IdentifiedFolder(Struct, frozen=True, eq=False):
     """What was written.
 
     :param result: the identification of the compliances, if there was one.

@@ -6,10 +6,10 @@ derivatives at one point.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import PostprocError
 from postproc.frames import Array
@@ -28,8 +28,7 @@ _MEDIAN_OF_THREE = 1.538
 """Median length of a vector of three standard normal numbers."""
 
 
-@dataclass(frozen=True, eq=False)
-class Linearised:
+class Linearised(Struct, frozen=True, eq=False, dict=True):
     """Whitened equations design·p = target.
 
     :param design: (rows, p), rows are states, points, axes.

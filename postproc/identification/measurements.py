@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurements:
+class Measurements(Struct, frozen=True, eq=False):
     """Readings of P reference points in S states (a configuration without load, or with one of its loads).
 
     :param file: name of the file.

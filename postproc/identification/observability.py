@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics, kinematics
 from postproc.frames import RAD_PER_DEG, Array
@@ -29,8 +28,7 @@ _LONGEST_SPRING = 3.0
 """Free length [m] that no compensator has."""
 
 
-@dataclass(frozen=True, slots=True)
-class NotObservable:
+class NotObservable(Struct, frozen=True):
     """A parameter that the data do not determine; the model keeps the robot's prior value."""
 
     parameter: Parameter

@@ -5,9 +5,8 @@ From readings without load, by the robot's geometry: positions of points only, n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError
@@ -18,8 +17,7 @@ from postproc.robot import RobotModel
 _STEPS = 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
+class Placement(Struct, frozen=True, eq=False):
     """Base transform and reference points.
 
     :param root_in_device: (4, 4) maps robot root coordinates to the frame of the device [m].

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import MM_PER_M, Array
 from postproc.identification import outliers
@@ -38,8 +39,7 @@ _SIGNIFICANCE = 3.29
 """Standard deviations of χ² beyond which joint springs do not explain the readings (one in a thousand)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Struct, frozen=True, eq=False):
     """What was identified, from which readings, and how well.
 
     :param method: enhanced or serial.
@@ -158,8 +158,7 @@ def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable
     return [entry for entry in missing if entry.parameter in JOINT_COMPLIANCES and entry.parameter not in fit.given]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Joints:
+class _Joints(Struct, frozen=True, eq=False):
     """Joint springs and compensator: the fit, the paper's two steps on the way to it, and what is left open."""
 
     fit: Fit

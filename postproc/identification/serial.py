@@ -7,9 +7,8 @@ orientation, is computed from the points; k follows by linear least squares from
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError

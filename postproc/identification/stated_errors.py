@@ -6,9 +6,8 @@ off turns into springs what is a lever. Both go into the covariance of the param
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.frames import Array
 from postproc.identification.displacements import whiten, whitening

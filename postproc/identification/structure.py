@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import Array
 from postproc.program import Ints
@@ -15,8 +16,7 @@ LEAST = 1e-12
 """Smallest joint compliance [rad/(N·m)] the equilibrium is solved with; fits may pass through zero."""
 
 
-@dataclass(frozen=True, slots=True)
-class LevelCompliance(JointCompliance):
+class LevelCompliance(JointCompliance, frozen=True):
     """Equivalent compliance of joint 2, compensator included, at one level of q2: the paper's extended set, Eq. (8)."""
 
     level: int
@@ -27,8 +27,7 @@ class LevelCompliance(JointCompliance):
         return f"k{self.index + 1}#{self.level}"
 
 
-@dataclass(frozen=True, eq=False)
-class Structure:
+class Structure(Struct, frozen=True, eq=False, dict=True):
     """Which springs the model has and which of their values are looked for.
 
     :param parameters: (p,) that are identified.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import elastostatics
 from postproc import robot as robots
@@ -32,8 +32,7 @@ _SAME_LOAD = 0.01
 """Largest differences [rad, share] between states that are one."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ValidatedLevel:
+class ValidatedLevel(Struct, frozen=True, eq=False):
     """How a model fares at one level of loads.
 
     :param load: force [N] and moment [N·m] in one, median.
@@ -67,8 +66,7 @@ class ValidatedLevel:
         return float(self.measured / np.sqrt(rest)) if rest > 0.0 else float("inf")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Validation:
+class Validation(Struct, frozen=True, eq=False):
     """A model against readings.
 
     :param levels: by load, ascending.

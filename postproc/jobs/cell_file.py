@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from os.path import relpath
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from postproc import correction, files, kinematics
 from postproc import robot as robots
@@ -24,8 +24,7 @@ _ZERO = (0.0,) * 6
 _TURNS = (0.0, 90.0, 180.0, -90.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellRequest:
+class CellRequest(Struct, frozen=True, kw_only=True):
     """What a cell is made from.
 
     :param output: cell file to write.

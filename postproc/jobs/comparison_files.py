@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import correction, forces, provenance
 from postproc.cell import Cell
@@ -37,8 +39,7 @@ _FEW, _SHARE = 4, 0.1
 """So many lines, or this share of them, may have been changed since; else it was not written by these options."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareRequest:
+class CompareRequest(Struct, frozen=True, kw_only=True):
     """Which programs are compared, and where the comparison is written.
 
     :param nominal: the program as it should be cut: G-code, or a robot program.
@@ -63,8 +64,7 @@ class CompareRequest:
         return [*programs, *beside, self.cell, *([] if self.forces is None else [self.forces])]
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonFiles:
+class ComparisonFiles(Struct, frozen=True):
     """A comparison as it was written.
 
     :param code: exit code: 0 good, 3 a tolerance is exceeded or the corrected program was changed.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import cell as cells
 from postproc import machining, toolpath
@@ -25,8 +25,7 @@ from postproc.under_load import RobotInCell
 _MESHES = (".stl", ".glb", ".ply", ".obj")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForcesRequest:
+class ForcesRequest(Struct, frozen=True, kw_only=True):
     """What forces are made from, and where they are written.
 
     :param program: file.
@@ -48,8 +47,7 @@ class ForcesRequest:
     overwrite: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ForcesFiles:
+class ForcesFiles(Struct, frozen=True, eq=False):
     """Forces as they were written: the summary, what the user should know, and the files."""
 
     summary: process_forces.ForcesSummary

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from postproc.files import foreign_single, refuse
@@ -21,8 +20,7 @@ from postproc.jobs.outputs import protect
 from postproc.report.identification import page
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ElastostaticsRequest(Choices):
+class ElastostaticsRequest(Choices, frozen=True, kw_only=True):
     """What compliances are identified from, how, and where the model folder is written.
 
     :param measurements: CSV file of readings, unloaded and loaded.

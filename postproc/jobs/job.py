@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from postproc.correction import Mode
 from postproc.dialects import Writer, registry
@@ -12,8 +13,7 @@ _PROCESS = ".toml"
 """The extension by which a process is told from other files of forces."""
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(Struct, frozen=True):
     """One program to work on.
 
     :param program: its file.

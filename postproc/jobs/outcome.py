@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from postproc.correction import Mode
 from postproc.errors import Issue
@@ -13,8 +14,7 @@ GOOD, FAILED, EXCEEDED = 0, 1, 3
 """Exit codes of one program."""
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(Struct, frozen=True):
     """What is to be done with every program.
 
     :param cell: cell file.
@@ -37,8 +37,7 @@ class Settings:
     part: Path | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Struct, frozen=True):
     """What came of one program.
 
     :param program: its file as the user named it.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import forces, interrupts
@@ -29,8 +31,7 @@ from postproc.report.plan_data import plan_csv, plan_json
 from postproc.robot import RobotModel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanRequest:
+class PlanRequest(Struct, frozen=True, kw_only=True):
     """What a plan is made from, and where it is written. See `plan.Options` for the numbers.
 
     :param experiment: how it is measured: experiment.toml with [rig].
@@ -70,8 +71,7 @@ class PlanRequest:
         return [self.experiment, self.cell, *given, *map(Path, self.programs)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanFiles:
+class PlanFiles(Struct, frozen=True, eq=False):
     """A plan as it was written.
 
     :param result: the plan.

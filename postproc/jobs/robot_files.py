@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc import robot as robots
@@ -18,8 +19,7 @@ _NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _COMMENT = "Written by `postproc robots add`. Units stand in the names; assumed = true: not known of this robot."
 
 
-@dataclass(frozen=True, slots=True)
-class AddedRobot:
+class AddedRobot(Struct, frozen=True):
     """A model folder as it was written.
 
     :param title: of the robot.

@@ -10,11 +10,11 @@ Pinocchio, which is not needed here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import Array, sine_and_cosine
 from postproc.kinematics.components import combination, components, cross, matrices, product
@@ -45,8 +45,7 @@ class _Step(Struct, frozen=True, eq=False):
     centre: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Posture:
+class Posture(Struct, frozen=True, eq=False):
     """A chain in n configurations; vectors (3, n), or (3, 1) where they are the same for all.
 
     :param axis: of each of the nv joints.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.machining.ways import home_base
@@ -15,8 +14,7 @@ BASE, FEED = 0, 2
 """Values of `AlongMotions.frame`: places in `program.FORCE_FRAMES`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AlongMotions:
+class AlongMotions(Struct, frozen=True, eq=False):
     """Wrenches at K places along motions: linear between the places of a motion.
 
     :param motion: (K,) row of `Motions`, never decreasing.
@@ -37,7 +35,7 @@ class AlongMotions:
     @classmethod
     def joined(cls, parts: list[AlongMotions]) -> AlongMotions:
         """Return wrenches along motions of several parts, in order."""
-        return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__struct_fields__))
 
 
 def without_steps(

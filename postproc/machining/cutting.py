@@ -21,9 +21,8 @@ Ff = 0.5 kc fn D/2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.machining.sampling import Engaged
@@ -36,8 +35,7 @@ _ONE_THREAD = 200_000
 """Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Loads:
+class Loads(Struct, frozen=True, eq=False):
     """What the edge in material of a turn adds up to, at n stations.
 
     :param wrench: (n, 6) mean force [N] and moment about the tip [N·m] on the tool, in the axes above.

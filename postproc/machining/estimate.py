@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.errors import MOST, ForceError, Issue, together
@@ -37,8 +37,7 @@ _BATCH = 200_000
 """So many stations are kept before they are thinned out."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ProcessForces:
+class ProcessForces(Struct, frozen=True, eq=False):
     """What a process makes of a program.
 
     :param along: the forces along its cutting motions.
@@ -163,8 +162,7 @@ def _thinned(sweep: Sweep, steps: Ways, progress: Callable[[int], None] | None) 
     return Cuts.joined([*done, joined.take(thinned(joined.motion, joined.wrench))])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Setup:
+class _Setup(Struct, frozen=True, eq=False):
     """Motions during which the tool keeps its direction.
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import ForceError, together
 from postproc.frames import Array
@@ -20,8 +20,7 @@ _FINISH = re.compile(r"\s*(finish|end)\b", re.IGNORECASE)
 _BEGIN = re.compile(r"^\s*(?:(?:begin|start)\s+)?(?:operation|op)?\s*[:=]?\s*", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OperationForces:
+class OperationForces(Struct, frozen=True, eq=False):
     """One wrench for each of n cutting motions.
 
     :param motion: (n,) row of `Motions`.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.machining.stock import Floats, Stock
@@ -20,8 +20,7 @@ _CELLS = 200_000
 """Cells under ways that are looked at together."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Footprint:
+class _Footprint(Struct, frozen=True, eq=False):
     """Cells under some ways, one row for each cell and way.
 
     :param cell: (n,) place in the flat map of cells that the tool covers wholly; level: (n,) its lower side there [m].

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.errors import MOST, ForceError, together
@@ -13,8 +12,7 @@ from postproc.machining.process import Process
 from postproc.program import Bools, Ints, Program
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Running:
+class Running(Struct, frozen=True, eq=False):
     """What turns on each of M motions.
 
     :param tool: (M,) place in `keys`.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.machining.stock import Floats, Stock
@@ -15,8 +15,7 @@ _NOTHING = 1e-6
 """Less of an edge than this [m] in material is rounding."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Engaged:
+class Engaged(Struct, frozen=True, eq=False):
     """Edge in material at n stations, at the P places of a turn.
 
     :param length: (n, P) length of the piece of edge that is in material [m].
@@ -27,8 +26,7 @@ class Engaged:
     moment: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Corners:
+class _Corners(Struct, frozen=True, eq=False):
     """The four cells around each of some points: where they stand in the map, and their weights."""
 
     cell: tuple[NDArray[np.int32], ...]

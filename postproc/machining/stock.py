@@ -8,10 +8,10 @@ where the share says. Volumes are right to the second order of the cell, and for
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError
@@ -27,8 +27,7 @@ _PAIRS = 4_000_000
 """Of triangle and cell, looked at together."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stock:
+class Stock(Struct, frozen=True, eq=False):
     """Material between `floor` and the levels of its cells. Metres, in the frame of the map: z along the tool.
 
     :param x: edge of the first column; y: of the first row.

@@ -8,9 +8,9 @@ this way before. Then their material is removed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
 
 import numpy as np
+from msgspec import Struct, field
 
 from postproc.frames import Array
 from postproc.machining import cutting
@@ -45,8 +45,7 @@ _TOUCHED = 2e-5
 """A rapid move, or a spindle that stands still, may touch material so deep [m] without being told of."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cuts:
+class Cuts(Struct, frozen=True, eq=False):
     """What was found at N stations of cutting moves, in order. SI.
 
     :param motion: (N,) row of `Motions`.
@@ -78,7 +77,7 @@ class Cuts:
 
     def take(self, rows: Ints | slice) -> Cuts:
         """Return some of the stations."""
-        return Cuts(*(getattr(self, column.name)[rows] for column in fields(self)))
+        return Cuts(*(getattr(self, name)[rows] for name in self.__struct_fields__))
 
     @classmethod
     def joined(cls, parts: list[Cuts]) -> Cuts:
@@ -86,11 +85,10 @@ class Cuts:
         if not parts:
             none = np.zeros(0)
             return cls(none.astype(np.int64), none, np.zeros((0, 6)), np.zeros((0, 2)), none.astype(bool), *[none] * 7)
-        return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__struct_fields__))
 
 
-@dataclass(slots=True, eq=False)
-class Sweep:
+class Sweep(Struct, eq=False):
     """A stock, and tools that go through it.
 
     :ivar collided: motions that are rapid and went through material.

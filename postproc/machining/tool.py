@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.frames import Array
@@ -15,8 +14,7 @@ _RINGS = 3
 _MOST_SLICES = 160
 
 
-@dataclass(frozen=True, slots=True)
-class Cutter:
+class Cutter(Struct, frozen=True):
     """A milling cutter: a cylinder with a rounded corner.
 
     :param radius: [m].
@@ -40,8 +38,7 @@ class Cutter:
         return np.asarray(self.corner - np.sqrt(np.maximum(self.corner**2 - over**2, 0.0)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Edge:
+class Edge(Struct, frozen=True, eq=False):
     """S pieces of the edge of one tooth, from the axis outwards and up.
 
     :param part: (S,) `BOTTOM`, `CORNER` or `SIDE`.

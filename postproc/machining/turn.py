@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.machining.material import CuttingLaw
@@ -15,8 +14,7 @@ _LEAST = 8
 """Places of half a turn on small circles."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Turn:
+class Turn(Struct, frozen=True, eq=False):
     """P places of the edge of a tooth within a turn, and what each adds to the wrench.
 
     Places stand about as far apart on small circles as on the rim; those of one kind of edge stand together.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import Array, inverse, norm
 from postproc.machining.running import Running
@@ -18,8 +18,7 @@ _TURN = np.radians(8.0)
 _STILL = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ways:
+class Ways(Struct, frozen=True, eq=False):
     """L straight ways in order; [m], frame of the map (z from the tip to the spindle).
 
     :param motion: (L,) row of `Motions`.
@@ -43,12 +42,11 @@ class Ways:
     def of(self, motions: Bools) -> Ways:
         """Return the ways of some of M motions (M,); what is joined to others is not."""
         rows = np.flatnonzero(motions[self.motion])
-        out = Ways(*(getattr(self, column.name)[rows] for column in fields(self)))
+        out = Ways(*(getattr(self, name)[rows] for name in self.__struct_fields__))
         return replace(out, joined=out.joined & (np.diff(rows, prepend=-2) == 1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shift:
+class Shift(Struct, frozen=True, eq=False):
     """Where a tip that gives way really is: (n,) motions, t and (n, 3) displacements [m], `$BASE`."""
 
     motion: Ints

@@ -7,9 +7,8 @@ steps, is never smaller.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.identification.fit import NORMAL_95
@@ -23,8 +22,7 @@ from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter
 _OPEN = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Accuracy:
+class Accuracy(Struct, frozen=True, eq=False):
     """Expected error of the tool tip after compensation, over the test poses with their weights.
 
     :param rms: root of the expected mean square [m].

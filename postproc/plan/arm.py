@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.frames import Array
 from postproc.robot import Chain, RobotModel
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arm:
+class Arm(Struct, frozen=True, eq=False):
     """Six revolute joints in a chain."""
 
     chain: Chain
@@ -32,8 +30,7 @@ class Arm:
         return Posed(origin, axis, kinematics.matrices(state.pose))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Posed:
+class Posed(Struct, frozen=True, eq=False):
     """The arm in N configurations, root frame.
 
     :param origin: (N, 6, 3) of the joints [m].

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.frames import Array
 from postproc.plan.search import Plan, Task, first_levels, improved

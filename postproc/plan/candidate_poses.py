@@ -6,9 +6,9 @@ uniform over the directions that the rig allows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import PlanError
 from postproc.frames import Array
@@ -24,8 +24,7 @@ _LOOK = 4000
 """Poses at random by which constraints are judged when there is no candidate."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class Candidates(Struct, frozen=True, eq=False):
     """Feasible poses at L levels of q2, C each; levels with none are left out.
 
     :param q2: (L,) [rad].

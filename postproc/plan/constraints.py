@@ -6,10 +6,10 @@ The arm is a chain of capsules (segments with a radius), tool and rope are capsu
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.frames import Array
@@ -24,8 +24,7 @@ _STRETCHED = 0.8
 _PARTS = ("column", "link 2", "elbow", "forearm", "hand")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Capsule:
+class Capsule(Struct, frozen=True, eq=False):
     """A part in N configurations: segment from `start` (N, 3) to `end` (N, 3) and radius [m]."""
 
     name: str
@@ -34,8 +33,7 @@ class Capsule:
     radius: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class State:
+class State(Struct, frozen=True, eq=False):
     """N configurations with their loads.
 
     :param q: (N, 6) [rad].

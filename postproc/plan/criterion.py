@@ -15,9 +15,9 @@ robot's own (`Readings.scale`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import Array
 from postproc.plan.joint2 import Joint2
@@ -27,8 +27,7 @@ from postproc.plan.sensitivity import Readings
 from postproc.program import Ints
 
 
-@dataclass(frozen=True, eq=False)
-class Criterion:
+class Criterion(Struct, frozen=True, eq=False):
     """The criterion for given levels of q2. Its plans are arrays: information (n, p, p) and level (n,) of each pose.
 
     :param grouped: as printed, or pooled.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.compensator import Compensator
 from postproc.frames import Array
@@ -13,8 +12,7 @@ from postproc.robot import RobotModel
 _LEVELS = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Joint2:
+class Joint2(Struct, frozen=True, eq=False):
     """Equivalent spring of joint 2, relative to the compliance of its gear.
 
     :param compliance: of the gear, 1/K⁰_θ2 [rad/(N·m)].

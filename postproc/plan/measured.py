@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.identification.measurements import Measurements
@@ -13,8 +12,7 @@ from postproc.plan.sensitivity import Readings
 from postproc.program import Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class Measured(Struct, frozen=True, eq=False):
     """Loaded states measured so far.
 
     :param q: (d, 6) configurations [rad].

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.plan.accuracy import Accuracy
@@ -12,8 +12,7 @@ from postproc.plan.site import Site
 from postproc.program import Ints
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(Struct, frozen=True):
     """How a plan is made.
 
     :param configurations: number of poses.
@@ -38,8 +37,7 @@ class Options:
     comparisons: bool = True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Size:
+class Size(Struct, frozen=True, eq=False):
     """What other numbers of poses would give: criterion of the best plan found, and median of random plans [m²]."""
 
     configurations: int
@@ -47,8 +45,7 @@ class Size:
     random: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanResult:
+class PlanResult(Struct, frozen=True, eq=False):
     """A plan in the order of least travel, and what it is worth. Row i is the same pose in all arrays.
 
     :param options: what was asked for.

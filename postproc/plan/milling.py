@@ -6,10 +6,10 @@ Source: Klimchik et al., second Eq. (10): q₀ and F₀ "related to a typical ma
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import files, kinematics
 from postproc.cell import Cell
@@ -27,8 +27,7 @@ _SHARE_OF_Q2 = 0.3
 _FORCES = WRENCH[:3]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TestPoses:
+class TestPoses(Struct, frozen=True, eq=False):
     """T poses at which the error after compensation counts.
 
     :param q: (T, 6) joint angles [rad].

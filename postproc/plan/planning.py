@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array
@@ -31,8 +32,7 @@ Progress = Callable[[str, float, float], None]
 """Called with what is done, how far it is (0…1), and the square root of the criterion of the best plan so far [m]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class _Problem(Struct, frozen=True, eq=False):
     """Task and what it was made of."""
 
     task: Task

@@ -8,9 +8,10 @@ at random, the best of those that can be measured is taken. Nothing depends on t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.plan import constraints
@@ -32,8 +33,7 @@ CriterionAt = Callable[[Array], Criterion]
 """Levels q2 (m,) [rad] → the criterion there."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class Plan(Struct, frozen=True, eq=False):
     """n poses with their loads.
 
     :param q: (n, 6) [rad]; q[:, 1] is that of the level.
@@ -53,8 +53,7 @@ class Plan:
         return len(self.q)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
+class Task(Struct, frozen=True, eq=False):
     """What is looked for.
 
     :param site: constraints.
@@ -102,8 +101,7 @@ def improved(task: Task, seed: int, starts: int, kept: int, rounds: int) -> Iter
             yield best
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Choice:
+class _Choice(Struct, frozen=True, eq=False):
     """Candidates chosen, and what they are worth together.
 
     :param row: (m,) levels of q2, rows of the candidates.

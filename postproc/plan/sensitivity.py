@@ -7,9 +7,8 @@ joints ∂v_i/∂q_a = ω_min(a,i) × v_max(a,i).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.plan.arm import Arm
@@ -40,8 +39,7 @@ def direction_slope(tilt: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Readings:
+class Readings(Struct, frozen=True, eq=False):
     """Arm, load and reference points: what a measurement in any configuration would show.
 
     :param arm: geometry.

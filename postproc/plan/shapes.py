@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import PlanError
 from postproc.frames import M_PER_MM, Array, inverse
@@ -49,8 +49,7 @@ def along(start: Array, end: Array, length: float) -> Array:
     return np.asarray(start[..., None, :] * (1.0 - t) + end[..., None, :] * t)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BoxShape:
+class BoxShape(Struct, frozen=True, eq=False):
     """A box: `to_box` (4, 4) maps the root to its frame, half sizes `half` (3,) [m]."""
 
     name: str
@@ -78,8 +77,7 @@ class BoxShape:
         return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeshShape:
+class MeshShape(Struct, frozen=True, eq=False):
     """A mesh as its vertices, after splitting all edges to at most 40 mm.
 
     No point of the surface is farther than `between` from a vertex, so that the distance to the nearest vertex less

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
@@ -21,8 +21,7 @@ arms of this class, rounded up. `[body] radius_mm` replaces them.
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rig:
+class Rig(Struct, frozen=True, eq=False):
     """What loads the arm.
 
     :param force: size of the load [N].
@@ -37,8 +36,7 @@ class Rig:
     weight_radius: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Site:
+class Site(Struct, frozen=True, eq=False):
     """Everything that limits where the robot can be measured. Root frame where nothing else is said.
 
     :param robot: masses, compensator.

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.frames import Array, rotation_from_vector
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chain:
+class Chain(Struct, frozen=True, eq=False):
     """J joints in series and the flange on the last link. Metres, radians, kilograms.
 
     :param placement: (J, 4, 4) of each joint's frame on the link before it, at coordinate 0.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from postproc.compensator import Compensator
@@ -15,8 +14,7 @@ if TYPE_CHECKING:
     from postproc.robot.model import RobotModel
 
 
-@dataclass(frozen=True, slots=True)
-class CompensatorStiffness(CompensatorTorque):
+class CompensatorStiffness(CompensatorTorque, frozen=True):
     """K_c of the compensator's spring [N/m], at a preload K_c·s₀ that does not change with it."""
 
     per_si: ClassVar[float] = 1.0
@@ -54,8 +52,7 @@ class CompensatorStiffness(CompensatorTorque):
         return law.gradient_columns(q2)[..., 0], law.stiffness_columns(q2)[..., 0]
 
 
-@dataclass(frozen=True, slots=True)
-class CompensatorPreload(CompensatorTorque):
+class CompensatorPreload(CompensatorTorque, frozen=True):
     """K_c·s₀ of the compensator's spring [N]; in files the free length s₀: ``s_0`` [mm]."""
 
     per_si: ClassVar[float] = MM_PER_M

@@ -9,10 +9,11 @@ A1…A6 = 0, and `flange` as KUKA has it. Source of the names: ROS-Industrial, "
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass, replace
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import ModelError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
@@ -35,8 +36,7 @@ _LIGHTEST = 0.01
 """A link below this [kg] has no mass: some files need a number larger than zero there."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Adopted:
+class Adopted(Struct, frozen=True, eq=False):
     """An arm taken over.
 
     :param chain: nominal geometry, KUKA's signs.

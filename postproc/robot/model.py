@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
@@ -80,8 +80,7 @@ class Measured(Struct, frozen=True, eq=False):
     not_trusted: str
 
 
-@dataclass(frozen=True, eq=False)
-class RobotModel:
+class RobotModel(Struct, frozen=True, eq=False, dict=True):
     """A robot as the package computes with it. SI units, KUKA joint signs, root frame = `$ROBROOT`.
 
     :param name: name of the model folder.

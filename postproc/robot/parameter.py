@@ -8,11 +8,12 @@ Inside values are SI. Files hold what a workshop asks for (the whole compliance 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
@@ -28,7 +29,7 @@ A2 = "A2"
 """The joint that the compensator stands beside."""
 
 
-class Parameter(ABC):
+class Parameter(Struct, frozen=True):
     """A value of the elastic model that can be identified.
 
     `per_si`: units of the file in one SI unit. `sparse`: one of many among which some are looked for: fitted ≥ 0 and
@@ -101,7 +102,7 @@ class Parameter(ABC):
         return self.per_si * given[self], {self: self.per_si}
 
 
-class Spring(Parameter):
+class Spring(Parameter, frozen=True):
     """A parameter that adds to the deflection of one coordinate.
 
     `linear`: it grows with the torque. `is_compliance`: its slope at small torque is part of the spring's compliance.
@@ -120,7 +121,7 @@ class Spring(Parameter):
         return torque, np.ones_like(torque)
 
 
-class CompensatorTorque(Parameter):
+class CompensatorTorque(Parameter, frozen=True):
     """A parameter of the compensator's spring, which takes a torque from joint 2."""
 
     @abstractmethod

@@ -8,7 +8,6 @@ are parameters about the stated value, with its standard deviation.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from postproc.compensator import Compensator
@@ -23,8 +22,7 @@ if TYPE_CHECKING:
 _SUFFIX = ".mass"
 
 
-@dataclass(frozen=True, slots=True)
-class LinkMass(Parameter):
+class LinkMass(Parameter, frozen=True):
     """Mass of the link that a joint carries, its centre as stated: ``A2.mass`` [kg]; the payload is no part."""
 
     joint: str
@@ -87,8 +85,7 @@ class LinkMass(Parameter):
         return robot.mass_spread * self.of(robot)
 
 
-@dataclass(frozen=True, slots=True)
-class CompensatorSize(CompensatorStiffness):
+class CompensatorSize(CompensatorStiffness, frozen=True):
     """K_c at a free length s₀ that stays [N/m]: how strong the compensator is in all."""
 
     def partners(self) -> tuple[Parameter, ...]:

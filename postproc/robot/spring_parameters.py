@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
 LINK_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
 
 
-@dataclass(frozen=True, slots=True)
-class JointCompliance(Spring):
+class JointCompliance(Spring, frozen=True):
     """Compliance of a joint that does not fade: ``k1`` … ``k6``; in files that at small torque, with what fades."""
 
     joint: str
@@ -64,8 +62,7 @@ class JointCompliance(Spring):
         return sum(slope * given[p] for p, slope in slopes.items()), slopes
 
 
-@dataclass(frozen=True, slots=True)
-class FadingPart(Spring):
+class FadingPart(Spring, frozen=True):
     """Part of a joint's compliance that fades as the torque grows beyond `torque` [N·m]: ``k1@800``.
 
     Deflection T·(f(u) − f(u₀)) with f = asinh, u = (torque + rest)/T, u₀ = rest/T: a sum of such parts follows any gear
@@ -132,8 +129,7 @@ class FadingPart(Spring):
         return self.torque * (np.arcsinh(u) - np.arcsinh(u0)), 1.0 / np.sqrt(1.0 + u**2)
 
 
-@dataclass(frozen=True, slots=True)
-class Knee(FadingPart):
+class Knee(FadingPart, frozen=True):
     """Part of a joint's compliance that ends where the torque passes `torque` [N·m]: ``k1^800``.
 
     Deflection T·(f(u) − f(u₀)) with f = u/(1 + u⁴)^¼ and u, u₀ as in `FadingPart`: it grows as a spring's up to T and
@@ -157,8 +153,7 @@ class Knee(FadingPart):
         return self.torque * (u / there**0.25 - u0 / here**0.25), there**-1.25
 
 
-@dataclass(frozen=True, slots=True)
-class Backlash(Spring):
+class Backlash(Spring, frozen=True):
     """Backlash of a gear: it lies off to the side to which it is pressed, ``A4.backlash`` [rad].
 
     Deflection tanh(v) − tanh(v₀) with v = (torque + rest)/T, v₀ = rest/T; T [N·m] is small: it says over which torque
@@ -227,8 +222,7 @@ class Backlash(Spring):
         return there - here, (1.0 - there**2) / self.torque
 
 
-@dataclass(frozen=True, slots=True)
-class LostMotion(Backlash):
+class LostMotion(Backlash, frozen=True):
     """Lost motion of a gear: it lies off to the side to which the load presses it, ``A4.lost_motion@3`` [rad].
 
     Deflection tanh(v) with v = torque/T. Friction that holds the gear at rest lets it lie
@@ -244,8 +238,7 @@ class LostMotion(Backlash):
         return there, (1.0 - there**2) / self.torque
 
 
-@dataclass(frozen=True, slots=True)
-class LinkSpring(Spring):
+class LinkSpring(Spring, frozen=True):
     """Spring of a link: ``A2.RX``. `link` is base, A1…A6; `axis` X, Y, Z, RX, RY, RZ or end_RX, end_RY, end_RZ."""
 
     link: str

@@ -7,9 +7,9 @@ where the controller says q. Springs, weights and geometry see the actual angle.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.robot.model_file import JOINTS, TransmissionEntry
@@ -21,8 +21,7 @@ _ROUNDS = 60
 _SAME = 1e-14
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Transmission:
+class Transmission(Struct, frozen=True, eq=False):
     """Errors of transmission of six joints; `amplitude` (6, 4) of sin q, cos q, sin 2q, cos 2q [rad]."""
 
     amplitude: Array

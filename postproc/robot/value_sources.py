@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from postproc.frames import DEG_PER_RAD
 from postproc.robot.chain import Chain
@@ -15,8 +16,7 @@ WITH_LINKS = "k1 … k6, of A1 … A6, contain the spring of the link about the 
 """To be said wherever their values are told: readings do not tell the two apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class SourcedValue:
+class SourcedValue(Struct, frozen=True):
     """One value of a model and where it comes from."""
 
     name: str

@@ -7,10 +7,9 @@ it takes depends on how the displacement by the force turns and grows along it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
@@ -61,8 +60,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     round: Bools
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
+class Pieces(Struct, frozen=True, eq=False):
     """Into how many equal pieces arcs are divided: S stretches of arcs, between the places where the force bends, and
     wherever more of them are needed than elsewhere.
 
@@ -94,12 +92,12 @@ class Pieces:
 
     def take(self, rows: Ints | Bools) -> Pieces:
         """Return some of the stretches."""
-        return Pieces(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Pieces(*(getattr(self, name)[rows] for name in self.__struct_fields__))
 
     def joined(self, *others: Pieces) -> Pieces:
         """Return these stretches and others, in order along the path."""
         every = (self, *others)
-        out = Pieces(*(np.concatenate([getattr(one, field.name) for one in every]) for field in fields(self)))
+        out = Pieces(*(np.concatenate([getattr(one, name) for one in every]) for name in self.__struct_fields__))
         return out.take(np.lexsort((out.begin, out.motion)))
 
     def cut(self, parts: Ints) -> Pieces:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification.experiment import read_experiment

@@ -13,7 +13,6 @@ import argparse
 import tempfile
 import time
 from collections import Counter
-from dataclasses import replace as replaced
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +115,7 @@ def moved(program, rng):
     pieces = {row: t for row, t in pieces.items() if m.kind[row] != PTP}
     wanted = targets(program, shift, pieces=pieces)
     keep = (np.abs(shift).sum(axis=1) == 0)[wanted.motion] & (wanted.t == 1.0) & (m.kind[wanted.motion] != CIRC)
-    return replaced(wanted, keep=keep)
+    return replace(wanted, keep=keep)
 
 
 def in_order(program, wanted):
@@ -149,7 +148,7 @@ def read(files, folder):
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(text.encode())
-    documents = [replaced(decode(n, files[n].encode()), folder=str(folder)) for n in ("part.src", "part.dat")]
+    documents = [replace(decode(n, files[n].encode()), folder=str(folder)) for n in ("part.src", "part.dat")]
     return krl.read_program(documents, cell(folder), forward, "part")
 
 
@@ -243,7 +242,7 @@ def damaged(seed):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         try:
-            documents = [replaced(decode(n, files[n].encode()), folder=name) for n in ("part.src", "part.dat")]
+            documents = [replace(decode(n, files[n].encode()), folder=name) for n in ("part.src", "part.dat")]
             program = krl.read_program(documents, cell(folder), forward, "part")
             krl.rewrite(program, moved(program, rng))
         except PostprocError as error:

@@ -17,7 +17,6 @@ import re
 import tempfile
 import time
 from collections import Counter
-from dataclasses import replace as replaced
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -188,7 +187,7 @@ def corrected(files, folder, **changes):
     cell = replace(cell, folder=str(folder), **changes)
     for name, text in files.items():
         (folder / name).write_bytes(text.encode())
-    documents = [replaced(decode(n, files[n].encode()), folder=str(folder)) for n in ("part.src", "part.dat")]
+    documents = [replace(decode(n, files[n].encode()), folder=str(folder)) for n in ("part.src", "part.dat")]
     return correction.process(correction.read(documents, robot, cell, "part", "krl"), robot, cell)
 
 

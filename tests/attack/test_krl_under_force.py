@@ -1,10 +1,11 @@
 """Random KRL jobs corrected, executed and loaded; for hours: `python -m tests.attack.krl_under_force`."""
 
+import dataclasses
 from collections import Counter
-from dataclasses import replace
 from functools import cache
 
 import pytest
+from msgspec.structs import replace
 
 from postproc.dialects.krl.read import reader
 from postproc.toolpath import path
@@ -42,7 +43,7 @@ def test_choices_go_through_all_that_inputs_may_be():
 
 
 def stiffer(cell, robot, arm):
-    return cell, robot, replace(arm, stiffness=arm.stiffness * 1.001)
+    return cell, robot, dataclasses.replace(arm, stiffness=arm.stiffness * 1.001)
 
 
 SETUP, STARTS, NOTES = krl_under_force.setup, path.starts, reader.notes_of

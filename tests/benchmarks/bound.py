@@ -9,9 +9,9 @@ bound that `convert` states, and their ratio.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.robot.model import Discrepancy

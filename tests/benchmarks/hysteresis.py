@@ -13,10 +13,10 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification import identify_folder

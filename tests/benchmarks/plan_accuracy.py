@@ -9,10 +9,10 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.plan import Options, plan_measurements
 from tests.plan import monte_carlo, setting

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import correction, robot
@@ -40,7 +40,7 @@ def test_a_joint_limit_passed_on_the_way_is_found_though_both_ends_are_within():
     # straight over the robot's side: A1 turns beyond its limit only around the middle of the move
     tight = MODEL.upper.copy()
     tight[0] = np.radians(8.0)
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     model = replace(MODEL, upper=tight)
     made = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", -900, 0, 0)], orientation=DOWN)
@@ -214,7 +214,7 @@ def test_a_posture_that_changes_is_told():
 
 
 def test_advice_for_g_code_is_not_given_for_krl():
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     made = program(FINE, orientation=DOWN)
     for dialect, layout, given in (("gcode", None, True), ("krl", object(), False)):

@@ -5,11 +5,11 @@ The joint angles of the circles come from the arm that shares no code with the p
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells

@@ -1,13 +1,13 @@
 """Parameters, expressions, O-words and subprograms: executed as rs274 does it."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from postproc.dialects import gcode
 from postproc.errors import ProgramError, SubprogramError

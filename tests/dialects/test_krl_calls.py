@@ -1,7 +1,5 @@
 """Values that code outside the straight text changes: followed exactly, refused, or told; never silently wrong."""
 
-from dataclasses import replace as replaced
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -192,7 +190,7 @@ def in_folder(folder, source, files, data=DATA, cell=CELL):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(text.replace("\n", "\r\n").encode())
     documents = [decode("part.src", source.encode()), decode("part.dat", data.encode())]
-    documents = [replaced(document, folder=str(folder)) for document in documents]
+    documents = [replace(document, folder=str(folder)) for document in documents]
     return read_documents(documents, cell, forward, "part")
 
 

@@ -1,11 +1,11 @@
 """New KRL programs from G-code: the text byte for byte, and what the controller makes of it."""
 
-from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from msgspec.structs import replace as changed
 
 from postproc.cell import GCode, Output

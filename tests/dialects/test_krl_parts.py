@@ -1,11 +1,11 @@
 """Programs in several files: divided and joined they make the same motions, whoever executes them."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from msgspec.structs import replace as changed
 
 from postproc.dialects import krl

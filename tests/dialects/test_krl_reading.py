@@ -1,6 +1,5 @@
 """Reading KRL: what real programs hold, and what must be refused."""
 
-import dataclasses
 from functools import partial
 from unittest.mock import patch
 
@@ -28,11 +27,11 @@ def kinds(program):
 
 def assert_same(one, other):
     for part in ("motions", "layout"):
-        for field in dataclasses.fields(getattr(one, part)):
-            a, b = getattr(getattr(one, part), field.name), getattr(getattr(other, part), field.name)
+        for name in getattr(one, part).__struct_fields__:
+            a, b = getattr(getattr(one, part), name), getattr(getattr(other, part), name)
             if isinstance(a, np.ndarray):
-                assert a.dtype == b.dtype, field.name
-                assert np.array_equal(a, b, equal_nan=True), field.name
+                assert a.dtype == b.dtype, name
+                assert np.array_equal(a, b, equal_nan=True), name
     assert one.issues == other.issues
     assert one.notes == other.notes
     assert np.array_equal(one.bases, other.bases)

@@ -1,12 +1,12 @@
 """KRL in, KRL out: nothing but numbers changes, and the controller gets what was asked for."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from postproc.dialects import krl
 from postproc.errors import ProgramError

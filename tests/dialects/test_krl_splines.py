@@ -1,10 +1,10 @@
 """Spline blocks: the same path as SLIN and SCIRC alone, corrected in the block; of SPL the targets."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import correction
 from postproc import robot as robots

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import forces, frames, toolpath
 from postproc.errors import ForceError
@@ -166,7 +165,7 @@ def test_csv_row_wins_over_the_comment_for_its_lines(tmp_path):
 
 
 def test_a_row_for_a_move_that_goes_nowhere_is_no_error(tmp_path):
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     made = replace(program(SQUARE), still=np.array([77]))
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n2,1,0,0\n77,1,0,0\n"))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import forces, toolpath
 from postproc.errors import ForceError

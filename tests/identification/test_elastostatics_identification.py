@@ -1,11 +1,12 @@
 """Identification against a robot that shares no code with it (`simulator`): known truths, unseen seeds."""
 
+import dataclasses
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.cli import main
@@ -284,7 +285,7 @@ def test_a_load_with_hardly_a_lever_is_none_in_another_unit_but_one_in_kilograms
     """Such a load moves the points by a millimetre, in a direction that soft links and a stiff compensator decide."""
     true = simulator.hard(np.random.default_rng(7), feel_rest=False)
     true.gear.k = 1 / simulator.PAPER_K
-    true = replace(
+    true = dataclasses.replace(
         true, links={link: 0.5 * c for link, c in true.links.items()}, comp=(6e6, 0.458, 0.18472, 0.68593, 0.1233)
     )
     rng = np.random.default_rng(1)

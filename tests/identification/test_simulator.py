@@ -1,9 +1,8 @@
 """The simulator is an oracle only if it is right: its solution must be stationary, and agree with the package."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from samples.paper_study import simulator

@@ -1,11 +1,12 @@
 """Bounds that hold where the model is wrong: against the simulator, on robots that no structure describes exactly."""
 
+import dataclasses
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
@@ -324,7 +325,7 @@ class Returning:
 
 
 def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says_so(tmp_path):
-    few = replace(row("hard"), poses=8)
+    few = dataclasses.replace(row("hard"), poses=8)
     truth.experiment(few, 0, tmp_path)
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     assert done.text.startswith("NOT TO BE TRUSTED: ")

@@ -6,9 +6,8 @@ package's, the errors are those of predicted against true tool positions at the 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import elastostatics
 from postproc.errors import PostprocError

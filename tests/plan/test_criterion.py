@@ -93,7 +93,7 @@ def test_load_directions_have_unit_length_and_the_angle_asked_for():
 
 def test_k2_between_the_levels_follows_the_compensator():
     """With K_c free, errors at the levels that come from wrong K_c and s_0 are carried on exactly."""
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     law = Joint2.of(setting.ROBOT, free=True)
     levels, q2 = np.radians([-10, -50, -90, -130]), np.radians([-30.0, -75.0])

@@ -136,7 +136,7 @@ def test_a_load_too_small_to_be_seen_is_refused(tmp_path):
 
 
 def test_the_compensator_is_planned_for_only_where_it_can_be_identified(tmp_path, monkeypatch):
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     assert not setting.quick(tmp_path).compensator_free
     spring = setting.ROBOT.compensator

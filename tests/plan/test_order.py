@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise, permutations
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.plan import order
 from tests.plan import setting

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
+from msgspec.structs import replace
 
 from postproc.frames import pose_from_xyzabc
 from postproc.machining.tool import Cutter

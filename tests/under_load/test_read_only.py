@@ -19,7 +19,7 @@ FILES = {"gcode": ("pocket.nc",), "krl": ("inline.src", "inline.dat")}
 
 
 def arrays(record, where=""):
-    for field in type(record).__match_args__:  # of dataclasses and Structs
+    for field in type(record).__match_args__:
         value, name = getattr(record, field), f"{where}.{field}"
         if isinstance(value, np.ndarray):
             yield name, value

@@ -28,10 +28,10 @@ code that `codes` refuses. Each of these is a test. In G18 and G19 rs274 confuse
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects.gcode import words

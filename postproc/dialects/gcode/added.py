@@ -7,9 +7,8 @@ nothing stands, it goes there first, above its goal (with a tilted tool: along t
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.dialects.gcode.arcs import Arcs
 from postproc.dialects.gcode.tool_positions import LEVEL, Moves, Setting

@@ -195,7 +195,7 @@ def _motions(
         status=unset,
         turn=unset.copy(),
     )
-    for name in Motions.__slots__:
+    for name in Motions.__struct_fields__:
         getattr(motions, name).flags.writeable = False
     return motions
 

@@ -7,8 +7,9 @@ the extension of the program.
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.blocks import BlockError

@@ -8,11 +8,11 @@ G28 for the axes that it sends home.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
@@ -51,8 +51,7 @@ class Setting(Struct, frozen=True, eq=False):
     axes: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Moves:
+class Moves(Struct, frozen=True, eq=False):
     """N moves in order. Places are in the program frame [mm].
 
     :param row: (N,) of the line, never decreasing.

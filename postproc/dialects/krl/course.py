@@ -6,10 +6,9 @@ Reading and correcting work on that text as on a straight program; `write.foldin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Source
@@ -108,8 +107,7 @@ class Called(Struct, eq=False):
     body: Body
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class Course(Struct, frozen=True, eq=False):
     """A program in the order in which it runs.
 
     :param main: the main routine.

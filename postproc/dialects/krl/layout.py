@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.dialects.krl.course import Course
@@ -17,8 +17,7 @@ from postproc.program import Bools, Carriage, Document, Ints
 Offsets = NDArray[np.int32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class Layout(Struct, frozen=True, eq=False):
     """The text of M motions. Offsets count characters from the beginning of the text of the course.
 
     :param course: the program in the order in which it runs.

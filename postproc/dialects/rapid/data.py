@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
 
 from postproc.dialects.rapid.conventions import poses
 from postproc.frames import M_PER_MM, Array
@@ -20,8 +20,7 @@ _FARTHEST = 1e6
 """Largest coordinate of a frame [mm]."""
 
 
-@dataclass(slots=True, eq=False)
-class Data:
+class Data(Struct, eq=False):
     """What the moves of a module refer to, by name.
 
     :ivar tools: `$TOOL` in the flange frame (4, 4) [m].

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects import circles
@@ -51,8 +52,7 @@ _ADVICE = "Only RAPID that postproc wrote is read. Convert the G-code that the p
 _NOT_NORMALISED = 1e-4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class Layout(Struct, frozen=True, eq=False):
     """What the text of M motions commands.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in the work objects.
@@ -61,8 +61,7 @@ class Layout:
     numbers: Array
 
 
-@dataclass(slots=True, eq=False)
-class _Moves:
+class _Moves(Struct, eq=False):
     """What stands in the moves, row by row."""
 
     line: list[int] = field(default_factory=list)

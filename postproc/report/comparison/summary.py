@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NotRequired, TypedDict
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.comparison import Comparison
 from postproc.correction import statistics
@@ -22,8 +22,7 @@ _MOST = 20
 _DIFFERENCES = ("speed", "kind", "approximation", "base", "tool", "external-axis")
 
 
-@dataclass(frozen=True, slots=True)
-class MadeFrom:
+class MadeFrom(Struct, frozen=True):
     """What is known of where the second program comes from.
 
     :param said: what it says itself.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from postproc.correction import Result
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
@@ -61,8 +61,7 @@ class Facts(msgspec.Struct, frozen=True):
     histograms: dict[str, Histogram]
 
 
-@dataclass(frozen=True)
-class Deviation:
+class Deviation(Struct, frozen=True, dict=True):
     """A result and what the sections of its page say of it.
 
     :param result: of one program.

@@ -10,9 +10,9 @@ wall also below.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from scipy.spatial import cKDTree
 
 from postproc.correction import Result
@@ -40,8 +40,7 @@ _CANDIDATES = 12
 _AT_ONCE = 50_000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class Surface(Struct, frozen=True, eq=False):
     """F facets of a part, in the frame of its mesh [m]. NaN where no tool touches.
 
     :param corners: (F, 3, 3) of each facet.
@@ -61,8 +60,7 @@ class Surface:
     row: Ints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frames:
+class _Frames(Struct, frozen=True, eq=False):
     """How what is known in the frames of a program stands in that of the mesh.
 
     :param drawn: (4, 4) of the frame that `drawn_path` is in [m].
@@ -85,8 +83,7 @@ class _Frames:
         return np.asarray(np.einsum("kij,kj->ki", self.rotation, vectors))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Path:
+class _Path(Struct, frozen=True, eq=False):
     """Cutting pieces of the path, S samples close to each other, row i of all arrays, in the frame of the mesh."""
 
     point: Array

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.errors import ProgramError, together
 from postproc.program import LIN, PTP, Motions, Program, parse_force_note

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import PurePath
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.data_files import DataLine, data_lines
 from postproc.dialects.krl.language.source import Source

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.values import Aggregate, Number
 from postproc.errors import ProgramError
@@ -27,8 +26,7 @@ FARTHEST = 1e6
 _NAN = float("nan")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Position:
+class Position(Struct, frozen=True, eq=False):
     """A target or frame whose numbers are known.
 
     :param values: X, Y, Z [mm], A, B, C [deg] for a Cartesian one, A1…A6 [deg] for an axis one; NaN where missing.

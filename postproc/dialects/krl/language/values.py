@@ -6,8 +6,9 @@ Offsets count characters from the beginning of the document.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
 
@@ -85,8 +86,7 @@ class Opaque(NamedTuple):
     stop: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Aggregate:
+class Aggregate(Struct, frozen=True, eq=False):
     """``{TAG: NAME value, …}``.
 
     :param source: the file it stands in.

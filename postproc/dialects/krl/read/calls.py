@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import PURE, STANDARD

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
@@ -35,8 +34,7 @@ class Unread(Struct, frozen=True):
     stop: int
 
 
-@dataclass(frozen=True, slots=True)
-class Scope:
+class Scope(Struct, frozen=True):
     """Which variable a name means.
 
     :param local: names of the routine's own → how they are stored.

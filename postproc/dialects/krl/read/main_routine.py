@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines
 from postproc.dialects.krl.language.expressions import operand

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import COLUMNS
@@ -21,8 +22,7 @@ NUMBERS = len(COLUMNS) + 6
 """Those and E1 … E6."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionColumns:
+class MotionColumns(Struct, frozen=True, eq=False):
     """R motions.
 
     :param line: (R,) 1-based line.
@@ -59,7 +59,7 @@ class MotionColumns:
 
     def columns(self) -> list[Any]:
         """Return all columns."""
-        return [getattr(self, column.name) for column in fields(self)]
+        return [getattr(self, name) for name in self.__struct_fields__]
 
     def shifted(self, lines: int, characters: int) -> MotionColumns:
         """Return the same motions further down in a text."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.circles import circles, same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement

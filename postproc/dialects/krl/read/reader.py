@@ -8,11 +8,11 @@ taken as the origin of `$WORLD`. C_VEL and C_ORI have no distance: their motions
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path, PurePath
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects.krl.language.positions import FARTHEST

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine

@@ -7,9 +7,9 @@ import re
 from collections import defaultdict
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects.krl.language.brackets import split

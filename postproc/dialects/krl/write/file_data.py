@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import PurePath
+
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.data_files import DataLine, data_lines
 from postproc.dialects.krl.language.names import NAME

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import PurePath
+
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.names import MAX_LENGTH, NAME, unused
 from postproc.dialects.krl.language.parts import MAIN, beyond, called

@@ -14,12 +14,12 @@ What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
 from pathlib import PurePath
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.dialects.force_comments import needed, texts
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point

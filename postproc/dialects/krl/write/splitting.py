@@ -16,12 +16,12 @@ Decisions, where KUKA leaves a choice:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
 from itertools import chain, count, pairwise
 from pathlib import PurePath
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.names import MAX_LENGTH, NAME, fault_of
 from postproc.dialects.krl.language.parts import MAIN, joined, taken_apart
