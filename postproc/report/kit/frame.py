@@ -6,16 +6,13 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from msgspec import Struct
 
 from postproc.report.kit.columns import Columns
 from postproc.report.kit.parts import Note, Part, Section
 from postproc.report.kit.plots import encoded
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 _ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "stage", "cursor", "space", "plots")
 _LIBRARY = b"<!-- library -->"
@@ -48,11 +45,13 @@ class Page(Struct, frozen=True):
 
     def render(self) -> Iterator[bytes]:
         """Yield the page as HTML in UTF-8; what needs no plot is without the library that draws them."""
+        from postproc.report.kit.templating import template  # with jinja2, where a page is made
+
         plots = any(_holds(section.parts, self.drawn) for section in self.sections)
         shared = (*_ALWAYS, *(_DRAWING if plots else ()))
         names = [*(("postproc.report.kit", name) for name in shared), *(self.scripts if plots else ())]
         text = (
-            _template()
+            template()
             .render(
                 page=self,
                 plots=plots,
@@ -75,6 +74,7 @@ def library() -> bytes:
     return (_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
 
 
+@cache
 def _folder(package: str) -> Path:
     spec = find_spec(package)
     if spec is None or spec.origin is None:
@@ -89,16 +89,3 @@ def _holds(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
 @cache
 def _text(package: str, name: str) -> str:
     return (_folder(package) / name).read_text(encoding="utf-8")
-
-
-@cache
-def _template() -> Template:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
-
-    def load(name: str) -> str:
-        return _text("postproc.report.kit", f"templates/{name}")
-
-    environment = Environment(
-        autoescape=True, loader=FunctionLoader(load), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template("page.html")
