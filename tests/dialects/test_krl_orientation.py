@@ -92,7 +92,7 @@ def test_inline_forms_name_the_modes_by_their_data():
     circle = "SCIRC {X 50,Y 50,Z 0},{X 100,Y 0,Z 0,A 1,B 2,C 3} WITH $ORI_TYPE=SORI_TYP(LCPDAT1), "
     program = read(body(FULL, f"{circle}$CIRC_TYPE=SCIRC_TYP(LCPDAT1), $CIRC_MODE=SCIRC_M(LCPDAT1)"), data)
     assert program.with_path.tolist() == [False, True]
-    assert program.layout.constant.tolist() == [False, True]
+    assert program.layout.orientation.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("circle", ["#BASE", "#PATH"])
@@ -161,6 +161,20 @@ def test_corrected_motions_are_freed_and_the_one_behind_them_comes_back():
 def test_a_target_whose_angles_were_ignored_gets_the_ones_that_were_meant():
     (src,) = corrected((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "lin {x 9,a 44}"), turned=(1,))
     assert src[7] == "lin {x 9,a 10.00000,b 20.00000,c 170.00000}"
+
+
+@pytest.mark.parametrize("kind", ["#JOINT", "#IGNORE"])
+def test_an_orientation_that_stays_is_freed_to_be_corrected(kind):
+    still = [f"LIN {{X {x},Y 2,Z 3,A 10,B 20,C 170}}" for x in range(5)]
+    lines = (still[0], f"$ORI_TYPE={kind}", *still[1:4], f"S{still[4]}", "$ORI_TYPE=#VAR", FULL)
+    (src,) = corrected(lines, turned=(2,))
+    around = ["LIN", "$ORI_TYPE=#VAR", "LIN", "LIN", f"$ORI_TYPE={kind}"]
+    if kind == "#IGNORE":  # the controller chooses the orientation at its target, where the next one starts
+        around = [around[1], around[0], *around[2:]]
+    assert [line.split("{")[0].strip() for line in src[5:10]] == around
+    (src,) = corrected(lines, turned=(4,))
+    assert next(line for line in src if line.startswith("SLIN")).endswith("} WITH $ORI_TYPE=#VAR")
+    assert ("$ORI_TYPE=#VAR" in src[:8]) == (kind == "#IGNORE")
 
 
 def test_a_position_alone_is_corrected_without_freeing():

@@ -582,6 +582,26 @@ def test_inline_forms_take_points_frames_speed_and_approximation_from_the_data_f
     assert kinds(program) == ["home-from-cell"]
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["$ORI_TYPE=SORI_TYP(LCPDAT1)", "PTP {X 1}"],
+        ["$ORI_TYPE=SORI_TYP(LCPDAT1)", "PTP {X 1}", "$ORI_TYPE=#VAR", "LIN {X 2}"],
+        ["$CIRC_TYPE=SCIRC_TYP(LCPDAT1)", "LIN {X 1}"],
+        ["$APO=SAPO(LCPDAT1)", "LIN {X 1}"],
+        ["$APO=SAPO_PTP(PPDAT1)", "LIN {X 1} C_DIS"],
+        ["LDAT_ACT={VEL 2.0}", "BAS(#CP_DAT)", "LIN {X 1} C_DIS"],
+        ["SLIN {X 1} WITH $ORI_TYPE=SORI_TYP({VEL 2.0}), $APO=SAPO({VEL 2.0}) C_SPL"],
+        ["$ACC=SACC_CP(LCPDAT1)", "$ADVANCE=AHEAD", "$VEL.ORI1=TURN", "$VEL_AXIS[1]=FAST", "LIN {X 1}"],
+        ["$VEL=SVEL_CP(2.0, , LCPDAT1)", "LIN {X 1}"],
+    ],
+)
+def test_modes_that_are_not_known_are_no_matter_where_nothing_depends_on_them(lines):
+    m = read(body(FULL, *lines)).motions
+    assert len(m) == 1 + sum("{X" in line for line in lines)
+    assert m.feed[-1] == 2.0 or m.kind[-1] == PTP
+
+
 def test_settings_behind_with_hold_for_one_motion_only():
     program = read(body("$VEL.CP=0.3", "SLIN XP2 WITH $VEL=SVEL_CP(0.2,,LCPDAT1), $BASE={X 5}", "LIN XP2"), INLINE_DATA)
     assert program.motions.feed.tolist() == [0.2, 0.3]
@@ -808,7 +828,30 @@ ERRORS = [
     (["$ORI_TYPE=#JOINT", FULL], 5, "ORI_TYPE=#JOINT"),
     ([FULL, "$ORI_TYPE=#IGNORE", "SLIN {A 11}"], 6, "ORI_TYPE=#IGNORE"),
     ([FULL, "$ORI_TYPE=#IGNORE", "SLIN {X 5}", "$ORI_TYPE=#VAR", "SLIN {A 11}"], 6, "ORI_TYPE=#IGNORE"),
-    ([FULL, "$CIRC_TYPE=#CHORD", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 6, "CIRC_TYPE=#CHORD is not known"),
+    ([FULL, "$CIRC_TYPE=#CHORD", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 5, "CIRC_TYPE is not known: there is no #CHORD"),
+    ([FULL, "$ORI_TYPE=#JOINT", "$CIRC_TYPE=#PATH", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 7, "ORI_TYPE=#JOINT and"),
+    ([FULL, "$ORI_TYPE=MODE", "LIN {X 1}"], 5, "ORI_TYPE is not known: MODE has no value"),
+    ([FULL, "$ORI_TYPE=CHOSEN(3)", "LIN {X 1}"], 5, r"ORI_TYPE is not known: CHOSEN\(3\) is computed"),
+    ([FULL, "$ORI_TYPE=SORI_TYP(LCPDAT1)", "LIN {X 1}"], 5, "ORI_TYPE is not known: LCPDAT1 has no value"),
+    ([FULL, "$ORI_TYPE=SORI_TYP(CHOSEN(3))", "LIN {X 1}"], 5, "ORI_TYPE is not known"),
+    ([FULL, "$ORI_TYPE=SORI_TYP( )", "LIN {X 1}"], 5, "ORI_TYPE is not known"),
+    ([FULL, "SLIN {X 1} WITH $ORI_TYPE=SORI_TYP(LCPDAT1)"], 5, "ORI_TYPE is not known: LCPDAT1 has no value"),
+    ([FULL, "SPLINE WITH $ORI_TYPE=SORI_TYP(LCPDAT1)", "SPL {X 1}", "ENDSPLINE"], 5, "ORI_TYPE is not known"),
+    ([FULL, "$CIRC_TYPE=SCIRC_TYP(L1)", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 5, "CIRC_TYPE is not known: L1 has no"),
+    ([FULL, "SLIN {X 1} WITH $IPO_MODE=SIPO_MODE(FP1.IPO_FRAME)"], 5, "IPO_MODE is not known: FP1.IPO_FRAME has no"),
+    ([FULL, "$IPO_MODE=#TOOL", "LIN {X 1}"], 5, "IPO_MODE is not known: there is no #TOOL"),
+    ([FULL, "LDAT_ACT=LCPDAT1", "BAS(#CP_DAT)", "LIN {X 1}"], 6, "ORI_TYPE is not known: .*LCPDAT1 is in no file"),
+    ([FULL, "BAS(#CP_DAT)", "LIN {X 1}"], 5, "ORI_TYPE is not known: LDAT_ACT.ORI_TYP has no value"),
+    ([FULL, "LDAT_ACT={ORI_TYP MODE}", "BAS(#CP_DAT)", "LIN {X 1}"], 6, "ORI_TYPE is not known: "),
+    ([FULL, "LDAT_ACT={APO_DIST FAR}", "BAS(#CP_DAT)", "LIN {X 1} C_DIS"], 6, "CDIS is not known"),
+    ([FULL, "FDAT_ACT={TOOL_NO 2,BASE_NO 3,IPO_FRAME MODE}", "BAS(#FRAMES)", "LIN {X 1}"], 6, "IPO_MODE is not known"),
+    ([FULL, "$APO=SAPO(LCPDAT1)", "LIN {X 1} C_DIS"], 5, "CDIS is not known: LCPDAT1 has no value"),
+    ([FULL, "$APO=NEAR(3)", "LIN {X 1} C_DIS"], 5, r"CDIS is not known: NEAR\(3\) is computed"),
+    (
+        [FULL, "XHOME=REST", "PTP XHOME", "LIN {X 1}"],
+        6,
+        "XHOME is changed while the program runs .line 5: REST is in no",
+    ),
     ([FULL, "$CIRC_TYPE=#PATH", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9},CA 100"], 6, "circle with CA"),
     ([FULL, "$ORI_TYPE=#CONSTANT", "LIN {A 5}", "$ORI_TYPE=#VAR", "LIN {X 5}"], 8, "A, B, C are missing behind"),
     ([FULL, "$ORI_TYPE=#CONSTANT", "LIN {A 5}", "$ORI_TYPE=#VAR", "LIN_REL {X 5}"], 8, "A, B, C are missing behind"),
@@ -921,7 +964,7 @@ def test_several_points_may_be_declared_on_one_line():
 
 def test_a_constant_orientation_that_does_not_change_is_accepted():
     program = read(body(FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 1,Y 2,Z 3,A 10,B 20,C 170}", "LIN {X 5}"))
-    assert program.layout.constant.tolist() == [False, True, True]
+    assert program.layout.orientation.tolist() == [0, 1, 1]
 
 
 def test_frames_close_to_each_other_are_not_one():

@@ -278,6 +278,15 @@ def test_the_robot_does_not_stop_at_an_inserted_target(line, tail):
     assert lines[6].partition("}")[2] == line.partition("}")[2]
 
 
+def test_the_robot_stops_at_an_inserted_target_where_the_distance_is_not_known():
+    program = read(body(FULL, "$APO.CDIS=NEAR", "LIN {X 1,Y 2,Z 3}", "$APO.CDIS=1", "LIN {X 9,Y 2,Z 3}"))
+    wanted = targets(program, pieces={1: [0.5], 2: [0.5]})
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written, approximated=False)
+    assert [line.count("C_DIS") for line in written.documents[0].text.splitlines()[5:10]] == [0, 0, 0, 1, 0]
+    assert [(i.kind, i.source_line, "not known" in i.message) for i in written.issues] == [("stop-inserted", 6, True)]
+
+
 def test_inserted_targets_of_an_inline_form_stand_inside_its_fold_with_numbers():
     lines = (
         FULL,

@@ -15,6 +15,8 @@ from postproc.frames import Array
 from postproc.program import Bools, Carriage, Document, Ints
 
 Offsets = NDArray[np.int32]
+ORIENTATIONS = FREE, CONSTANT, JOINT, IGNORE = "#VAR", "#CONSTANT", "#JOINT", "#IGNORE"
+"""Values of `$ORI_TYPE` (KUKA, System Variables)."""
 
 
 class Layout(Struct, frozen=True, eq=False):
@@ -34,9 +36,10 @@ class Layout(Struct, frozen=True, eq=False):
     :param via_spans: (M, 3, 2) where X, Y, Z of the auxiliary points of circles stand; −1 as for `spans`.
     :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
     :param resumed: (M,) True where the controller's previous position is an axis target or the start.
-    :param constant: (M,) True where ``$ORI_TYPE=#CONSTANT`` makes the controller ignore A, B, C.
-    :param ignored: (M,) True where it does, and the text says others than are commanded.
+    :param orientation: (M,) which of `ORIENTATIONS` `$ORI_TYPE` is; of PTP, which knows none, the first.
+    :param ignored: (M,) True where it makes the controller ignore A, B, C, and the text says others than are commanded.
     :param with_path: (M,) True for circles with which the tool turns (``$CIRC_TYPE=#PATH``).
+    :param distant: (M,) True where `$APO.CDIS` is known, so that inserted targets can be approximated.
     :param passed: (M,) True in spline blocks, where the robot passes the targets without approximation.
     :param statements: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
         axis targets.
@@ -60,9 +63,10 @@ class Layout(Struct, frozen=True, eq=False):
     via_spans: Offsets
     via_target: Ints
     resumed: Bools
-    constant: Bools
+    orientation: Ints
     ignored: Bools
     with_path: Bools
+    distant: Bools
     passed: Bools
     statements: Mapping[int, MotionStatement]
     types: Mapping[str, str]

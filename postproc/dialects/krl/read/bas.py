@@ -5,12 +5,13 @@ from __future__ import annotations
 from postproc.cell import Cell
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference, Word
+from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference
+from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import Frames
-from postproc.dialects.krl.read.path_settings import PathSettings, check_frame_mode
+from postproc.dialects.krl.read.known import Known
+from postproc.dialects.krl.read.path_settings import PathSettings
 from postproc.dialects.krl.read.state import FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
-from postproc.frames import M_PER_MM
 
 BAS_SETS = {
     "#INITMOV": tuple(FIELDS),
@@ -74,29 +75,35 @@ class Bas:
     def _no_frames(self, state: State, at: Place, why: str) -> State:
         return self.frames.unknown(self.frames.unknown(state, "$BASE", at, why), "$TOOL", at, why)
 
-    def _data(self, name: str, at: Place) -> Aggregate | None:
+    def _data(self, name: str, at: Place) -> Known:
+        """Return what the structure is that a command reads."""
+        return self.variables.evaluate(at.source, self._component(name, None, at))
+
+    def _component(self, name: str, field: str | None, at: Place) -> Reference:
         start, _ = at.source.code_span(at.line)
-        known = self.variables.evaluate(at.source, Reference(name, None, None, start, start))
-        return known if isinstance(known, Aggregate) else None
+        return Reference(name, None, field, start, start)
 
     def _path_data(self, state: State, at: Place) -> State:
+        """Return the state behind #CP_DAT; what LDAT_ACT says nothing of stays."""
         data = self._data("LDAT_ACT", at)
-        if data is None:
-            return state
-        distance, kind, circle = (data.items.get(name) for name in ("APO_DIST", "ORI_TYP", "CIRC_TYP"))
-        if isinstance(distance, Number):
-            state = state.with_known(cdis=distance.value * M_PER_MM)
-        if isinstance(kind, Word):
-            state = state.with_known(orientation=kind.text)
-        return state.with_known(circle=circle.text) if isinstance(circle, Word) else state
+        for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
+            value = self._component("LDAT_ACT", field, at)
+            if isinstance(data, Aggregate) and field not in data.items:
+                continue
+            if name == "$APO":
+                state = self.path.distance(state, at, "CDIS", value)
+            else:
+                state = self.path.mode(state, at, name, value)
+        return state
 
     def _frame_data(self, state: State, at: Place) -> State:
         data = self._data("FDAT_ACT", at)
-        if data is None:
-            return self._no_frames(state, at, "FDAT_ACT has no value in the program, its .dat or the $config.dat")
-        mode = data.items.get("IPO_FRAME")
-        if isinstance(mode, Word):
-            check_frame_mode(mode.text, at)
+        if not isinstance(data, Aggregate):
+            return self._no_frames(
+                state, at, why_unknown(self.variables, at.source, self._component("FDAT_ACT", None, at))
+            )
+        if "IPO_FRAME" in data.items:
+            state = self.path.mode(state, at, "$IPO_MODE", self._component("FDAT_ACT", "IPO_FRAME", at))
         for name, field in (("$BASE", "BASE_NO"), ("$TOOL", "TOOL_NO")):
             number = data.items.get(field)
             if isinstance(number, Number):

@@ -20,6 +20,8 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
             if variables.position(source, operand) is None:
                 return why_unknown(variables, source, operand)
     text = source.text[value.start : value.stop].strip()[:80]
+    if not text and isinstance(value, Reference):  # one that a program of the controller reads
+        text = value.name if value.field is None else f"{value.name}.{value.field}"
     if isinstance(value, Operation):
         for side in (value.left, value.right):
             if side is not None and isinstance(variables.evaluate(source, side), Unknown):

@@ -43,7 +43,8 @@ class Frames:
             known = self.variables.argument(at, value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
             if not isinstance(known, Number):
                 text = at.source.text[value.start : value.stop]
-                return self.unknown(state, name, at, f"{text}: the number is not known")
+                why = why_unknown(self.variables, at.source, known or NOTHING)
+                return self.unknown(state, name, at, f"{text}: the number is not known: {why}")
             return self.numbered(state, at, name, int(known.value))
         if isinstance(value, Call) and value.name == "EK":
             raise at.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")

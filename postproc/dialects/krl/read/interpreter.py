@@ -29,7 +29,7 @@ from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED
 from postproc.dialects.krl.read.inexact import inexact
-from postproc.dialects.krl.read.known import NOTHING, Known
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, State
 
@@ -228,8 +228,11 @@ class Interpreter:
             self.run.variables.forget(self.run.stored(name), str(at))
         elif target.field is not None:
             self.run.variables.set_field(key, target.field, value, str(at))
-        elif value != NOTHING or name != "$H_POS":
+        elif value != NOTHING:
             self.run.variables.set(key, value, str(at))
+        elif name != "$H_POS":
+            given = at.source.text[start:stop].strip()[:80]
+            self.run.variables.set(key, Unknown(f"{at}: {given} is in no file of the program"), str(at))
 
     def _set_to(self, at: Place, target: Reference, start: int, stop: int) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""
@@ -239,7 +242,7 @@ class Interpreter:
             raise at.error(f"{at.source.text[end:stop].strip()!r} is not understood")
         if "(" in at.source.text[start:stop]:
             known = self.calls.value(at, start, stop)
-            if isinstance(value, Call) and known != NOTHING:
+            if isinstance(value, Call) and not isinstance(known, Unknown):
                 value = known
         self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
 

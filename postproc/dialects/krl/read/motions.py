@@ -13,7 +13,7 @@ from postproc.dialects.krl.language.circles import circles, same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
-from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Layout
 from postproc.dialects.krl.read.auxiliary_points import turned_the_longer_way
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
 from postproc.dialects.krl.read.external_axes import external_axes
@@ -27,7 +27,7 @@ from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
-_BY_ROTATION = ("#VAR", "#CONSTANT")
+_BY_ROTATION = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
 _AT_THE_END = 1e-6
 """A circle with CA that ends this close [rad] to its end point ends there."""
@@ -146,9 +146,10 @@ def motions_and_layout(
         via_spans=rows.via_spans,
         via_target=rows.via_target,
         resumed=ends.resumed,
-        constant=led.constant,
+        orientation=np.where(rows.kind == PTP, 0, _column(states, state, lambda s: ORIENTATIONS.index(s.orientation))),
         ignored=ends.ignored,
         with_path=led.with_path,
+        distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
         passed=block != "",
         statements=moves,
         types=dict(settings.variables.types),
@@ -229,14 +230,15 @@ def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) 
     the tool along: what stays, or changes by one rotation, is the orientation as seen from the path. `$CIRC_TYPE` means
     nothing under #JOINT.
 
-    :raises ProgramError: `$CIRC_TYPE` has a value that is not known.
+    :raises ProgramError: a circle that is led along the path has to be led by one rotation.
     """
     round_ = rows.kind == CIRC
-    other = np.flatnonzero(round_ & _column(states, state, lambda s: s.circle not in ("#BASE", "#PATH")))
-    if len(other):
-        problem = f"$CIRC_TYPE={states[state[other[0]]].circle} is not known"
-        raise source.line_error(problem, int(rows.line[other[0]]), "It is #BASE or #PATH.")
-    constant = _column(states, state, lambda s: s.orientation == "#CONSTANT") & (rows.kind != PTP)
+    own = round_ & _column(states, state, lambda s: s.circle == "#PATH" and s.orientation not in _BY_ROTATION)
+    if own.any():
+        first = int(np.argmax(own))
+        problem = f"a circle under $ORI_TYPE={states[state[first]].orientation} and $CIRC_TYPE=#PATH"
+        raise source.line_error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
+    constant = _column(states, state, lambda s: s.orientation == CONSTANT) & (rows.kind != PTP)
     with_path = _column(states, state, lambda s: s.circle == "#PATH" and s.orientation in _BY_ROTATION)
     return Led(constant, round_ & with_path, rows.via)
 
@@ -251,14 +253,14 @@ def _check_orientation(source: Source, rows: MotionColumns, states: list[State],
     turned, turned_behind = (
         ~same_orientation(ends.start.at(each)[:, :3, :3], ends.pose[each, :3, :3]) for each in (own, behind)
     )
-    turned |= turned_behind & np.array([kind == "#IGNORE" for kind in kinds])
+    turned |= turned_behind & np.array([kind == IGNORE for kind in kinds])
     if not turned.any():
         return
     first = int(np.argmax(turned))
     problem = {
-        "#JOINT": "the orientation changes under $ORI_TYPE=#JOINT: it follows the wrist axes, not one rotation",
-        "#IGNORE": "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
-    }.get(kinds[first], f"the orientation changes under $ORI_TYPE={kinds[first]}")
+        JOINT: "the orientation changes under $ORI_TYPE=#JOINT: it follows the wrist axes, not one rotation",
+        IGNORE: "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
+    }[kinds[first]]
     advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
     raise source.line_error(problem, int(rows.line[own[first]]), advice)
 

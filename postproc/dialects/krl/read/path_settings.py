@@ -5,19 +5,33 @@ from __future__ import annotations
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
+from postproc.dialects.krl.layout import ORIENTATIONS
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.frames import M_PER_MM
 
 FASTEST = 100.0
 """A speed above this [m/s] is a slip of the unit."""
-_RUN_TIME = "Write it as a number or a constant name, so that it is known before the program runs."
-_MODES = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
-"""Modes, and what they are where a function that gives them says nothing."""
-_MODE_OF = {"SIPO_MODE": "IPO_FRAME", "SORI_TYP": "ORI_TYP", "SCIRC_TYP": "CIRC_TYP"}
+_IN_A_FILE = "have the .dat that declares it beside the program, in [krl] search or as config_dat of the cell"
+_RUN_TIME = f"Write it as a number, or {_IN_A_FILE}."
+_MODES = {
+    "$ORI_TYPE": ORIENTATIONS,
+    "$CIRC_TYPE": ("#BASE", "#PATH"),
+    "$IPO_MODE": ("#BASE", "#TCP"),
+}
+"""Modes and their values (KUKA, System Variables); the first where a structure that gives them has none."""
+_MODE_OF = {
+    "SIPO_MODE": "IPO_FRAME",
+    "SORI_TYP": "ORI_TYP",
+    "SORI_TYPE": "ORI_TYP",
+    "SCIRC_TYP": "CIRC_TYP",
+    "SCIRC_TYPE": "CIRC_TYP",
+}
 """These functions, which inline forms use, and which component of their argument they return."""
+_OF_PTP = frozenset({"SAPO_PTP"})
+"""Functions that give `$APO` no distance for paths."""
 
 
 class PathSettings:
@@ -45,12 +59,13 @@ class PathSettings:
 
     def distance(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
         """Return the state behind ``$APO.CDIS = value``, or ``$APO = {…}`` without a field; likewise."""
-        if isinstance(value, Call):
-            if value.name != "SAPO" or field not in (None, "CDIS"):
+        if isinstance(value, Call) and value.name in _OF_PTP:
+            return state
+        if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
+            given = self.variables.argument(at, value, "APO_DIST")
+            if given is None:
                 return state
-            field, value = "CDIS", self.variables.argument(at, value, "APO_DIST")
-            if value == NOTHING:
-                return state
+            field, value = "CDIS", given
         wanted = self._component(at, field, "CDIS", value)
         if wanted is None:
             return state
@@ -64,21 +79,22 @@ class PathSettings:
 
         :raises ProgramError: the robot moves the workpiece then.
         """
-        known: Value | Known
+        given: Value | Known | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
-            known = self.variables.argument(at, value, _MODE_OF[value.name])
-            word = known.text if isinstance(known, Word) else _MODES[name]
-            certain = not isinstance(known, Unknown) or not known.where
-        else:
-            known = self.variables.evaluate(at.source, value)
-            word, certain = (known.text, True) if isinstance(known, Word) else ("", False)
-        if not certain:
-            problem = at.error(f"{name} is not known before the program runs", _RUN_TIME)
+            given = self.variables.argument(at, value, _MODE_OF[value.name])
+        known = None if given is None else self.variables.evaluate(at.source, given)
+        word = _MODES[name][0] if known is None else known.text if isinstance(known, Word) else ""
+        if word not in _MODES[name]:
+            why = f"there is no {word}" if word else why_unknown(self.variables, at.source, given or NOTHING)
+            advice = f"Write its value, one of {', '.join(_MODES[name])}{'.' if word else f', or {_IN_A_FILE}.'}"
+            problem = at.error(f"{name} is not known: {why}", advice)
             if name == "$IPO_MODE":
                 raise problem
             return self.reasons.unknown(state, FIELDS[name], problem)
         if name == "$IPO_MODE":
-            check_frame_mode(word, at)
+            if word != "#BASE":
+                moved = f"$IPO_MODE {word}: the workpiece is moved by the robot"
+                raise at.error(moved, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
             return state
         return state.with_known(**{FIELDS[name]: word})
 
@@ -92,15 +108,3 @@ class PathSettings:
     def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | Known) -> State:
         why = why_unknown(self.variables, at.source, value)
         return self.reasons.unknown(state, field, at.error(f"{problem}: {why}", _RUN_TIME))
-
-
-def check_frame_mode(word: str, at: Place) -> None:
-    """Refuse what is not ``#BASE``.
-
-    :raises ProgramError: the robot moves the workpiece.
-    """
-    if word != "#BASE":
-        raise at.error(
-            f"$IPO_MODE {word}: the workpiece is moved by the robot",
-            "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.",
-        )

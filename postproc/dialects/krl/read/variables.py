@@ -257,6 +257,8 @@ class Variables:
     def _function(self, source: Source, call: Call) -> Known:
         """Return what a function of the controller gives (angles in degrees) that depends on nothing else."""
         function = _FUNCTIONS.get(call.name)
+        if function is None and call.name != "INV_POS":
+            return NOTHING
         given = [self.evaluate(source, parse(source, *span)[0]) for span in call.arguments]
         numbers = [one.value for one in given if isinstance(one, Number)]
         if call.name == "INV_POS" and len(given) == 1:
@@ -352,12 +354,15 @@ class Variables:
             for item in value.items.values():
                 self.rely(value.source, item)
 
-    def argument(self, at: Place, call: Call, field: str) -> Value | Known:
-        """Return the first argument of a call, of a structure the component in question."""
+    def argument(self, at: Place, call: Call, field: str) -> Value | Known | None:
+        """Return the first argument of a call, of a structure the component in question: None where it says nothing."""
         if not call.arguments:
             return NOTHING
-        known = self.evaluate(at.source, parse(at.source, *call.arguments[0])[0])
-        return known.items.get(field, NOTHING) if isinstance(known, Aggregate) else known
+        value = parse(at.source, *call.arguments[0])[0]
+        known = self.evaluate(at.source, value)
+        if isinstance(known, Aggregate):
+            return known.items.get(field)
+        return value if isinstance(known, Unknown) else known
 
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""

@@ -1,7 +1,8 @@
-"""Motions under ``$ORI_TYPE=#CONSTANT`` that are corrected: their orientation must be led to A, B, C of their own.
+"""Motions under another `$ORI_TYPE` than ``#VAR`` that are corrected: they must be led to A, B, C of their own.
 
-The controller keeps the orientation that a motion starts with, so that a correction of it, or of the one before, would
-be ignored. Such motions get ``$ORI_TYPE=#VAR`` for themselves alone: spline motions by WITH, others by lines around as
+Under #CONSTANT the controller keeps the orientation that a motion starts with, under #IGNORE it chooses that of the
+target, so that a correction of it, or of the one before, would be ignored; under #JOINT it would turn the tool in a way
+of its own. Such motions get ``$ORI_TYPE=#VAR`` for themselves alone: spline motions by WITH, others by lines around as
 many of them as stand one behind the other.
 """
 
@@ -9,10 +10,11 @@ from __future__ import annotations
 
 import re
 
-from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.layout import FREE, Layout
 from postproc.program import Ints
 
-FREE, CONSTANT = "$ORI_TYPE=#VAR", "$ORI_TYPE=#CONSTANT"
+LED_BY = "$ORI_TYPE="
+_FREE = f"{LED_BY}{FREE}"
 _WITH = re.compile(r"[ \t]*WITH\b", re.IGNORECASE)
 _MODE = re.compile(r"(\$ORI_TYPE[ \t]*=[ \t]*)(?:#\w+|[\w$]+[ \t]*(?:\([^()]*\))?)", re.IGNORECASE)
 
@@ -25,10 +27,10 @@ def freed_tail(tail: str) -> str:
     """
     word = _WITH.match(tail)
     if word is None:
-        return f" WITH {FREE}{tail}"
+        return f" WITH {_FREE}{tail}"
     if _MODE.search(tail):
-        return _MODE.sub(r"\1#VAR", tail)
-    return f"{word[0]} {FREE},{tail[word.end() :]}"
+        return _MODE.sub(rf"\1{FREE}", tail)
+    return f"{word[0]} {_FREE},{tail[word.end() :]}"
 
 
 def runs(layout: Layout, rows: Ints) -> list[tuple[int, int]]:

@@ -5,7 +5,7 @@ What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 - Inserted targets stand directly before the motion's line, or around the TRIGGERs that belong to it, so that each of
   these switches where it did; they repeat its approximation and its WITH (frames and speed of the motion stand there).
 - A relative target that is corrected, or whose predecessor is, becomes an absolute one.
-- A motion under ``$ORI_TYPE=#CONSTANT`` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR`` (`freed`).
+- A motion under another `$ORI_TYPE` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR`` (`freed`).
 - CA is dropped when a circle is corrected: its end point is then where the arc ends.
 - A point used by several motions with different corrections gets a new name beside the old one in the `.dat`; where
   that is not possible (array elements, points assigned in the `.src`, chains of frames) numbers take its place.
@@ -26,9 +26,9 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement, Po
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.triggers import Trigger
-from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
 from postproc.dialects.krl.write.folding import folded
-from postproc.dialects.krl.write.freed import CONSTANT, FREE, runs
+from postproc.dialects.krl.write.freed import LED_BY, runs
 from postproc.dialects.krl.write.inserted_lines import InsertedLines
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
 from postproc.dialects.krl.write.replacements import Replacements
@@ -44,10 +44,9 @@ from postproc.dialects.text import line_spans
 from postproc.errors import Issue, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 
-_STOP = (
-    "The robot stops at an inserted target, as it does at the end of this motion: $APO.CDIS as the program sets it "
-    "would round the path there by too much."
-)
+_STOP = "The robot stops at an inserted target, as it does at the end of this motion: "
+_ROUNDED = f"{_STOP}approximation (C_DIS) might round the path there by too much."
+_UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation (C_DIS) would round the path."
 
 
 def rewrite(program: Program, targets: Targets, carried: TargetForces | None = None) -> Written:
@@ -231,7 +230,7 @@ class _Rewriter:
         for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), own)).tolist():
             before = at.get(k, int(line[k]))
             if k in free:
-                lines.add(before, self._indent(k) + FREE + self.statements.line_end(int(line[k])))
+                lines.add(before, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(line[k])))
             for trigger, text in moved.get(k, ()):
                 lines.move(trigger.line, before, text)
             if k in forces and not self._replaced_comment(k, forces[k]):
@@ -239,11 +238,12 @@ class _Rewriter:
             if not self.last[k]:
                 text = self.statements.inserted(int(self.row[k]), k)
                 lines.add(before, text, k)
-                stops = self.targets.blend[k] == 0.0 and not self.layout.passed[self.row[k]]
-                if stops and not APPROXIMATION.search(text):
-                    self._tell("stop-inserted", _STOP, int(line[k]))
+                if not self.layout.passed[self.row[k]] and not APPROXIMATION.search(text):
+                    why = _ROUNDED if self.layout.distant[self.row[k]] else _UNSURE
+                    self._tell("stop-inserted", why, int(line[k]))
             if k in bound:
-                lines.behind(int(line[k]), self._indent(k) + CONSTANT)
+                kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
+                lines.behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
         return lines.numbers(line)
 
     def _freed(self) -> tuple[set[int], set[int]]:

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.values import Number
-from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout
 from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import Bools, Ints, Motions, Targets
 
@@ -33,7 +33,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN where there are none.
     :param changed: (K,) True where the target's text or statement changes.
     :param moved: (M,) True where a motion's predecessor is commanded elsewhere than in the input.
-    :param freed: (M,) True where a motion under ``$ORI_TYPE=#CONSTANT`` must not keep the orientation of its start.
+    :param freed: (M,) True where the orientation of a motion under another `$ORI_TYPE` must be led to its own.
     """
 
     numbers: Array
@@ -75,7 +75,11 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     turned = np.asarray((np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL).any(axis=1))
     freed = _behind(row[last], turned[last], layout)
     freed[row[turned | (layout.with_path[row] & ~keep)]] = True
-    freed &= layout.constant
+    chosen = layout.orientation == ORIENTATIONS.index(
+        IGNORE
+    )  # it must not be chosen where the next motion starts, either
+    freed[:-1] |= chosen[:-1] & freed[1:]
+    freed &= layout.orientation != ORIENTATIONS.index(FREE)
 
     before = np.concatenate([numbers[:1], numbers[:-1]])
     fresh = first & layout.resumed[row]

@@ -214,14 +214,15 @@ class TargetStatements:
         """Return an inserted target as a line of its own, with its line end.
 
         It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
-        the target is to stop too. In a spline block it has none. Comments are not repeated.
+        the target is to stop too, or the distance is not known. In a spline block it has none. No comment is repeated.
         """
         layout = self.layout
         keyword = int(layout.keyword[row])
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
         tail = self.tail(row)
-        if self.targets.blend[k] > 0.0 and not layout.passed[row] and not APPROXIMATION.search(tail):
+        passed = layout.passed[row] or not layout.distant[row]
+        if self.targets.blend[k] > 0.0 and not passed and not APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
