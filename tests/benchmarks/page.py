@@ -8,11 +8,12 @@ processor time of all processes of the browser up to there, which other work on 
 
 - text: the verdict can be read;
 - rows: a click on a row of the worst shows its place;
-- picture: the path in space is drawn;
+- picture: the path in space is seen, coloured, with its worst places;
 - path: a click on the path in space shows the place there;
-- all: the views below are drawn too.
+- turn: the mouse has turned it;
+- all: all views are drawn by the library.
 
-With a graphics card, pictures are drawn sooner than here.
+The browser paints by the processor, as it does on a machine without a graphics card; with one it is sooner.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ _ROWS = """typeof stage !== 'undefined' && (() => {
   row.click();
   return document.querySelector('#place dd')?.textContent === row.dataset.sourceLine;
 })()"""
-_PICTURE = "document.querySelector('#view3d .gl-container canvas') !== null"
+_PICTURE = "document.querySelector('#view3d svg.over circle') !== null"
+_TURNED = "document.querySelector('#view3d svg.over text').getAttribute('x') !== window.before"
+_ALL = "stage.empty && document.querySelector('#view3d .sketch') === null"
 _PATH = "selection.place !== null && selection.place !== window.before"
 
 
@@ -89,7 +92,7 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
             page.wait_for_function(condition, polling=_POLLED_MS)
             reached(stage)
         page.evaluate("document.getElementById('view3d').scrollIntoView()")
-        box = page.locator("#view3d .js-plotly-plot").bounding_box()
+        box = page.locator("#view3d svg.over").bounding_box()
         page.evaluate("window.before = selection.place")
         for step in range(100):
             across = 0.3 + 0.4 * (step * 0.618 % 1.0)
@@ -103,7 +106,13 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
                 break
         page.wait_for_function("selection.chosen !== window.before")
         reached("path")
-        page.wait_for_function("stage.empty", polling=_POLLED_MS)
+        page.evaluate("window.before = document.querySelector('#view3d svg.over text').getAttribute('x')")
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"], steps=4)
+        page.mouse.up()
+        page.wait_for_function(_TURNED, polling=_POLLED_MS)
+        reached("turn")
+        page.wait_for_function(_ALL, polling=_POLLED_MS)
         reached("all")
         page.close()
     return out

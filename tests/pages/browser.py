@@ -15,7 +15,8 @@ needs_chromium = pytest.mark.skipif(
     CHROMIUM is None and not os.environ.get("CI"),
     reason="chromium is not installed (Debian package chromium); in CI it must be",
 )
-_ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+_ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+"""The processor paints, WebGL too: as on a machine without a graphics card."""
 _OF_CHROMIUM = ("willReadFrequently", "GPU stall due to ReadPixels")
 """Advice of the browser about its own speed, where it draws without a graphics card."""
 _SLOW_MS = 60_000
@@ -30,6 +31,14 @@ def running() -> Iterator:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS)
         yield browser
         browser.close()
+
+
+@contextlib.contextmanager
+def without_webgl(browser) -> Iterator:
+    """Yield another browser, which cannot draw in space."""
+    other = browser.browser_type.launch(executable_path=CHROMIUM, args=[*_ARGUMENTS, "--disable-3d-apis"])
+    yield other
+    other.close()
 
 
 @contextlib.contextmanager
@@ -51,7 +60,7 @@ def opened(browser, path: Path, *, width: int = 1440, height: int = 1000, dark: 
     page.goto(path.resolve().as_uri())
     if ready:
         page.wait_for_function("typeof stage !== 'undefined' && stage.empty")
-        page.wait_for_function("document.querySelector('#view3d-view .gl-container canvas, .plot .main-svg') !== null")
+        page.wait_for_function("document.querySelector('.main-svg') !== null")
         page.wait_for_timeout(300)
     yield page
     said.extend(f"loaded {url}" for url in page.evaluate("performance.getEntriesByType('resource').map((e) => e.name)")

@@ -11,7 +11,7 @@ import pytest
 
 from postproc.report import page as rendered
 from tests import fabricated
-from tests.pages.browser import needs_chromium, opened
+from tests.pages.browser import needs_chromium, opened, without_webgl
 
 pytestmark = needs_chromium
 IDS = ("verdict", "view3d", "along", "histogram", "worst", "place", "issues")
@@ -21,6 +21,10 @@ def _chosen(page):
     """Source line of the chosen place as the details tell it."""
     page.wait_for_timeout(60)
     return int(page.locator("#place dd").first.inner_text())
+
+
+_COLOURS = """(canvas) => new Set(new Uint32Array(
+  canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size"""
 
 
 def _targets(results):
@@ -121,7 +125,7 @@ def test_the_path_is_coloured_by_what_is_asked_for(page, results):
     page.wait_for_timeout(200)
     shown = page.evaluate(
         "(() => { const {line} = document.getElementById('view3d-view').data[0];"
-        "return [Array.from(line.color), line.cmax, line.colorbar.title.text] })()"
+        "return [Array.from(line.color), line.cmax, document.querySelector('#view3d .colours text').textContent] })()"
     )
     largest = max(math.hypot(row["Fx"], row["Fy"], row["Fz"]) for row in _targets(results) if not row["rapid"])
     assert max(shown[0]) == shown[1] == pytest.approx(largest, rel=1e-5)
@@ -130,7 +134,9 @@ def test_the_path_is_coloured_by_what_is_asked_for(page, results):
 
 
 def test_the_deviation_is_enlarged_by_the_factor_shown(page, results):
-    page.locator("#view3d-enlarged").fill("2")
+    slider = page.locator("#view3d-enlarged")
+    as_it_was = slider.input_value()
+    slider.fill("2")
     page.wait_for_timeout(200)
     assert page.locator("#view3d-factor").inner_text() == "100 ×"
     rows = {(round(row["X"], 2), round(row["Y"], 2), round(row["Z"], 2)): row for row in _targets(results)}
@@ -153,11 +159,16 @@ def test_the_deviation_is_enlarged_by_the_factor_shown(page, results):
             assert shifted[0] - point[0] == pytest.approx(100 * off, abs=2e-3)
             checked += 1
     assert checked > 300
+    slider.fill(as_it_was)
     assert len(nominal) > len(enlarged)
 
 
 def test_pointing_at_the_path_shows_a_place_and_a_click_keeps_it(page):
     page.get_by_role("button", name="Oblique").click()
+    _pointing_finds_a_place(page)
+
+
+def _pointing_finds_a_place(page):
     page.locator("#view3d-view").scroll_into_view_if_needed()
     box = page.locator("#view3d-view").bounding_box()
     page.evaluate("selection.choose(0)")
@@ -326,3 +337,30 @@ def test_of_200_000_targets_the_worst_is_drawn(browser, tmp_path):
         curve = page.evaluate("document.getElementById('along-view').data[0].y")
         assert max(value for value in curve if value is not None) == pytest.approx(5.0)
         assert len(curve) < 4_000
+
+
+_MARKS = """[...document.querySelectorAll('#view3d .over :is(circle, text)')]
+  .map((mark) => ['x', 'y'].map((axis) => Number(mark.getAttribute(axis) ?? mark.getAttribute('c' + axis))))"""
+
+
+def test_a_browser_that_cannot_draw_in_space_shows_the_path_and_where_it_is_worst(browser, results):
+    """The sketch is all there is, seen as the library shows it; it is pointed at and turned."""
+    path = results / "pocket.report.html"
+    with opened(browser, path) as page:
+        drawn = page.evaluate(_MARKS)
+        assert page.locator("#view3d .sketch").count() == 0
+    with without_webgl(browser) as other, opened(other, path) as page:
+        assert page.locator("#view3d .sketch").is_visible()
+        np.testing.assert_allclose(page.evaluate(_MARKS), drawn, atol=0.6)
+        assert len(drawn) > 20
+        _pointing_finds_a_place(page)
+        before = page.evaluate(_MARKS)
+        box = page.locator("#view3d-view").bounding_box()
+        page.mouse.move(box["x"] + 300, box["y"] + 200)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 400, box["y"] + 210, steps=5)
+        page.mouse.up()
+        page.wait_for_timeout(100)
+        assert abs(np.subtract(page.evaluate(_MARKS), before)).max() > 20.0
+        colours = page.locator("#view3d .sketch").evaluate(_COLOURS)
+        assert colours > 20

@@ -14,7 +14,8 @@ from postproc.report.kit.columns import Columns
 from postproc.report.kit.parts import Note, Part, Section
 from postproc.report.kit.plots import encoded
 
-_ALWAYS, _DRAWING = ("selection", "tables"), ("columns", "theme", "stage", "cursor", "space", "plots")
+_ALWAYS = ("selection", "tables")
+_DRAWING = ("columns", "theme", "stage", "cursor", "camera", "over", "sketch", "space", "plots")
 _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
 

@@ -5,10 +5,9 @@
   if (!view) return;
   const { x, y, z } = columns.stock_points;
   const { i, j, k } = columns.stock_faces;
-  const bounds = space.reach([columns.stock_points]);
   view.style.height = "480px";
   space.add(view, {
-    reach: () => bounds, unit: "mm",
+    unit: "mm",
     traces: () => [{ type: "mesh3d", x, y, z, i, j, k, color: "#a9b4bf", flatshading: true, hoverinfo: "skip",
       lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.1 } }],
   });

@@ -12,17 +12,17 @@
   const untouched = [];
   for (let f = 0; f < count; f++) (facets.place[f] < 0 ? untouched : touched).push(f);
   let shown = "before";
+  let bar = null; // of its colours
 
   const mesh = (of) => ({ type: "mesh3d", x, y, z, i: of.map((f) => 3 * f), j: of.map((f) => 3 * f + 1),
     k: of.map((f) => 3 * f + 2), flatshading: true, lighting: { ambient: 0.75, diffuse: 0.4, specular: 0.05 } });
   function traces() {
     const values = touched.map((f) => facets[shown][f]);
     const most = values.reduce((largest, value) => Math.max(largest, Math.abs(value)), 1e-9);
-    const scale = shown === "u95" ? { colorscale: "Cividis", cmin: 0 }
-      : { colorscale: [[0, "rgb(179,88,6)"], [0.5, "rgb(247,247,247)"], [1, "rgb(5,48,97)"]], cmin: -most };
+    const scale = shown === "u95" ? "rising" : "about";
+    bar = { title: `${titles[shown]}, mm`, stops: theme.scales[scale], low: shown === "u95" ? 0 : -most, high: most };
     return [
-      { ...mesh(touched), intensitymode: "cell", intensity: values, cmax: most, ...scale, hoverinfo: "none",
-        colorbar: { title: { text: `${titles[shown]}, mm`, side: "right" }, thickness: 12, len: 0.8, exponentformat: "none" } },
+      { ...mesh(touched), intensitymode: "cell", intensity: values, cmin: bar.low, cmax: most, colorscale: theme.scale(scale), showscale: false, hoverinfo: "none" },
       { ...mesh(untouched), color: theme.colour("soft"), opacity: 0.35, hoverinfo: "skip" },
     ];
   }
@@ -32,9 +32,8 @@
   touched.forEach((f, k) => {
     for (const axis of ["x", "y", "z"]) for (let c = 0; c < 3; c++) middles[axis][k] += columns.corners[axis][3 * f + c] / 3;
   });
-  const bounds = space.reach([columns.corners]);
   view.style.height = "520px";
-  const { draw } = space.add(view, { reach: () => bounds, unit: "mm", traces, points: () => middles, marks: () =>
+  const { draw } = space.add(view, { unit: "mm", traces, bar: () => bar, points: () => middles, marks: () =>
     (selection.place === null ? [] : [{ dot: places.position(selection.place), colour: theme.colour("chosen"), size: 5 }]) });
   document.getElementById("surface-controls").innerHTML = `<label>Colour <select id="surface-colour">${Object.entries(titles)
     .map(([name, title]) => `<option value="${name}">${title}</option>`).join("")}</select></label>`;

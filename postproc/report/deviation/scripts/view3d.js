@@ -13,8 +13,8 @@
     ...(places.compared && { a: { title: "tool with the program as written", colour: "after", dash: "solid" } }),
     ...(places.compared && { c: { title: "commanded path", colour: "correction", dash: "dash" } }),
   };
-  const reach = space.reach([drawn]);
-  const extent = Math.max(...reach[1].map((value, r) => value - reach[0][r]), 1e-6);
+  const [low, high] = space.reach([drawn]);
+  const extent = Math.max(...high.map((value, r) => value - low[r]), 1e-6);
   const largest = Math.max(at.before[facts.worst.before], 1e-9);
   const shown = { colour: "before", enlarged: Math.min(Math.max(space.round((0.06 * extent) / largest), 1), 10000),
     paths: { b: !dense, a: false, c: places.compared && !dense }, robot: false };
@@ -62,6 +62,7 @@
   // Pieces that cut and rapid ones, each a line with gaps, and the place that each of its points leads to.
   let keep = kept();
   let runs = cut();
+  let range = ranged();
   function cut() {
     const line = () => ({ x: [], y: [], z: [], place: [] });
     const out = { cut: line(), rapid: line() };
@@ -86,8 +87,8 @@
     return out;
   }
 
-  // Values at the gaps do not count.
-  function coloured() {
+  // Smallest and largest of what the colours show.
+  function ranged() {
     const column = at[shown.colour];
     let [low, high] = [Infinity, -Infinity];
     for (const place of runs.cut.place) {
@@ -96,7 +97,7 @@
       if (value > high) high = value;
     }
     if (!values[shown.colour].low) low = Math.min(low, 0);
-    return { color: runs.cut.place.map((place) => column[place]), cmin: low, cmax: high > low ? high : low + 1e-9 };
+    return [low, high > low ? high : low + 1e-9];
   }
 
   // The path with deviations enlarged; between two places of an arc they change in proportion.
@@ -120,26 +121,23 @@
 
   const frame = places.inRoot ? places.bases[0] : [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]];
   function traces() {
-    const { title, unit } = values[shown.colour];
     const { colour } = theme;
+    const column = at[shown.colour];
     const lines = { type: "scatter3d", mode: "lines", hoverinfo: "skip", connectgaps: false };
     const out = [
       { ...lines, ...runs.cut,
-        line: { width: 5, colorscale: "Cividis", showscale: true, ...coloured(),
-          colorbar: { title: { text: `${title}, ${unit}`, side: "right" }, thickness: 12, len: 0.8, exponentformat: "none",
-            tickfont: { color: colour("soft") }, outlinewidth: 0 } } },
+        line: { width: 5, colorscale: theme.scale("rising"), color: runs.cut.place.map((place) => column[place]), cmin: range[0], cmax: range[1] } },
       { ...lines, ...runs.rapid, line: { width: 1, color: colour("soft") } },
     ];
     for (const [prefix, path] of Object.entries(paths))
       out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
         visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
-    if (shown.robot) out.push({ ...lines, ...room(), line: { width: 1, color: "rgba(0,0,0,0)" } });
     return out;
   }
 
   // The arm at the place, the frames, the worst places and the place itself.
   const arm = () => robot.points(selection.place ?? facts.worst.before);
-  const room = () => Object.fromEntries(["x", "y", "z"].map((axis, r) => [axis, arm().map((point) => point[r])]));
+  const room = () => (shown.robot ? [Object.fromEntries(["x", "y", "z"].map((axis, r) => [axis, arm().map((point) => point[r])]))] : []);
   function frames() {
     const of = [{ m: frame, length: 0.12 * extent, name: "$BASE" }, ...(shown.robot ? [{ m: robot.root, length: 300, name: "robot" }] : [])];
     return of.flatMap(({ m, length, name }) => ["X", "Y", "Z"].flatMap((axis, c) => {
@@ -163,7 +161,8 @@
 
   const of = places.inRoot ? "root" : "$BASE";
   const { draw, look } = space.add(view, {
-    reach: () => (shown.robot ? space.reach([drawn, room()]) : reach), unit: "mm", names: ["X", "Y", "Z"].map((axis) => `${axis} ${of}`), traces, marks,
+    unit: "mm", names: ["X", "Y", "Z"].map((axis) => `${axis} ${of}`), traces, room, marks,
+    bar: () => ({ title: `${values[shown.colour].title}, ${values[shown.colour].unit}`, stops: theme.scales.rising, low: range[0], high: range[1] }),
     points: () => ({ ...runs.cut, joined: true }),
     keys: {
       n: () => selection.choose(places.step(selection.chosen, 1)),
@@ -174,7 +173,7 @@
 
   // Controls.
   const controls = document.getElementById("view3d-controls");
-  const sides = { Oblique: space.OBLIQUE.eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 } };
+  const sides = { Oblique: camera.OBLIQUE.eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 } };
   const tick = (prefix) => `<label><input type="checkbox" data-path="${prefix}"${shown.paths[prefix] ? " checked" : ""}>
     <span style="color:var(--${paths[prefix].colour})">${paths[prefix].title}</span></label>`;
   controls.innerHTML = `
@@ -189,6 +188,7 @@
     shown.colour = event.target.value;
     keep = kept();
     runs = cut();
+    range = ranged();
     draw();
   });
   for (const box of controls.querySelectorAll("[data-path]"))

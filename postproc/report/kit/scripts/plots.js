@@ -107,22 +107,15 @@ const plots = (() => {
     return [data, layout];
   }
 
-  // Lines in space; the chosen place is marked on the first of those that have places.
+  // Lines in space; the chosen place is marked on the first of those that have places. A slider shows some of many.
   function inSpace(element, plot) {
     const linked = plot.traces.filter(({ places }) => places);
     const step = linked.length ? stepping(plot) : null;
     const all = plot.traces.map((_, i) => i);
-    const layout = { showlegend: plot.traces.filter(({ name }) => name).length > 1, legend: { orientation: "h", y: 1, yanchor: "top", x: 0 } };
-    if (plot.steps) layout.sliders = [{
-      pad: { t: 20, b: 30 }, currentvalue: { prefix: "shown: " },
-      steps: plot.steps.map((shown, i) => ({
-        label: plot.step_names[i], method: "restyle", args: [{ visible: all.map((k) => shown.includes(k)) }],
-      })),
-    }];
-    const bounds = space.reach(plot.traces);
-    space.add(element, {
-      reach: () => bounds, unit: plot.unit, layout,
-      traces: () => plot.traces.map((trace, i) => ({ ...traced.lines(trace), visible: !plot.steps || plot.steps[0].includes(i) })),
+    let shown = plot.steps?.[0] ?? all;
+    const view = space.add(element, {
+      unit: plot.unit, room: () => plot.traces,
+      traces: () => plot.traces.map((trace, i) => ({ ...traced.lines(trace), visible: shown.includes(i) })),
       marks() {
         const at = chosen(plot);
         return at ? [{ dot: [at.x, at.y, at.z], colour: colour("chosen"), size: 5 }] : [];
@@ -130,6 +123,25 @@ const plots = (() => {
       points: linked.length ? () => ({ ...linked.at(-1), place: linked.at(-1).places, joined: true }) : null,
       keys: step ? { n: () => step(1), p: () => step(-1) } : {},
     });
+    const controls = Object.assign(document.createElement("div"), { className: "controls" });
+    const names = () => {
+      const told = new Map(shown.map((i) => plot.traces[i]).filter(({ name }) => name).map(({ name, colour: of }) => [name, of]));
+      return told.size > 1 || plot.steps ? [...told].map(([name, of]) => `<span style="color:var(--${of})">━ ${name}</span>`).join("") : "";
+    };
+    const legend = Object.assign(document.createElement("span"), { className: "names", innerHTML: names() });
+    controls.append(legend);
+    if (plot.steps) {
+      const slider = document.createElement("label");
+      slider.innerHTML = `Shown <input type="range" min="0" max="${plot.steps.length - 1}" value="0"> <output>${plot.step_names[0]}</output>`;
+      slider.firstElementChild.addEventListener("input", ({ target: { value } }) => {
+        shown = plot.steps[value];
+        slider.lastElementChild.textContent = plot.step_names[value];
+        legend.innerHTML = names();
+        view.draw();
+      });
+      controls.prepend(slider);
+    }
+    if (controls.textContent) element.before(controls);
   }
 
   for (const element of document.querySelectorAll(".plot")) {

@@ -1,39 +1,43 @@
 "use strict";
-// When views are drawn: as soon as the library that draws them is there, the first and those in sight at once, the others one
-// by one while nothing else is to be done; on paper all. What needs no drawing does not wait for the library.
+// When views are drawn: by the library, as soon as it is there, the first of the page first, then those in sight, then the
+// others; on paper all. All of it is heavy: it waits for a moment in which nothing is pointed at, pressed or scrolled, so that
+// what is asked of the page meanwhile is done at once.
 const stage = (() => {
   const waiting = new Map(); // element → what draws it
   const seen = new Set();
-  const later = window.requestIdleCallback?.bind(window) ?? ((act) => setTimeout(act, 100));
-  let ready = false;
+  const PATIENCE = 2000; // ms
+  let last = 0;
+  for (const kind of ["pointermove", "pointerdown", "keydown", "wheel", "scroll"])
+    addEventListener(kind, () => { last = performance.now(); }, { capture: true, passive: true });
+  function calm(act, pause, since = performance.now()) {
+    const left = Math.min(Math.max(last, since) + pause, since + PATIENCE) - performance.now();
+    if (left > 0 && !theme.printing) setTimeout(calm, left, act, pause, since); else act();
+  }
+  const painted = (act) => (document.hidden ? setTimeout(act) : requestAnimationFrame(() => setTimeout(act)));
+  const follows = (one, other) => one.compareDocumentPosition(other) & Node.DOCUMENT_POSITION_FOLLOWING;
 
+  const watch = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries)
+      if (isIntersecting) seen.add(target); else seen.delete(target);
+  });
   function show(element) {
     const draw = waiting.get(element);
-    if (!draw || !ready) return;
     waiting.delete(element);
     watch.unobserve(element);
     draw();
   }
-  const watch = new IntersectionObserver((entries) => {
-    for (const { target, isIntersecting } of entries) {
-      if (isIntersecting) seen.add(target); else seen.delete(target);
-      if (isIntersecting) setTimeout(show, 0, target); // one at a time: what is clicked meanwhile is heard
-    }
-  });
-  function next() {
-    const [element] = waiting.keys();
-    if (element === undefined) return;
-    show(element);
-    later(next);
+  // One at a time: what is clicked meanwhile is heard.
+  function next(first) {
+    const all = [...waiting.keys()].sort((one, other) => (follows(one, other) ? -1 : 1));
+    const sight = first ? all[0] : all.find((element) => seen.has(element));
+    if (all.length) show(sight ?? all[0]);
+    if (all.length > 1) painted(() => calm(() => next(false), 50));
   }
+  const rest = () => [...waiting.keys()].forEach(show);
   function begin() {
-    ready = true;
-    if (theme.printing) [...waiting.keys()].forEach(show);
-    const [first] = waiting.keys();
-    for (const element of waiting.keys()) if (element === first || seen.has(element)) setTimeout(show, 0, element);
-    setTimeout(() => later(next), 300);
+    addEventListener("beforeprint", rest);
+    if (theme.printing) rest(); else calm(() => next(true), 50);
   }
-  addEventListener("beforeprint", () => [...waiting.keys()].forEach(show));
 
   // The library is a text of the page, made a script of its own: it is read while the page can be used already.
   function load() {
@@ -42,7 +46,7 @@ const stage = (() => {
       src: URL.createObjectURL(new Blob([textContent], { type: "text/javascript" })), onload: begin,
       onerror: () => { document.head.append(Object.assign(document.createElement("script"), { textContent })); begin(); },
     });
-    document.head.append(script);
+    painted(() => calm(() => document.head.append(script), 250));
   }
 
   return {
@@ -53,6 +57,5 @@ const stage = (() => {
     },
     load,
     get empty() { return waiting.size === 0; },
-    later,
   };
 })();

@@ -15,6 +15,20 @@ const theme = (() => {
   addEventListener("beforeprint", print(true));
   addEventListener("afterprint", print(false));
 
+  // Colours of values, from the lowest to the highest, told apart by colour-blind eyes too: cividis, and orange to blue.
+  const scales = {
+    rising: ["#00204c", "#053571", "#404d6b", "#606370", "#7c7b77", "#9b9477", "#bcae6e", "#dfca5d", "#ffe945"],
+    about: ["#b35806", "#f7f7f7", "#053061"],
+  };
+  const scale = (name) => scales[name].map((stop, k, all) => [k / (all.length - 1), stop]);
+  // The colour at a share of a scale.
+  function shade(scale, share) {
+    const k = Math.min(Math.max(scale.findIndex(([at]) => at >= share), 1), scale.length - 1);
+    const [[from, low], [to, high]] = [scale[k - 1], scale[k]];
+    const part = (text, c) => parseInt(text.slice(1 + 2 * c, 3 + 2 * c), 16);
+    return `rgb(${[0, 1, 2].map((c) => Math.round(part(low, c) + ((share - from) / (to - from)) * (part(high, c) - part(low, c))))})`;
+  }
+
   // What all plots share: no paper of their own, the page's font and rules.
   const axis = (more = {}) => ({
     gridcolor: colour("rule"), linecolor: colour("rule"), zerolinecolor: colour("rule"), automargin: true,
@@ -28,5 +42,5 @@ const theme = (() => {
   });
   const config = { responsive: true, displaylogo: false, displayModeBar: false,
     plotGlPixelRatio: Math.min(devicePixelRatio, 2) };
-  return { get printing() { return printing; }, colour, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
+  return { get printing() { return printing; }, colour, scales, scale, shade, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
 })();

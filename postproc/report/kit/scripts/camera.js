@@ -1,0 +1,53 @@
+"use strict";
+// How a box in space is seen: in perspective from an eye outside of it, upright. The eye is told as the plot library does it:
+// counted from the middle of the box, in a unit in which the box is DIAGONAL across.
+const camera = (() => {
+  const DIAGONAL = 2.2;
+  const SLOPE = Math.tan(Math.PI / 8); // half of the angle of view
+  const OBLIQUE = { eye: { x: -1.42, y: -1.9, z: 1.4 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.12 } };
+
+  const vector = ({ x, y, z }) => [x, y, z];
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const unit = (a) => a.map((value) => value / Math.hypot(...a));
+  const diagonal = ([low, high]) => Math.hypot(...high.map((value, r) => value - low[r]));
+
+  // The box around what reaches over low … high: a bit larger, and what is flat gets some height.
+  function box([low, high]) {
+    const most = Math.max(...high.map((value, r) => value - low[r]), 1e-6);
+    const room = high.map((value, r) => Math.max(0.03 * (value - low[r]), (0.1 * most - (value - low[r])) / 2));
+    return [low.map((value, r) => value - room[r]), high.map((value, r) => value + room[r])];
+  }
+
+  // Lengths of a box in that unit.
+  const lengths = (box) => box[1].map((value, r) => ((value - box[0][r]) * DIAGONAL) / diagonal(box));
+
+  // What shows points in a picture: three rows [x, y, z, 1] of what is divided by depth across and down, and of depth.
+  function seen({ eye, center }, box, width, height) {
+    const scale = DIAGONAL / diagonal(box);
+    const from = vector(eye).map((value, r) => value + (scale * (box[0][r] + box[1][r])) / 2);
+    const front = unit(vector(center).map((value, r) => value - vector(eye)[r]));
+    const right = unit(cross(front, [0, 0, 1]));
+    const row = (axis, factor) => [...axis.map((value) => value * scale * factor), -factor * dot(axis, from)];
+    const pixels = height / 2 / SLOPE;
+    return { rows: [row(right, pixels), row(cross(right, front), -pixels), row(front, 1)], width, height, box };
+  }
+
+  // Where a point is seen, in pixels, and how deep.
+  function projected({ rows: [a, d, w], width, height }, x, y, z) {
+    const deep = w[0] * x + w[1] * y + w[2] * z + w[3];
+    return [width / 2 + (a[0] * x + a[1] * y + a[2] * z + a[3]) / deep,
+      height / 2 + (d[0] * x + d[1] * y + d[2] * z + d[3]) / deep, deep];
+  }
+
+  // From elsewhere: turned by degrees about the upright axis and in height, nearer by a factor, or from a place of its own.
+  function moved(from, { turn = 0, rise = 0, nearer = 1, to = null }) {
+    const { x, y, z } = to ?? from.eye;
+    const radius = Math.hypot(x, y, z) / nearer;
+    const azimuth = Math.atan2(y, x) + (turn * Math.PI) / 180;
+    const height = Math.min(Math.max(Math.atan2(z, Math.hypot(x, y)) + (rise * Math.PI) / 180, -1.55), 1.55);
+    return { ...from, eye: { x: radius * Math.cos(height) * Math.cos(azimuth), y: radius * Math.cos(height) * Math.sin(azimuth),
+      z: radius * Math.sin(height) } };
+  }
+  return { OBLIQUE, box, lengths, seen, projected, moved };
+})();
