@@ -357,12 +357,47 @@ class Event(Struct, frozen=True):
     text: str = ""
 
 
+class Places(Struct, frozen=True, eq=False):
+    """Where n motions stand in the files of a program.
+
+    :param files: names of files.
+    :param file: (n,) which of them.
+    :param line: (n,) 1-based line of that file.
+    """
+
+    files: tuple[str, ...]
+    file: Ints
+    line: Ints
+
+    def of(self, row: int) -> tuple[str, int]:
+        """Return file and line of one of them."""
+        return self.files[int(self.file[row])], int(self.line[row])
+
+
+class Unresolved(Struct, frozen=True):
+    """A motion that stays as it is, because only the running robot knows where it leads, or whether it runs.
+
+    :param file: in which it stands, and `line` on which of its lines.
+    :param text: the statement.
+    :param why: what is not known.
+    """
+
+    file: str
+    line: int
+    text: str
+    why: str
+
+
 class Layout(Protocol):
     """Where the numbers of a program stand in its text: what a reader leaves for the writer of the same dialect."""
 
     @property
     def numbers(self) -> Array:
         """X, Y, Z [mm], A, B, C [deg] (M, 6) of its motions as the text commands them."""
+        ...
+
+    def places(self, rows: Ints) -> Places | None:
+        """Return where motions (n,) stand; None: all in the main file, on `Motions.line`."""
         ...
 
 
@@ -385,6 +420,7 @@ class Program(Struct, frozen=True, eq=False):
     :param carriage: the linear axis that carries the robot; None: there is none.
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
         there is what changes by one rotation. None: there are none.
+    :param unresolved: motions that stay as they are: `motions` has no row for them.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
@@ -402,12 +438,20 @@ class Program(Struct, frozen=True, eq=False):
     swivel: Swivel | None = None
     carriage: Carriage | None = None
     with_path: Bools | None = None
+    unresolved: tuple[Unresolved, ...] = ()
     layout: Layout | None = None
 
     @property
     def keeps_text(self) -> bool:
         """Whether it is commands for a robot already, and is written as it was but for the numbers of targets."""
         return self.layout is not None
+
+    def places(self, rows: Ints) -> Places:
+        """Return in which file, and on which of its lines, motions (n,) stand."""
+        found = None if self.layout is None else self.layout.places(rows)
+        if found is None:
+            found = Places((self.documents[0].name,), np.zeros(len(rows), dtype=np.int64), self.motions.line[rows])
+        return found
 
     def numbers_as_written(self) -> Array:
         """Return X, Y, Z [mm], A, B, C [deg] (M, 6) of its motions as its text commands them.

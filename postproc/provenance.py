@@ -4,7 +4,8 @@
 
 It is a comment of the program's dialect, here KRL. 1 is the number of this format. `text` is the SHA-256 of the program
 without this line: of its main file, and of the others behind it. The other sums are those of the files that it was made
-from; ``-`` where there was none. Of a program in several files, the others say of which they are a part:
+from; ``-`` where there was none. Options that were given follow, as ``lines_per_file=40``.
+Of a program in several files, the others say of which they are a part:
 
 ;POSTPROC 1 part=2 of=partMain
 """
@@ -35,6 +36,7 @@ class Origin(Struct, frozen=True):
     :param mode: ``"corrected"`` or ``"nominal"``.
     :param source: SHA-256 of the program as read, of its files one behind the other; `cell`, `model` and `forces`
         likewise; ``"-"`` where there was none.
+    :param options: that were given, by name.
     """
 
     version: str
@@ -43,6 +45,7 @@ class Origin(Struct, frozen=True):
     cell: str
     model: str
     forces: str = "-"
+    options: Mapping[str, str] = field(default_factory=dict)
 
 
 class Provenance(Struct, frozen=True):
@@ -54,6 +57,7 @@ class Provenance(Struct, frozen=True):
     :param version: of postproc; likewise.
     :param line: 1-based line that says it; 0 if there is none.
     :param sums: `source`, `cell`, `model` and `forces` as in `Origin`, as far as they are said.
+    :param options: the options with which it was written.
     :param part_of: name of the program that calls this one, which is but a part of it; empty if it is a whole one.
     """
 
@@ -62,6 +66,7 @@ class Provenance(Struct, frozen=True):
     version: str = ""
     line: int = 0
     sums: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
     part_of: str = ""
 
 
@@ -90,7 +95,8 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
         return Provenance("none", line=line, part_of=said["of"])
     state: State = "intact" if said.get("text") == _text(documents, found[0]) else "changed"
     sums = {name: value for name, value in said.items() if name in ("source", "cell", "model", "forces")}
-    return Provenance(state, said.get("mode", ""), said.get("version", ""), line, sums)
+    options = {name: value for name, value in said.items() if name not in (*sums, "text", "mode", "version")}
+    return Provenance(state, said.get("mode", ""), said.get("version", ""), line, sums, options)
 
 
 def marked(
@@ -119,6 +125,7 @@ def marked(
         "cell": origin.cell,
         "model": origin.model,
         "forces": origin.forces,
+        **origin.options,
     }
     line = f"{comment}POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
     text = main.text[:start] + line + main.text[stop:]

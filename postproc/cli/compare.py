@@ -15,6 +15,12 @@ _PATH = click.Path(path_type=Path)
 @click.argument("corrected", type=_PATH)
 @click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances.")
 @click.option("--forces", type=_PATH, help="File of cutting forces (CSV, or what a package adds), by lines of NOMINAL.")
+@click.option(
+    "--keep-unresolved",
+    is_flag=True,
+    help="Read motions of KRL whose targets, or whether they run, only the running robot knows: they are not compared, "
+    "and named.",
+)
 @click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside NOMINAL.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.comparison.curves import Curves
-from postproc.errors import Issue
+from postproc.errors import Level
 from postproc.frames import Array, norm
 from postproc.program import PTP, Bools, Ints, Program
 
@@ -17,18 +17,40 @@ class Cuts(Struct, frozen=True, eq=False):
     :param wrench: (P, 6) at the tip, `$BASE` axes of the nominal program [N, N·m].
     :param nominal: (P, 3) by the nominal program, its `$BASE`.
     :param corrected: (P, 3) by the corrected one.
-    :param row: (B,) rows of `corrected.motions`: the inserted targets, then arcs that are sent astray, seen at
-        their middles.
-    :param between_nominal: (B,) there, how far it would stand from the nominal path by the nominal program,
-        `between_corrected` by the corrected one [m].
+    :param turned: (P,) by how much the corrected one turns the loaded tool from its nominal orientation [rad].
+    :param row: (B,) rows of `corrected.motions` that are looked at between pairs, never decreasing; `t` (B,) where.
+        Inserted targets (t = 1) are among them.
+    :param between_nominal: (B,) there, how far it would stand from its place on the nominal path by the nominal
+        program; `between_corrected` (B,) how far from that path by the corrected one [m].
     """
 
     wrench: Array
     nominal: Array
     corrected: Array
+    turned: Array
     row: Ints
+    t: Array
     between_nominal: Array
     between_corrected: Array
+
+
+class Difference(Struct, frozen=True):
+    """What differs besides offsets, or could not be compared.
+
+    :param level: ``"error"``: the second program must not be run; ``"warning"``: look at it.
+    :param kind: short stable name.
+    :param message: one sentence for the user.
+    :param nominal: file and line of the nominal program where it is first, if it stands there.
+    :param corrected: file and line of the second one; likewise.
+    :param count: of places.
+    """
+
+    level: Level
+    kind: str
+    message: str
+    nominal: tuple[str, int] | None = None
+    corrected: tuple[str, int] | None = None
+    count: int = 1
 
 
 class Comparison(Struct, frozen=True, eq=False):
@@ -47,7 +69,7 @@ class Comparison(Struct, frozen=True, eq=False):
     :param between: (P,) how far they are apart at most on the way to each pair from the one before [m]; NaN for the
         first, and where a PTP is between.
     :param cuts: what each would cut, where forces are known.
-    :param issues: what the user should know, grouped.
+    :param differences: what differs besides.
     """
 
     nominal: Program
@@ -62,7 +84,7 @@ class Comparison(Struct, frozen=True, eq=False):
     curves: Curves | None
     between: Array
     cuts: Cuts | None
-    issues: tuple[Issue, ...]
+    differences: tuple[Difference, ...]
 
     @property
     def nominal_line(self) -> Ints:

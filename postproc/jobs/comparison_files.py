@@ -12,17 +12,16 @@ from msgspec.structs import replace
 from postproc import correction, forces, provenance
 from postproc.cell import Cell
 from postproc.comparison import compare
-from postproc.correction import Mode
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.frames import M_PER_MM
 from postproc.jobs.conversion import read_program
 from postproc.jobs.job import Job
-from postproc.jobs.marking import marked, origin_of
+from postproc.jobs.marking import marked, origin_of, with_options
 from postproc.jobs.outcome import EXCEEDED, GOOD, Settings
 from postproc.jobs.outputs import protect
-from postproc.jobs.setup import load_setup
+from postproc.jobs.setup import as_stated, load_setup
 from postproc.program import Document, Program
 from postproc.report import to_json
 from postproc.report.comparison import (
@@ -47,6 +46,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     :param cell: cell file.
     :param forces: CSV file of cutting forces, by lines of the nominal program.
     :param output: folder to write into; None = a folder `corrected` beside the nominal program.
+    :param keep_unresolved: read motions of KRL that only the running robot knows, and tell that they are not compared.
     :param overwrite: replace files that postproc did not write.
     """
 
@@ -55,7 +55,13 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     cell: Path
     forces: Path | None = None
     output: Path | None = None
+    keep_unresolved: bool = False
     overwrite: bool = False
+
+    @property
+    def settings(self) -> Settings:
+        """How both programs are read."""
+        return Settings(self.cell, keep_unresolved=self.keep_unresolved)
 
     def reads(self) -> list[Path]:
         """Return the files that are read."""
@@ -82,7 +88,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
-    cell, robot = load_setup(Settings(request.cell))
+    cell, robot = load_setup(request.settings)
     nominal = read_program(request.nominal, robot, cell)
     corrected = read_program(request.corrected, robot, cell)
     if not corrected.keeps_text:
@@ -142,17 +148,21 @@ def _made_from(
     agrees = {name: said.sums.get(key) == getattr(here, key) for name, key in sums.items()}
     if said.state != "changed" or said.version != VERSION or not all(agrees.values()):
         return MadeFrom(said, agrees, () if said.state == "intact" else None)
+    try:
+        settings = with_options(request.settings, said.options)
+    except ValueError:  # written by who knows what
+        return MadeFrom(said, agrees)
     found = []
     for name in dict.fromkeys([corrected.name, request.nominal.stem]):  # the file may have been renamed since
         try:
-            again = _written_again(request, cell, robot, said.mode, name)
+            again = _written_again(request, settings, cell, robot, said.mode, name)
         except PostprocError:
             continue
         if len(again) == len(corrected.documents):
             found.append(_changed(again, corrected.documents, said.line))
     few = max(_FEW, _SHARE * sum(len(document.text.splitlines()) for document in corrected.documents))
     edited, missing = min(found, key=lambda each: len(each[0]) + each[1], default=((), 0))
-    if not found or len(edited) + missing > few:  # it was written with other options
+    if not found or len(edited) + missing > few:
         return MadeFrom(said, agrees)
     return MadeFrom(said, agrees, edited, missing)
 
@@ -166,7 +176,9 @@ def _changed(
     """
     edited: list[tuple[str, int]] = []
     missing = 0
-    for old, new in zip(written, documents, strict=True):
+    by_name = {document.name: document for document in written}
+    for at_same_place, new in zip(written, documents, strict=True):
+        old = by_name.get(new.name, at_same_place)  # a program that was renamed has other names
         lines, fewer = _edited(old.text, new.text)
         edited += [(new.name, number) for number in lines if new is not documents[0] or number != line]
         missing += fewer
@@ -174,18 +186,20 @@ def _changed(
 
 
 def _written_again(
-    request: CompareRequest, cell: Cell, robot: RobotModel, mode: str, name: str
+    request: CompareRequest, settings: Settings, cell: Cell, robot: RobotModel, mode: str, name: str
 ) -> tuple[Document, ...]:
-    """Return the files that `convert` writes from the same inputs, as a program of that name."""
-    wanted: Mode = "nominal" if mode == "nominal" else "convert"
+    """Return the files that `convert` writes from the same inputs with some settings, as a program of that name."""
+    settings = replace(settings, mode="nominal" if mode == "nominal" else "convert")
+    cell = as_stated(cell, settings)
     read_as, to = (registry.of_file(path).name for path in (request.nominal, request.corrected))
     job = Job(request.nominal, read_as, request.corrected.parent, request.forces, name, to)
     source = None if request.forces is None else forces.read(request.forces)
     program = read_program(request.nominal, robot, cell, name=None if job.keeps_text else name)
-    result = correction.process(program, robot, cell, source, wanted, to=job.to)
+    linearize = settings.linearize_arcs
+    result = correction.process(program, robot, cell, source, settings.mode, linearize_arcs=linearize, to=job.to)
     if job.keeps_text and request.nominal.stem != name:
         result = replace(result, documents=job.writer.renamed(result.documents, name))
-    return marked(result, job, Settings(request.cell), cell).documents
+    return marked(result, job, settings, cell).documents
 
 
 def _edited(written: str, text: str) -> tuple[list[int], int]:

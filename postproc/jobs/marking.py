@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,31 @@ from postproc.jobs.outcome import Settings
 from postproc.program import Document
 from postproc.version import VERSION
 
+_OPTIONS: dict[str, Callable[[str], object]] = {
+    "tolerance_mm": float,
+    "lines_per_file": int,
+    "linearize_arcs": bool,
+    "keep_unresolved": bool,
+}
+"""Settings that a written program depends on beside its files, and how their texts are read."""
+
+
+def options_of(settings: Settings) -> dict[str, str]:
+    """Return the settings that were given, as a written program says them."""
+    given = {name: getattr(settings, name) for name in _OPTIONS}
+    given = {name: value for name, value in given.items() if value is not None and value is not False}
+    return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in given.items()}
+
+
+def with_options(settings: Settings, said: Mapping[str, str]) -> Settings:
+    """Return settings with those that a written program says.
+
+    :raises ValueError: it says others, or values that are none.
+    """
+    if unknown := set(said) - set(_OPTIONS):
+        raise ValueError(f"options that are not known: {unknown}")
+    return replace(settings, **{name: _OPTIONS[name](value) for name, value in said.items()})
+
 
 def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
     """Return a result whose program says where it comes from; one that came back byte for byte says nothing new."""
@@ -25,6 +50,7 @@ def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
         return result
     mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
+    origin = replace(origin, options=options_of(settings))
     documents, moved = job.writer.marked(_subprograms_marked(result, job, origin), origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
@@ -49,7 +75,9 @@ def _subprograms_marked(result: Result, job: Job, origin: provenance.Origin) -> 
         files.sort(key=lambda other: other != name)
         if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != before[n].text for n in files):
             source = provenance.digest(before[other].to_bytes() for other in files)
-            own, _ = job.writer.marked([after[other] for other in files], replace(origin, source=source, forces="-"))
+            own, _ = job.writer.marked(
+                [after[other] for other in files], replace(origin, source=source, forces="-", options={})
+            )
             after[name] = own[0]
     return list(after.values())
 

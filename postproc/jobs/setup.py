@@ -19,14 +19,19 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
     :raises CellError: the cell is unusable.
     :raises ModelError: its robot is.
     """
-    cell = cells.load(settings.cell)
+    cell = as_stated(cells.load(settings.cell), settings)
+    return cell, load_robot(cell.robot, cell.folder)
+
+
+def as_stated(cell: Cell, settings: Settings) -> Cell:
+    """Return a cell with what settings replace."""
     stated = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
     stated = {name: value for name, value in stated.items() if value is not None}
     if stated:
         cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **stated))
     if settings.keep_unresolved:
         cell = msgspec.structs.replace(cell, krl=msgspec.structs.replace(cell.krl, keep_unresolved=True))
-    return cell, load_robot(cell.robot, cell.folder)
+    return cell
 
 
 def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:

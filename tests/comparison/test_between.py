@@ -73,7 +73,9 @@ def test_a_line_instead_of_a_half_circle_is_its_radius_away():
     np.testing.assert_allclose(between(rows)[1:], [20.0, 0.0], atol=1e-5)
     assert content["between_targets"] == {
         "max_mm": pytest.approx(20.0, abs=1e-5),
+        "nominal_file": "ONE.src",
         "nominal_line": 8,
+        "corrected_file": "OTHER.src",
         "corrected_line": 8,
     }
     assert "between" in kinds(content)
@@ -239,7 +241,7 @@ def test_a_moved_auxiliary_point_of_a_corrected_arc_is_told(force, cell):
             Path("other.src").write_text("\n".join([*lines[:arc], via, *lines[arc + 1 :]]))
             content, _ = compared("nominal.src", "other.src", cell=cell, code=3)
             (issue,) = [issue for issue in content["issues"] if issue["kind"] == "between"]
-            assert f"line {arc + 1} of the corrected program" in issue["message"]
+            assert (issue["corrected_file"], issue["corrected_line"]) == ("other.src", arc + 1)
             assert "auxiliary point of its arc" in issue["message"]
             assert content["between"]["corrected_line"] == arc + 1
             assert content["between"]["corrected_max_mm"] > 0.3 * moved

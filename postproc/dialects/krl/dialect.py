@@ -128,9 +128,10 @@ class Krl:
         if isinstance(layout, Layout):
             again = {document.name for document in layout.course.files}
             documents = [*(d for d in documents if d.name not in again), *layout.course.files]
-            layout = replace(layout, documents=(*whole.documents, *layout.course.files))
+            layout = replace(layout, documents=(*whole.documents, *layout.course.files), files=whole.files)
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
-        return replace(program, name=name, documents=tuple(documents), layout=layout)
+        unresolved = tuple(whole.placed(each) for each in program.unresolved)
+        return replace(program, name=name, documents=tuple(documents), unresolved=unresolved, layout=layout)
 
 
 KRL = Krl()

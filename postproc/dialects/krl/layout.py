@@ -12,7 +12,7 @@ from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.triggers import Trigger
 from postproc.frames import Array
-from postproc.program import Bools, Carriage, Document, Ints
+from postproc.program import Bools, Carriage, Document, Ints, Places
 
 Offsets = NDArray[np.int32]
 ORIENTATIONS = FREE, CONSTANT, JOINT, IGNORE = "#VAR", "#CONSTANT", "#JOINT", "#IGNORE"
@@ -49,6 +49,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param triggers: TRIGGER statements, in order.
     :param carriage: the linear axis E1 that carries the robot.
     :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
+    :param files: then, name of each `.src` and the number that its first line has in the one text.
     """
 
     course: Course
@@ -75,3 +76,23 @@ class Layout(Struct, frozen=True, eq=False):
     triggers: tuple[Trigger, ...]
     carriage: Carriage | None = None
     documents: tuple[Document, ...] = ()
+    files: tuple[tuple[str, int], ...] = ()
+
+    def places(self, rows: Ints) -> Places | None:
+        """Return in which files, and on which of their lines, motions (n,) stand; None: all in the main file."""
+        source, line = self.course.source, self.line[rows]
+        names: tuple[str, ...] = (source.document.name,)
+        file = np.zeros(len(rows), dtype=np.int64)
+        if source.origins is not None:
+            names = tuple(each.document.name for each in source.origins.sources)
+            file, line = source.origins.source[line - 1], source.origins.line[line - 1]
+        elif not self.files:
+            return None
+        if self.files:
+            first = np.array([number for _, number in self.files])
+            own = np.array([name == self.documents[0].name for name in names])[file]
+            part = np.searchsorted(first, line, side="right") - 1
+            file = np.where(own, len(names) + part, file)
+            line = np.where(own, line - first[part] + 1, line)
+            names = (*names, *(name for name, _ in self.files))
+        return Places(names, file, line)

@@ -60,6 +60,9 @@ class Layout(Struct, frozen=True, eq=False):
 
     numbers: Array
 
+    def places(self, rows: Ints) -> None:
+        """Return None: a module is one file."""
+
 
 class _Moves(Struct, eq=False):
     """What stands in the moves, row by row."""

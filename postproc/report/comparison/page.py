@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import msgspec
 import numpy as np
@@ -10,7 +10,8 @@ import numpy as np
 from postproc.comparison import Comparison
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Ints
-from postproc.report.comparison.summary import ComparisonSummary
+from postproc.report.comparison.names import Names, names_of
+from postproc.report.comparison.summary import ComparisonSummary, where_of
 from postproc.report.comparison.text import WORDS, counted
 from postproc.report.kit import (
     Axis,
@@ -48,25 +49,30 @@ _ROWS = (("Maximum", "max_mm"), ("RMS", "rms_mm"), ("Mean", "mean_mm"), ("95th p
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """What the script of the page is told beside the columns: names of the programs, place of the largest offset."""
+    """What the script of the page is told beside the columns: names, place of the largest offset.
+
+    Names of files are those of each program, and empty where all its pairs stand in one.
+    """
 
     nominal: str
     corrected: str
+    nominal_files: list[str]
+    corrected_files: list[str]
     worst: int
 
 
 def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
     sections = [_verdict(content), _numbers(content)]
-    shown = _shown(found)
+    shown, names = _shown(found), names_of(found)
     if len(shown):
-        sections += [_path(found, shown), _along(found, content, shown), _histogram(found, shown)]
-        sections += [_operations(found, content, shown), _worst_pairs(found, shown)]
+        sections += [_path(found, shown), _along(found, content, shown, names[0]), _histogram(found, shown)]
+        sections += [_operations(found, content, shown, names), _worst_pairs(found, shown, names)]
     yield from Page(
         kind="Comparison",
         title=f"{content['corrected']} against {content['nominal']}",
         subtitle=f"{content['robot']} · {counted(content)}",
-        sections=(*sections, _issues(found, content, shown), *([_place()] if len(shown) else [])),
+        sections=(*sections, _issues(found, content, shown, names[0]), *([_place()] if len(shown) else [])),
         footer=(
             Note(
                 "Offsets are from the nominal target to where the second program sends the same tool, in the nominal "
@@ -74,7 +80,7 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
                 "given. Statistics are over cutting targets that stand in both."
             ),
         ),
-        facts=_facts(found, content, shown) if len(shown) else None,
+        facts=_facts(found, content, shown, names) if len(shown) else None,
         columns={"places": _columns(found, shown)} if len(shown) else {},
         scripts=(("postproc.report.comparison", "place"),) if len(shown) else (),
     ).render()
@@ -142,22 +148,34 @@ def _worst(found: Comparison) -> Ints:
     return np.asarray(order[size[order] >= 0.0])
 
 
-def _place_of(found: Comparison, shown: Ints, nominal_line: int | None) -> int | None:
-    """Return the place on a line of the nominal program, or the next one behind it."""
-    if nominal_line is None or not len(shown):
+def _place_of(found: Comparison, shown: Ints, names: Names, file: str | None, line: int | None) -> int | None:
+    """Return the place on a line of the nominal program, or the next one behind it in that file."""
+    if line is None or not len(shown):
         return None
-    return min(int(np.searchsorted(found.nominal_line[shown], nominal_line)), len(shown) - 1)
+    places = found.nominal.places(found.pair[shown, 0])
+    here = np.array([names.prefix + name == file for name in places.files])[places.file]
+    for matches in (here & (places.line == line), here & (places.line >= line)):
+        if matches.any():
+            return int(np.argmax(matches))
+    return len(shown) - 1
 
 
-def _facts(found: Comparison, content: ComparisonSummary, shown: Ints) -> Facts:
+def _facts(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Facts:
     size = np.where(found.rapid, -1.0, found.distance)[shown]
-    return Facts(content["nominal"], content["corrected"], int(np.argmax(size)))
+    one, other = (
+        [name.prefix + file for file in program.places(found.pair[:1, k]).files] if name.several else []
+        for k, (program, name) in enumerate(zip((found.nominal, found.corrected), names, strict=True))
+    )
+    return Facts(content["nominal"], content["corrected"], one, other, int(np.argmax(size)))
 
 
 def _columns(found: Comparison, shown: Ints) -> Columns:
+    one, other = found.nominal.places(found.pair[shown, 0]), found.corrected.places(found.pair[shown, 1])
     columns = {
-        "nominal_line": found.nominal_line[shown],
-        "corrected_line": found.corrected_line[shown],
+        "nominal_file": one.file,
+        "nominal_line": one.line,
+        "corrected_file": other.file,
+        "corrected_line": other.line,
         "rapid": found.rapid[shown],
         "offset": found.distance[shown] * MM_PER_M,
         "turned": found.rotation[shown] * DEG_PER_RAD,
@@ -232,7 +250,7 @@ def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
     return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
 
 
-def _along(found: Comparison, content: ComparisonSummary, rows: Ints) -> Section:
+def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
     places = [*range(len(rows))]
     line = found.nominal_line[rows].astype(float).tolist()
     offset = (found.offset[rows] * MM_PER_M).T.tolist()
@@ -240,7 +258,8 @@ def _along(found: Comparison, content: ComparisonSummary, rows: Ints) -> Section
     curves = [
         Curve(line, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
     ]
-    x = Axis(title="line of the nominal program")
+    counted_on = ", counted on over its files" if nominal.several else ""
+    x = Axis(title=f"line of {nominal.main}{counted_on}")
     parts: list[Part] = [
         Plot(label="Offset in X, Y, Z along the program", traces=[*curves], x=x, y=Axis(title="offset, mm"))
     ]
@@ -281,7 +300,7 @@ def _histogram(found: Comparison, shown: Ints) -> Section:
     return Section("histogram", "Distribution of the offset", (plot,), "half")
 
 
-def _operations(found: Comparison, content: ComparisonSummary, shown: Ints) -> Section:
+def _operations(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Section:
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content["cut"] is not None else []
     rows = []
@@ -290,21 +309,20 @@ def _operations(found: Comparison, content: ComparisonSummary, shown: Ints) -> S
         cells = [
             operation["name"] or f"operation {number}",
             f"T{operation['tool']}" if operation["tool"] else "-",
-            str(operation["nominal_line"]),
+            names[0].line((operation["nominal_file"], operation["nominal_line"])),
             str(operation["pairs"]),
             millimetres(operation["offset"]["max_mm"]),
             *([millimetres(cut[key]["max_mm"]) for key in ("nominal", "corrected")] if cut is not None else []),
         ]
-        line = operation["nominal_line"]
-        rows.append(Row(tuple(cells), _place_of(found, shown, line), line))
+        where = operation["nominal_file"], operation["nominal_line"]
+        rows.append(Row(tuple(cells), _place_of(found, shown, names[0], *where), where[1]))
     table = Table(tuple(head), tuple(rows), "Operations, largest values", sortable=True, note="Largest values.")
     return Section("operations", "Operations and tools", (table,), "half")
 
 
-def _worst_pairs(found: Comparison, shown: Ints) -> Section:
+def _worst_pairs(found: Comparison, shown: Ints, names: Sequence[Names]) -> Section:
     head = [
-        "Nominal line",
-        "Corrected line",
+        *(f"Line of {name.main}" for name in names),
         "Offset, mm",
         "X, mm",
         "Y, mm",
@@ -315,19 +333,21 @@ def _worst_pairs(found: Comparison, shown: Ints) -> Section:
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if found.cuts is not None else []
     cuts = () if found.cuts is None else (found.cuts.nominal, found.cuts.corrected)
     rows = []
-    for row in _worst(found).tolist():
-        cells = [str(found.nominal_line[row]), str(found.corrected_line[row])]
+    worst = _worst(found)
+    places = [p.places(found.pair[worst, k]) for k, p in enumerate((found.nominal, found.corrected))]
+    for k, row in enumerate(worst.tolist()):
+        cells = [name.line(place.of(k)) for name, place in zip(names, places, strict=True)]
         cells.append(millimetres(float(found.distance[row]) * MM_PER_M))
         cells += [f"{value:.4f}" for value in found.offset[row] * MM_PER_M + 0.0]
         cells.append(f"{np.degrees(found.rotation[row]):.4f}")
         between = float(found.between[row])
         cells.append("-" if np.isnan(between) else millimetres(between * MM_PER_M))
         cells += [millimetres(float(norm(off[row])) * MM_PER_M) for off in cuts]
-        rows.append(Row(tuple(cells), int(np.searchsorted(shown, row)), int(found.nominal_line[row])))
+        rows.append(Row(tuple(cells), int(np.searchsorted(shown, row)), int(places[0].line[k])))
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))
 
 
-def _issues(found: Comparison, content: ComparisonSummary, shown: Ints) -> Section:
+def _issues(found: Comparison, content: ComparisonSummary, shown: Ints, names: Names) -> Section:
     if not content["issues"]:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(
@@ -335,13 +355,13 @@ def _issues(found: Comparison, content: ComparisonSummary, shown: Ints) -> Secti
             (
                 Cell(issue["level"], _KINDS[issue["level"]]),
                 issue["message"],
-                "-" if issue["source_line"] is None else str(issue["source_line"]),
+                where_of(issue) or "-",
                 str(issue["count"]),
             ),
-            _place_of(found, shown, issue["source_line"]),
+            _place_of(found, shown, names, issue["source_file"], issue["source_line"]),
             issue["source_line"],
         )
         for issue in content["issues"]
     )
-    head = ("Level", "What", "Line", "Places")
-    return Section("issues", "Differences besides positions", (Table(head, rows, "Differences", texts=(1,)),))
+    head = ("Level", "What", "Where first", "Places")
+    return Section("issues", "Differences besides positions", (Table(head, rows, "Differences", texts=(1, 2)),))

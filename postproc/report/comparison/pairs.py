@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from postproc.chunks import chunks
 from postproc.comparison import Comparison
 from postproc.decimals import Number, rows_of_csv
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
+from postproc.program import Ints, Program
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
 _NUMBERS = (
@@ -19,7 +21,7 @@ _NUMBERS = (
     "cut_nominal_mm", "cut_corrected_mm", "between_mm",
 )  # fmt: skip
 _PLACES = (6,) * 13 + (6, 3, 3, 6, 6, 6)
-PAIR_COLUMNS = ("state", "nominal_line", "corrected_line", "rapid", *_NUMBERS)
+PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
 """Columns of the file, in order."""
 _STATES = ("pair", "inserted", "only_nominal", "only_corrected")
 
@@ -65,13 +67,29 @@ def pairs_csv(found: Comparison) -> Iterator[bytes]:
         ]
     )[order]
     rapid = np.where(nominal >= 0, one.rapid[nominal], other.rapid[corrected]).astype(float)[order]
-    lines = [np.where(rows >= 0, m.line[rows], np.nan)[order] for m, rows in ((one, nominal), (other, corrected))]
-    names = np.array([name.ljust(len(_STATES[3]), "\0").encode() for name in _STATES])
-    names = np.frombuffer(names[state[order]].tobytes().ljust(1), dtype=np.uint8)[: len(order) * len(_STATES[3])]
-    names = names.reshape(len(order), len(_STATES[3]))
+    names = _words(_STATES, state[order])
+    (file, line), (file_two, line_two) = (
+        _places(program, rows[order]) for program, rows in ((found.nominal, nominal), (found.corrected, corrected))
+    )
     for part in chunks(len(order)):
-        columns = [
-            *(Number.of(values[part], 0) for values in (*lines, rapid)),
+        columns: list[Number | NDArray[np.uint8]] = [
+            names[part], file[part], Number.of(line[part], 0), file_two[part], Number.of(line_two[part], 0),
+            Number.of(rapid[part], 0),
             *(Number.of(numbers[part, index], places) for index, places in enumerate(_PLACES)),
-        ]
-        yield rows_of_csv([names[part], *columns])
+        ]  # fmt: skip
+        yield rows_of_csv(columns)
+
+
+def _places(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
+    """Return file and line of motions (n,) as columns; empty where there is none (−1)."""
+    there = rows >= 0
+    places = program.places(rows[there])
+    line, file = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
+    line[there], file[there] = places.line, places.file
+    return _words([*places.files, ""], file), line
+
+
+def _words(words: Sequence[str], which: Ints) -> NDArray[np.uint8]:
+    """Return words as a column of texts (n, width), padded with zeros; quoted where CSV needs it."""
+    quoted = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
+    return np.char.encode(quoted, "utf-8").view(np.uint8).reshape(len(quoted), -1)[which]

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NotRequired, TypedDict
 
 import numpy as np
 from msgspec import Struct
 
-from postproc.comparison import Comparison
+from postproc.comparison import Comparison, Difference
 from postproc.correction import statistics
+from postproc.errors import Level
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.program import Bools
 from postproc.provenance import Provenance, State
+from postproc.report.comparison.names import Names, names_of
 from postproc.report.deviation.operations import operation_starts
-from postproc.report.summary import Distances, IssueEntry, Judged, issue_entry
+from postproc.report.summary import Distances, Judged
 
 _MOST = 20
-_DIFFERENCES = ("speed", "kind", "approximation", "base", "tool", "external-axis")
+_DIFFERENCES = (
+    "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
+    "not-compared",
+)  # fmt: skip
 
 
 class MadeFrom(Struct, frozen=True):
@@ -44,11 +49,18 @@ class Rotations(TypedDict):
     rms_deg: float
 
 
-class PairEntry(TypedDict):
+class Lines(TypedDict):
+    """Where a pair stands."""
+
+    nominal_file: str
+    nominal_line: int
+    corrected_file: str
+    corrected_line: int
+
+
+class PairEntry(Lines):
     """A pair."""
 
-    nominal_line: int
-    corrected_line: int
     mm: float
     deg: float
 
@@ -61,13 +73,11 @@ class Cut(TypedDict):
 
 
 class Between(TypedDict):
-    """Largest distances of the loaded tip from the nominal path between targets, by each program.
-
-    At inserted targets, and at the middles of arcs that are sent astray.
-    """
+    """Largest distances of the loaded tip from the nominal path between pairs, by each program."""
 
     nominal_max_mm: float
     corrected_max_mm: float
+    corrected_file: str
     corrected_line: int
 
 
@@ -75,7 +85,9 @@ class Apart(TypedDict):
     """How far the two paths are apart at most on the way from one pair to the next, and where; 0 and None of no way."""
 
     max_mm: float
+    nominal_file: str | None
     nominal_line: int | None
+    corrected_file: str | None
     corrected_line: int | None
 
 
@@ -84,10 +96,24 @@ class OperationEntry(TypedDict):
 
     name: str
     tool: int
+    nominal_file: str
     nominal_line: int
     pairs: int
     offset: Distances
     cut: Cut | None
+
+
+class DifferenceEntry(TypedDict):
+    """What differs besides offsets, or could not be compared, and where it is first."""
+
+    level: Level
+    kind: str
+    message: str
+    source_file: str | None
+    source_line: int | None
+    corrected_file: str | None
+    corrected_line: int | None
+    count: int
 
 
 class EditedLine(TypedDict):
@@ -128,7 +154,7 @@ class ComparisonSummary(TypedDict):
     tolerance_mm: float
     operations: list[OperationEntry]
     provenance: OriginEntry
-    issues: list[IssueEntry]
+    issues: list[DifferenceEntry]
     verdict: Judged
     files: NotRequired[list[FileEntry]]
 
@@ -142,11 +168,14 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
     """
     rapid, distance = found.rapid, found.distance
     turned = statistics(found.rotation, rapid)
-    count = {issue.kind: issue.count for issue in found.issues}
+    count: dict[str, int] = {}
+    for each in found.differences:
+        count[each.kind] = count.get(each.kind, 0) + each.count
+    names = nominal, corrected = names_of(found)
     state = made.said.state
     content = ComparisonSummary(
-        nominal=found.nominal.documents[0].name,
-        corrected=found.corrected.documents[0].name,
+        nominal=nominal.main,
+        corrected=corrected.main,
         robot=found.robot,
         pairs=len(found.pair),
         inserted=len(found.inserted),
@@ -154,13 +183,13 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         only_corrected=len(found.only_corrected),
         offset=_distances(distance, rapid),
         rotation={"max_deg": turned.largest * DEG_PER_RAD, "rms_deg": turned.rms * DEG_PER_RAD},
-        between_targets=_apart(found),
-        largest=_largest(found),
+        between_targets=_apart(found, names),
+        largest=_largest(found, names),
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
         cut=_cut(found, slice(None)),
-        between=_between(found),
+        between=_between(found, corrected),
         tolerance_mm=tolerance * MM_PER_M,
-        operations=[*_operations(found)],
+        operations=[*_operations(found, names)],
         provenance={
             "state": state,
             "mode": made.said.mode or None,
@@ -169,10 +198,10 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
             "edited": None if made.edited is None else [{"file": f, "line": n} for f, n in made.edited[:_MOST]],
             "missing_lines": made.missing,
         },
-        issues=[issue_entry(issue) for issue in found.issues],
+        issues=[_entry(each, nominal, corrected) for each in found.differences],
         verdict={"state": "ok", "reasons": []},
     )
-    failed, doubtful = [*_failed(content, limit * MM_PER_M)], [*_doubtful(content)]
+    failed, doubtful = [*_failed(content, limit * MM_PER_M, corrected)], [*_doubtful(content)]
     holds = ["every target has its partner", *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content["cut"] is not None:
         told = (
@@ -186,11 +215,33 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
     return content
 
 
-def _failed(content: ComparisonSummary, limit_mm: float) -> Iterator[str]:
+def _entry(each: Difference, nominal: Names, corrected: Names) -> DifferenceEntry:
+    return {
+        "level": each.level,
+        "kind": each.kind,
+        "message": each.message,
+        "source_file": None if each.nominal is None else nominal.prefix + each.nominal[0],
+        "source_line": None if each.nominal is None else each.nominal[1],
+        "corrected_file": None if each.corrected is None else corrected.prefix + each.corrected[0],
+        "corrected_line": None if each.corrected is None else each.corrected[1],
+        "count": each.count,
+    }
+
+
+def where_of(entry: DifferenceEntry) -> str:
+    """Return where a difference is first, in both programs; empty if that is not known."""
+    places = (
+        (entry["source_file"], entry["source_line"]),
+        (entry["corrected_file"], entry["corrected_line"]),
+    )
+    return " and ".join(f"{file}:{line}" for file, line in places if file is not None)
+
+
+def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> Iterator[str]:
     origin, cut = content["provenance"], content["cut"]
     if origin["state"] == "changed":
         edited = origin["edited"]
-        where = "where, is not known" if edited is None else _listed(edited, origin["missing_lines"])
+        where = "where, is not known" if edited is None else _listed(edited, origin["missing_lines"], corrected)
         yield f"{content['corrected']} was changed since postproc wrote it: {where}"
     if cut is not None and not cut["corrected"]["max_mm"] <= content["tolerance_mm"]:
         yield (
@@ -200,7 +251,7 @@ def _failed(content: ComparisonSummary, limit_mm: float) -> Iterator[str]:
     between = content["between"]
     if between is not None and not between["corrected_max_mm"] <= content["tolerance_mm"]:
         yield (
-            f"{content['corrected']}:{between['corrected_line']}: between targets it leaves "
+            f"{between['corrected_file']}:{between['corrected_line']}: between targets it leaves "
             f"{between['corrected_max_mm']:.4f} mm to the nominal path under the forces given "
             f"(tolerance {content['tolerance_mm']:g} mm)"
         )
@@ -208,10 +259,11 @@ def _failed(content: ComparisonSummary, limit_mm: float) -> Iterator[str]:
         yield f"a target is {content['offset']['max_mm']:.3f} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content["pairs"]:
         yield "no target of one program belongs to one of the other"
+    yield from (_told(issue) for issue in content["issues"] if issue["level"] == "error")
 
 
-def _listed(edited: list[EditedLine], missing: int) -> str:
-    told = [", ".join(f"{entry['file']}:{entry['line']}" for entry in edited)] if edited else []
+def _listed(edited: list[EditedLine], missing: int, names: Names) -> str:
+    told = [", ".join(names.place((entry["file"], entry["line"])) for entry in edited)] if edited else []
     told += [f"{missing} line{'s' if missing > 1 else ''} of it missing"] if missing else []
     return "; ".join(told) or "in its line ends or its encoding"
 
@@ -232,11 +284,13 @@ def _doubtful(content: ComparisonSummary) -> Iterator[str]:
             f"a target is {content['offset']['max_mm']:.4f} mm off, and no forces are known that would call for it: "
             "give --forces"
         )
-    for issue in content["issues"]:
-        if issue["level"] == "warning":
-            more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
-            where = "" if issue["source_line"] is None else f"{content['nominal']}:{issue['source_line']}: "
-            yield f"{where}{issue['message'].rstrip('.')}{more}"
+    yield from (_told(issue) for issue in content["issues"] if issue["level"] == "warning")
+
+
+def _told(issue: DifferenceEntry) -> str:
+    more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
+    where = where_of(issue)
+    return f"{where}{': ' if where else ''}{issue['message'].rstrip('.')}{more}"
 
 
 def _distances(values: Array, rapid: Bools) -> Distances:
@@ -257,19 +311,21 @@ def _cut(found: Comparison, rows: slice) -> Cut | None:
     return {"nominal": one, "corrected": other}
 
 
-def _apart(found: Comparison) -> Apart:
+def _apart(found: Comparison, names: Sequence[Names]) -> Apart:
     size = np.where(found.rapid | np.isnan(found.between), -1.0, found.between)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
-        return {"max_mm": 0.0, "nominal_line": None, "corrected_line": None}
-    return {
-        "max_mm": float(size[worst]) * MM_PER_M,
-        "nominal_line": int(found.nominal_line[worst]),
-        "corrected_line": int(found.corrected_line[worst]),
-    }
+        return {
+            "max_mm": 0.0,
+            "nominal_file": None,
+            "nominal_line": None,
+            "corrected_file": None,
+            "corrected_line": None,
+        }
+    return {"max_mm": float(size[worst]) * MM_PER_M, **_lines(found, names, worst)}
 
 
-def _between(found: Comparison) -> Between | None:
+def _between(found: Comparison, corrected: Names) -> Between | None:
     cuts = found.cuts
     motions = found.corrected.motions
     if cuts is None or not len(cuts.row):
@@ -278,20 +334,21 @@ def _between(found: Comparison) -> Between | None:
     worst = int(np.argmax(np.where(cutting, cuts.between_corrected, -1.0)))
     if not cutting[worst]:
         return None
+    file, line = found.corrected.places(cuts.row[worst : worst + 1]).of(0)
     return {
         "nominal_max_mm": float(cuts.between_nominal[cutting].max()) * MM_PER_M,
         "corrected_max_mm": float(cuts.between_corrected[worst]) * MM_PER_M,
-        "corrected_line": int(motions.line[cuts.row[worst]]),
+        "corrected_file": corrected.prefix + file,
+        "corrected_line": line,
     }
 
 
-def _largest(found: Comparison) -> list[PairEntry]:
+def _largest(found: Comparison, names: Sequence[Names]) -> list[PairEntry]:
     size = np.where(found.rapid, -1.0, found.distance)
     order = np.argsort(-size, kind="stable")[:_MOST]
     return [
         {
-            "nominal_line": int(found.nominal_line[row]),
-            "corrected_line": int(found.corrected_line[row]),
+            **_lines(found, names, row),
             "mm": float(found.distance[row]) * MM_PER_M,
             "deg": float(found.rotation[row]) * DEG_PER_RAD,
         }
@@ -299,7 +356,19 @@ def _largest(found: Comparison) -> list[PairEntry]:
     ]
 
 
-def _operations(found: Comparison) -> Iterator[OperationEntry]:
+def _lines(found: Comparison, names: Sequence[Names], pair: int) -> Lines:
+    """Return in which files, and on which of their lines, a pair stands."""
+    places = (p.places(found.pair[pair, k : k + 1]).of(0) for k, p in enumerate((found.nominal, found.corrected)))
+    (one, line), (other, other_line) = places
+    return {
+        "nominal_file": names[0].prefix + one,
+        "nominal_line": line,
+        "corrected_file": names[1].prefix + other,
+        "corrected_line": other_line,
+    }
+
+
+def _operations(found: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
     starts = operation_starts(found.nominal, found.pair[:, 0])
     for first, end in pairwise([*sorted(starts), len(found.pair)]):
         rows = slice(first, end)
@@ -307,10 +376,12 @@ def _operations(found: Comparison) -> Iterator[OperationEntry]:
         if not cutting:
             continue
         name, tool = starts[first]
+        lines = _lines(found, names, first + int(np.argmin(found.rapid[rows])))
         yield {
             "name": name,
             "tool": tool,
-            "nominal_line": int(found.nominal_line[first + int(np.argmin(found.rapid[rows]))]),
+            "nominal_file": lines["nominal_file"],
+            "nominal_line": lines["nominal_line"],
             "pairs": cutting,
             "offset": _distances(found.distance[rows], found.rapid[rows]),
             "cut": _cut(found, rows),

@@ -42,11 +42,13 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     if apart["nominal_line"] is not None:
         lines.append(
             f"  on the way between targets: {millimetres(apart['max_mm'])} mm at most, before "
-            f"{content['nominal']}:{apart['nominal_line']} and {content['corrected']}:{apart['corrected_line']}"
+            f"{apart['nominal_file']}:{apart['nominal_line']} and {apart['corrected_file']}:{apart['corrected_line']}"
         )
     for pair in content["largest"][:_SHOWN]:
         if pair["mm"] > 0.0:
-            where = f"{content['nominal']}:{pair['nominal_line']} and {content['corrected']}:{pair['corrected_line']}"
+            where = (
+                f"{pair['nominal_file']}:{pair['nominal_line']} and {pair['corrected_file']}:{pair['corrected_line']}"
+            )
             lines.append(f"  {millimetres(pair['mm'])} mm between {where}")
     origin = content["provenance"]
     if origin["state"] == "none":

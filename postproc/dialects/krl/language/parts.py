@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language.data_files import DataLine, data_lines
 from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
-from postproc.program import FORCE_COMMENT, Document
+from postproc.program import FORCE_COMMENT, Document, Unresolved
 
 MAIN = "Main"
 """What the name of the program that calls the others ends with."""
@@ -46,12 +46,23 @@ class Joined(Struct, frozen=True, eq=False):
     documents: tuple[Document, ...]
     files: tuple[tuple[str, int], ...]
 
+    def place(self, file: str, line: int) -> tuple[str, int]:
+        """Return the file, and the line of it, that a line of one of the joined texts comes from."""
+        if file != self.documents[0].name:
+            return file, line
+        name, first = [each for each in self.files if each[1] <= line][-1]
+        return name, line + 1 - first
+
+    def placed(self, left: Unresolved) -> Unresolved:
+        """Return a motion that stays as it is with the file and the line of it on which it stands."""
+        file, line = self.place(left.file, left.line)
+        return replace(left, file=file, line=line)
+
     def located(self, error: ProgramError) -> ProgramError:
         """Return an error with the file and the line of it that it is about."""
         file, line = error.file, error.line
-        if line is not None and file == self.documents[0].name:
-            file, first = [each for each in self.files if each[1] <= line][-1]
-            line += 1 - first
+        if line is not None and file is not None:
+            file, line = self.place(file, line)
         text = None if error.text is None else error.text.lstrip("".join((_DIVIDES, _BEGINS, _UNENDED)))
         others = [self.located(other) for other in error.others if isinstance(other, ProgramError)]
         return ProgramError(error.problem, file=file, line=line, text=text, advice=error.advice, others=others)

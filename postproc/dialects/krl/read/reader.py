@@ -131,16 +131,17 @@ class _Reading(Struct, frozen=True, eq=False):
         ordered = ordered_motions(main, plain.motions)
         changed = list(changed_data_issues(main, ordered, plain, start))
         del plain  # what follows needs the memory
-        ordered, after, kept = without_unresolved(main, ordered)
+        resolved = without_unresolved(main, ordered)
+        ordered = resolved.ordered
         notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced)
         lost = [line for line, _ in main.run.unresolved]
-        after, meetings = branching(course, ordered, after, lost)
+        after, meetings = branching(course, ordered, resolved.after, lost)
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
         motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
         issues = [
             *main.run.issues,
-            *kept,
+            *resolved.issues,
             *assumptions,
             *changed,
             *issues_of(main, ordered.states, ordered.state, ordered.rows, layout),
@@ -169,6 +170,7 @@ class _Reading(Struct, frozen=True, eq=False):
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
             after=after,
+            unresolved=resolved.unresolved,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
-from postproc.program import CIRC, PTP, SPL, Ints
+from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
 _BEGIN = "where it begins is not known, and it depends on that: it goes along with a correction before it"
 _OPEN = (
@@ -20,24 +21,37 @@ _OPEN = (
 )
 
 
-def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> tuple[OrderedMotions, Ints | None, list[Issue]]:
+class Separated(Struct, frozen=True, eq=False):
+    """The motions of a program, separated by whether they can be corrected.
+
+    :param ordered: those that can.
+    :param after: at the end of which motion each of them begins, see `Program.after`.
+    :param unresolved: the others.
+    :param issues: what is to be told.
+    """
+
+    ordered: OrderedMotions
+    after: Ints | None = None
+    unresolved: tuple[Unresolved, ...] = ()
+    issues: tuple[Issue, ...] = ()
+
+
+def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> Separated:
     """Take out the motions that stay as they are, where that is wanted.
 
     :param ordered: motions whose targets are known.
-    :returns: those that can be corrected; at the end of which motion each of them begins, see `Program.after`; what is
-        to be told.
-    :raises ProgramError: there are none.
+    :raises ProgramError: there are none that can be corrected.
     """
     run, rows = main.run, ordered.rows
     if not run.keep:
-        return ordered, None, []
+        return Separated(ordered)
     lost = dict(run.unresolved)
     dropped = np.zeros(len(rows), dtype=np.bool_)
     for row, reason in _uncertain(run.settings, ordered):
         lost[int(rows.line[row])] = reason
         dropped[row] = True
     if not lost and not run.moved:
-        return ordered, None, []
+        return Separated(ordered)
     open_: set[int] = set()
     for line in sorted({*lost, *(line for line, _ in run.moved)}):
         row = int(np.searchsorted(rows.line, line, side="right"))
@@ -61,7 +75,8 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> tuple[Orde
     left = OrderedMotions(
         rows.take(~dropped), ordered.states, ordered.state[~dropped], ordered.numbers[~dropped], moves
     )
-    return left, after, [*_told(main, lost), *_opened(main, left, begins)]
+    unresolved, issues = _told(main, lost)
+    return Separated(left, after, unresolved, (*issues, *_opened(main, left, begins)))
 
 
 def _uncertain(settings: Settings, ordered: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
@@ -94,18 +109,20 @@ def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool
     return bool(np.isnan(ordered.rows.numbers[row, :6]).any())
 
 
-def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> Iterator[Issue]:
-    """Yield a warning for each line that stays as it is."""
-    told: set[str] = set()
+def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:
+    """Return each line that stays as it is, and a warning for it."""
+    found: dict[str, Unresolved] = {}
+    issues = []
     for line, reason in sorted(lost.items()):
         origin = main.run.source.origin(line)
-        if str(origin) in told:
+        if str(origin) in found:
             continue
-        told.add(str(origin))
         shown = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
+        found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
         message = f"stays as it is, uncorrected: {text!r} ({reason.problem})"
-        yield Issue("warning", "unresolved", message, shown, subject=str(origin))
+        issues.append(Issue("warning", "unresolved", message, shown, subject=str(origin)))
+    return tuple(found.values()), issues
 
 
 def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:

@@ -9,10 +9,15 @@
   view.removeAttribute("tabindex");
   const list = (i, names, decimals) => names.map((name) => fixed(at[name][i], decimals)).join(", ");
 
+  const line = (i, side) => {
+    const files = facts[`${side}_files`], own = at[`${side}_line`][i];
+    return files.length ? `${files[at[`${side}_file`][i]]}:${own}` : own;
+  };
+
   function rows(i) {
     return [
-      [`Line of ${facts.nominal}`, at.nominal_line[i]],
-      [`Line of ${facts.corrected}`, at.corrected_line[i]],
+      [`Line of ${facts.nominal}`, line(i, "nominal")],
+      [`Line of ${facts.corrected}`, line(i, "corrected")],
       ["Nominal X, Y, Z", `${list(i, ["X", "Y", "Z"], 3)} mm`],
       ["Nominal A, B, C", `${list(i, ["A", "B", "C"], 3)}°`],
       ["Offset", `${fixed(at.offset[i], 4)} mm${at.rapid[i] ? " (rapid)" : ""}`],
