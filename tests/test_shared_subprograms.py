@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
+from postproc.dialects.krl.callers import callers
 from postproc.errors import InputError
 from postproc.files import write_whole
 
@@ -85,8 +86,68 @@ def test_a_corrected_subprogram_is_not_corrected_again():
     run("predict", "out/two.src", "-o", "again")
 
 
+def test_in_a_folder_it_is_corrected_with_those_that_call_it():
+    Path("jobs").mkdir()
+    for name in ("one", "three", "sub"):
+        shutil.move(f"{name}.src", "jobs")
+    Path("jobs/one.src").write_text(Path("jobs/one.src").read_text().replace("sub()", "Ready()\nsub()"))
+    Path("jobs/tools.src").write_text("DEF tools()\n;nothing\nEND\nGLOBAL DEF READY ( )\n$OUT[1]=TRUE\nEND\n")
+    Path("jobs/CELL.src").write_text("DEF CELL()\nLOOP\nIF $IN[1] THEN\none()\nENDIF\nENDLOOP\nEND\n")
+    Path("jobs/last.src").write_text(Path("jobs/one.src").read_text().replace("one", "last").replace("sub()", ";sub()"))
+    run("convert", "jobs/one.src", "-o", "alone")
+    done = run("convert", "jobs", "-o", "out", code=1)
+    assert "jobs/sub.src: called by one.src, three.src: corrected with it" in done.stderr
+    assert "jobs/tools.src: called by last.src, one.src" in done.stderr
+    assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL.src:2") == 1
+    assert {path.name for path in Path("out").glob("*.src")} == {"one.src", "three.src", "last.src", "sub.src"}
+    for name in ("one.src", "sub.src"):
+        assert Path("out", name).read_bytes() == Path("alone", name).read_bytes()
+    index = Path("out/index.html").read_text()
+    assert index.count("called by others") == 3  # in its tile, and in two rows
+    rows = [line for line in done.stdout.splitlines() if line.startswith(("jobs/sub", "jobs/tools"))]
+    assert all("skipped: a subprogram" in line for line in rows)
+    assert len(rows) == 2
+    named = run("convert", "jobs", "jobs/sub.src", "-o", "more", code=1).stderr
+    assert "one.src calls sub.src, which is also converted as a program of its own" in named
+
+
+def test_one_name_and_one_file_of_forces_are_those_of_the_program_that_calls_the_others():
+    Path("jobs").mkdir()
+    for name in ("one", "sub"):
+        shutil.move(f"{name}.src", "jobs")
+    run("convert", "jobs", "-o", "out", "--name", "first")
+    assert {path.name for path in Path("out").glob("*.src")} == {"first.src", "sub.src"}
+    run("predict", "jobs", "-o", "told")
+
+
+@pytest.mark.parametrize(
+    ("files", "called"),
+    [
+        ({"a": "b()", "b": "c( )", "c": "LIN P"}, {"b": "a", "c": "b"}),
+        ({"a": "b()", "b": "a()"}, {}),
+        ({"a": "b()", "b": "c()", "c": "b()"}, {"b": "ac", "c": "b"}),
+        ({"a": ";b()", "b": "LIN P"}, {}),
+        ({"a": "x=1 ; b()", "b": "LIN P"}, {}),
+        ({"a": "a()", "b": "LIN P[1]"}, {}),
+        ({"a": "B (1)", "b": "LIN P"}, {"b": "a"}),
+        ({"a": "b()\nEND\nDEF b()\nLIN P", "b": "LIN P"}, {}),
+        ({"a": "IF F(1)>2 THEN\nENDIF", "b": "END\nGLOBAL DEFFCT REAL f(n:IN)\nRETURN 1"}, {"b": "a"}),
+        ({"a": "IF F(1)>2 THEN\nENDIF", "b": "LIN P\nEND\nGLOBAL DEFFCT REAL f(n:IN)\nRETURN 1"}, {}),
+        ({"a": "IF F(1)>2 THEN\nENDIF", "b": "END\nDEFFCT REAL f(n:IN)\nRETURN 1"}, {}),
+        ({"Cell": "b()", "b": "LIN P"}, {}),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_which_files_of_a_folder_others_call(files, called, end, tmp_path):
+    paths = {name: tmp_path / f"{name}.src" for name in files}
+    for name, lines in files.items():
+        paths[name].write_bytes(f"&ACCESS\nDEF {name}( )\n{lines}\nEND\n".replace("\n", end).encode())
+    found = callers(list(paths.values()))
+    assert {path.stem: "".join(other.stem for other in others) for path, others in found.items()} == called
+
+
 def test_a_subprogram_that_is_also_a_program_of_the_run_is_named():
-    told = run("convert", ".", "-o", "out", code=1).stderr
+    told = run("convert", "one.src", "sub.src", "-o", "out", code=1).stderr
     assert "one.src calls sub.src, which is also converted as a program of its own" in told
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,7 +13,7 @@ from postproc.cli.completion import complete_files
 from postproc.cli.outcomes import work
 
 if TYPE_CHECKING:
-    from postproc.jobs import Cluster
+    from postproc.jobs import Cluster, Job
 
 _PATH = click.Path(path_type=Path)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -140,7 +140,7 @@ def convert(
             "for each program, or write the forces into the programs as comments."
         )
     found = find_jobs(programs, name=name, **_of_files(more))
-    _check_part(more, len(found))
+    _check_part(more, found)
     if name is not None and (fault := found[0].writer.fault_of(name)) is not None:
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
     settings = Settings(mode="nominal" if nominal else "convert", **more)
@@ -159,8 +159,8 @@ def _of_files(options: dict[str, Any]) -> dict[str, Any]:
     return {name: options.pop(name) for name in ("dialect", "to", "forces", "output") if name in options}
 
 
-def _check_part(options: dict[str, Any], programs: int) -> None:
-    if options["part"] is not None and programs > 1:
+def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
+    if options["part"] is not None and sum(not job.callers for job in jobs) > 1:
         raise click.UsageError("--part goes with one program.")
 
 
@@ -193,7 +193,7 @@ def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> 
     from postproc.jobs import Settings, find_jobs
 
     found = find_jobs([program], **_of_files(more))
-    if len(found) > 1:
+    if sum(not job.callers for job in found) > 1:
         raise click.UsageError(f"predict takes one program; {program} names {len(found)}.")
-    _check_part(more, len(found))
+    _check_part(more, found)
     work(ctx, found, Settings(mode="predict", **more), as_json=as_json)

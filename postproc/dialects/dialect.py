@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from postproc.cell import Cell
 from postproc.frames import Array
@@ -101,4 +101,13 @@ class Dialect(Protocol):
         :param name: of the program.
         :raises ProgramError: it is not understood; the message names file, line, text and what to do.
         """
+        ...
+
+
+@runtime_checkable
+class Calling(Protocol):
+    """What a dialect has besides if its programs call others by the names of their files."""
+
+    def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
+        """Return which of some files are but called by others of them, and by which."""
         ...

@@ -9,6 +9,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from postproc.dialects import registry
+from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, ProgramError
 from postproc.forces.sources import extensions
@@ -27,6 +28,8 @@ def find_jobs(
 ) -> list[Job]:
     """Return a job for each program that files, folders and glob patterns name: sorted, each once.
 
+    A file that others of them call, and that is not named itself, is theirs (`Job.callers`).
+
     :param inputs: of a folder, the files with a known extension are taken; of a pattern too, unless `dialect` says how
         to read whatever it matches.
     :param dialect: how to read all of them; None = by extension.
@@ -40,9 +43,11 @@ def find_jobs(
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     programs = _without_parts(programs, {Path(name).resolve() for name in inputs}, dialect)
-    csv = _forces_for(programs, forces)
-    if name is not None and len(programs) > 1:
-        raise InputError(f"one name for {len(programs)} programs", advice="Give --name with one program.")
+    callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
+    own = [path for path in programs if path not in callers]
+    csv = _forces_for(own, forces)
+    if name is not None and len(own) > 1:
+        raise InputError(f"one name for {len(own)} programs", advice="Give --name with one program.")
     jobs = []
     for path in programs:
         if any("\ud800" <= letter <= "\udfff" for letter in path.name):  # what Python makes of bytes that are no text
@@ -51,11 +56,14 @@ def find_jobs(
         read_as = dialect or registry.of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
         made = writer.valid(path.stem) if name is None and written_as != read_as else name
-        jobs.append(Job(path, read_as, folder, csv[path], made, to, named=str(path) in inputs))
+        by = tuple(callers.get(path, ()))
+        jobs.append(Job(path, read_as, folder, csv.get(path), made, to, named=str(path) in inputs, callers=by))
     stems: dict[Path, list[str]] = {}
     for job in jobs:
+        if job.callers:
+            continue
         stems.setdefault(job.output.resolve(), []).append(job.stem.lower())
-    return [replace(job, others=frozenset(stems[job.output.resolve()]) - {job.stem.lower()}) for job in jobs]
+    return [replace(job, others=frozenset(stems.get(job.output.resolve(), ())) - {job.stem.lower()}) for job in jobs]
 
 
 def read_documents(path: Path, dialect: str) -> list[Document]:
@@ -103,6 +111,19 @@ def _without_parts(programs: list[Path], named: set[Path], dialect: str | None) 
         if name is not None:
             parts |= {other.resolve() for other in registry.by_name(name).companions(path)}
     return [path for path in programs if path.resolve() in named or path.resolve() not in parts]
+
+
+def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | None) -> dict[Path, list[Path]]:
+    """Return which programs that are not named themselves are but called by others, and by which."""
+    folders: dict[tuple[Path, str], list[Path]] = {}
+    for path in programs if len(programs) > 1 else ():
+        folders.setdefault((path.parent, dialect or path.suffix.lower()), []).append(path)
+    found: dict[Path, list[Path]] = {}
+    for paths in folders.values():
+        kind = registry.by_name(dialect) if dialect else registry.of_file(paths[0])
+        if len(paths) > 1 and isinstance(kind, Calling):
+            found |= kind.callers(paths)
+    return {path: callers for path, callers in found.items() if path in unnamed}
 
 
 def _unique(paths: Iterable[Path]) -> list[Path]:

@@ -23,6 +23,7 @@ class Job(Struct, frozen=True):
     :param name: of the written program, and of the files beside it; None = that of the file.
     :param to: name of the format to write it in; None = its own if that is written, else KRL.
     :param named: whether the user named the file, and not only its folder or a pattern.
+    :param callers: programs of the same run that call it, which is then corrected with them and not by itself.
     :param others: what the programs are called that are written into the same folder in the same run, lower case.
     """
 
@@ -33,6 +34,7 @@ class Job(Struct, frozen=True):
     name: str | None = None
     to: str | None = None
     named: bool = True
+    callers: tuple[Path, ...] = ()
     others: frozenset[str] = frozenset()
 
     @property

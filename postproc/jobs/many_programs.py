@@ -11,7 +11,7 @@ from postproc.jobs import outputs, overview
 from postproc.jobs.cluster import Cluster, convert_on_cluster
 from postproc.jobs.conversion import convert_one
 from postproc.jobs.job import Job
-from postproc.jobs.outcome import Outcome, Settings
+from postproc.jobs.outcome import GOOD, Outcome, Settings
 from postproc.jobs.setup import load_setup
 
 
@@ -33,16 +33,25 @@ def convert_all(
     """
     with interrupts.held_back():
         with interrupts.heard():
-            outputs.check(jobs, settings.cell, settings.mode, overwrite=settings.overwrite)
+            own = [job for job in jobs if not job.callers]
+            outputs.check(own, settings.cell, settings.mode, overwrite=settings.overwrite)
             cell, robot = load_setup(settings)
-        for folder in {job.output for job in jobs}:
+        for folder in {job.output for job in own}:
             remove_leftovers(folder)
-        done: list[Outcome] = []
-        for outcome in _outcomes(jobs, settings, workers, cluster, lambda job: convert_one(job, settings, cell, robot)):
+        done = [_with_callers(job) for job in jobs if job.callers]
+        yield from done
+        for outcome in _outcomes(own, settings, workers, cluster, lambda job: convert_one(job, settings, cell, robot)):
             done.append(outcome)
             yield outcome
         if len(done) == len(jobs):
             overview.write(jobs, done, settings.mode)
+
+
+def _with_callers(job: Job) -> Outcome:
+    """Return the outcome of a program that is corrected with those that call it."""
+    callers = ", ".join(path.name for path in job.callers)
+    message = f"{job.program}: called by {callers}: corrected with it. Name the file to convert it alone."
+    return Outcome(str(job.program), GOOD, message=message)
 
 
 def _outcomes(

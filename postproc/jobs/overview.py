@@ -24,7 +24,7 @@ def folders(jobs: Sequence[Job], mode: Mode) -> list[Path]:
         return []
     count: dict[Path, int] = {}
     for job in jobs:
-        count[job.output] = count.get(job.output, 0) + 1
+        count[job.output] = count.get(job.output, 0) + (not job.callers)
     return [folder for folder, many in count.items() if many > 1 or _is_ours(folder / NAME)]
 
 
@@ -38,11 +38,11 @@ def write(jobs: Sequence[Job], outcomes: Sequence[Outcome], mode: Mode) -> list[
     known = {outcome.program: outcome for outcome in outcomes}
     written: list[Path] = []
     for folder in folders(jobs, mode):
-        failed = [known[str(job.program)] for job in jobs if job.output == folder and str(job.program) in known]
+        nothing = [known[str(job.program)] for job in jobs if job.output == folder and str(job.program) in known]
         entries = [
-            Entry(Path(outcome.program).name, "", None, _why(outcome))
-            for outcome in failed
-            if outcome.summary is None and not outcome.skipped
+            Entry(Path(outcome.program).name, "", None, _why(outcome), called=outcome.skipped)
+            for outcome in nothing
+            if outcome.summary is None
         ]
         entries += [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
         content = sealed(_HEAD + index_page(entries, folder.resolve().name))

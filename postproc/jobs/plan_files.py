@@ -125,6 +125,8 @@ def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPose
         return milling.from_file(request.poses, robot, cell)
     parts = []
     for job in find_jobs(request.programs, forces=request.forces):
+        if job.callers:
+            continue
         program = read_program(job.program, robot, cell, job.dialect)
         source = None if job.forces is None else forces.read(job.forces)
         parts.append(milling.from_program(program, robot, cell, source))

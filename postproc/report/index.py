@@ -11,7 +11,7 @@ from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Sectio
 from postproc.report.summary import Distances, Summary
 from postproc.report.text import millimetres, number, percent
 
-_STATES = ("nothing", "failed", "no forces", "warning", "ok")
+_STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
 """From the one in most trouble."""
 _WORDS: dict[str, tuple[str, Kind]] = {
     "nothing": ("nothing written", "error"),
@@ -19,6 +19,7 @@ _WORDS: dict[str, tuple[str, Kind]] = {
     "no forces": ("no forces", "warning"),
     "warning": ("look first", "warning"),
     "ok": ("may be run", "good"),
+    "called": ("called by others", ""),
 }
 
 
@@ -29,18 +30,20 @@ class Entry(Struct, frozen=True):
     :param page: name of its report, in the folder; empty where there is none.
     :param content: of its `report.json`; None if nothing came of it.
     :param message: why nothing came of it.
+    :param called: it was not to be written by itself.
     """
 
     name: str
     page: str
     content: Summary | None
     message: str = ""
+    called: bool = False
 
     @property
     def state(self) -> str:
-        """The verdict, or ``"nothing"``; ``"no forces"`` where for want of them nothing was corrected."""
+        """The verdict, or ``"nothing"``, ``"called"``; ``"no forces"`` where for want of them nothing was corrected."""
         if self.content is None:
-            return "nothing"
+            return "called" if self.called else "nothing"
         state = self.content["verdict"]["state"]
         return "no forces" if state == "warning" and self.content["max_force_N"] == 0.0 else state
 
@@ -66,7 +69,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
             Tile("On the part (95 %)", millimetres(max(bounds)) if bounds else "unknown", "mm" if bounds else "", note)
         )
     parts: list[Part] = [Tiles(tuple(tiles)), _table(ordered, written)]
-    failed = [entry for entry in ordered if entry.content is None]
+    failed = [entry for entry in ordered if entry.state == "nothing"]
     sections = [Section("programs", "Programs", tuple(parts))]
     if failed:
         notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failed)
@@ -79,7 +82,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
 
 def _trouble(entry: Entry) -> tuple[int, float, str]:
     if entry.content is None:
-        return 0, 0.0, entry.name
+        return _STATES.index(entry.state), 0.0, entry.name
     bound = entry.content["u95"]
     worst = entry.content["after"]["max_mm"] if bound is None else bound["max_mm"]
     return _STATES.index(entry.state), -max(worst, entry.content["between_max_mm"] or 0.0), entry.name
@@ -107,7 +110,7 @@ def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
         word, kind = _WORDS[entry.state]
         name = Cell(entry.name, href=quote(entry.page))
         if entry.content is None:
-            rows.append(Row((name, Cell(word, kind), "see below", *("-",) * 6)))
+            rows.append(Row((name, Cell(word, kind), entry.message if entry.called else "see below", *("-",) * 6)))
             continue
         content = entry.content
         rows.append(

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from postproc import provenance
 from postproc.cell import Cell
 from postproc.dialects.krl import write
+from postproc.dialects.krl.callers import callers
 from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined
 from postproc.dialects.krl.layout import Layout
@@ -112,6 +113,10 @@ class Krl:
             if key in wanted and (key not in found or PurePath(name).stem in stems):
                 found[key] = path.with_name(name)
         return [found[key] for key in wanted if key in found]
+
+    def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
+        """Return which of some files of a folder are but called by others of them, and by which."""
+        return callers(paths)
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
