@@ -814,8 +814,10 @@ ERRORS = [
     (["REPEAT", FULL, "UNTIL $IN[2]"], 6, "inside UNTIL"),
     (["IF $IN[1] THEN", FULL, "ENDIF"], 4, "the branches end in different places"),
     (["SWITCH $ANIN[1]", "CASE 1", FULL, "ENDSWITCH"], 4, "the branches end in different places"),
-    (["A:", FULL, "GOTO A"], 6, "GOTO is followed to a label that stands behind it"),
-    (["IF $IN[1] THEN", "GOTO A", "ENDIF", FULL, "A:"], 4, "condition is not known"),
+    (["A:", FULL, "GOTO A"], 6, "the label A stands before GOTO"),
+    (["GOTO A", FULL], 4, "there is no label A in PART"),
+    (["IF $IN[1] THEN", "GOTO A", "ENDIF", FULL, "A:"], 5, "not known before the program runs whether GOTO is run"),
+    (["A:", FULL, "IF $IN[1] THEN", "GOTO A", "ENDIF"], 7, "not known before the program runs whether GOTO is run"),
     (["FOR I=1 TO 2", "GOTO A", "ENDFOR", "A:", FULL], 5, "GOTO leads out of a loop"),
     (["SPLINE", "LIN {X 1,Y 0,Z 0,A 0,B 0,C 180}", "ENDSPLINE"], 5, "LIN in a SPLINE block"),
     (["RETURN", FULL], 5, "never reached"),
@@ -1047,3 +1049,22 @@ def test_both_points_of_a_relative_circle_count_from_its_start(word, axes):
         for name in ("target", "centre", "normal", "sweep", "blend"):
             mine, its = (getattr(program.motions, name) for program in (one, other))
             np.testing.assert_allclose(mine, its, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_what_is_wrong_with_one_goto_or_bas_is_told_of_each():
+    lines = ("IF $IN[1] THEN", "GOTO A", "ENDIF", "BAS(#NOW)", "BAS(#THEN)", "IF $IN[2] THEN", "GOTO A", "ENDIF", FULL)
+    with pytest.raises(ProgramError) as caught:
+        read(body(*lines, "A:"), cell=replace(CELL, krl=Krl(initmov="cell", keep_unresolved=True)))
+    assert [error.line for error in (caught.value, *caught.value.others)] == [5, 7, 8, 10]
+
+
+def test_motions_that_lead_on_from_where_the_robot_stands_are_told_to_go_along():
+    lines = ("LIN_REL {Z 1}", "LIN {X 3}", FULL.replace("X 100", "X 70"))
+    cell = replace(CELL, krl=Krl(initmov="cell", keep_unresolved=True))
+    program = read(body(FULL, "IF $IN[1] THEN", *lines, "ENDIF", "LIN XX", *lines), cell=cell)
+    told = [issue for issue in program.issues if issue.kind == "unresolved"]
+    assert [issue.source_line for issue in told] == [6, 7, 8, 10, 11, 12]
+    moved = [
+        issue.source_line for issue in told if "the correction of the motion before it moves it too" in issue.message
+    ]
+    assert moved == [6, 7, 11, 12]

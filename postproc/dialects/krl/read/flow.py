@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.course import Branch, Fork, Join
 from postproc.dialects.krl.language.expressions import operand, parse
@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.conditions import chosen, truth
 from postproc.dialects.krl.read.inexact import InexactError, inexact
-from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter
+from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Trace
 from postproc.errors import ProgramError
@@ -79,19 +79,26 @@ class Flow:
                     self.trace.run_to(node if isinstance(node, int) else node.last)
                 return
 
+    def label_of(self, source: Source, line: int) -> str:
+        """Return the label to which a GOTO leads, upper case."""
+        wanted = _GOTO.match(source.text, *source.code_span(line))
+        return wanted[1].upper() if wanted else ""
+
+    def labels(self, source: Source, lines: Iterable[int]) -> set[str]:
+        """Return the labels that stand on some lines, upper case."""
+        found = (_LABEL.fullmatch(source.text, *source.code_span(line)) for line in lines)
+        return {label[1].upper() for label in found if label is not None}
+
     def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
         """Return where the label of a GOTO stands among statements, behind one of them; the run goes on there."""
         level, trace = self.run.level, self.trace
-        start, stop = source.code_span(level.jump)
-        wanted = _GOTO.match(source.text, start, stop)
+        wanted = self.label_of(source, level.jump)
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
-            if isinstance(line, int) and wanted is not None and trace is not None:
-                label = _LABEL.fullmatch(source.text, *source.code_span(line))
-                if label is not None and label[1].upper() == wanted[1].upper():
-                    level.jump = 0
-                    trace.pass_to(line - 1, live=False)
-                    return number
+            if isinstance(line, int) and trace is not None and wanted in self.labels(source, [line]):
+                level.jump = 0
+                trace.pass_to(line - 1, live=False)
+                return number
         return len(nodes)
 
     def called(self) -> None:
@@ -321,6 +328,8 @@ class Flow:
             trace.divide(Branch(0))
             run.branch()
             self.follow(source, part.nodes)
+            if level.jump:
+                raise inexact(Place(source, level.jump), JUMP, JUMP_ADVICE)
             if level.broken_off:
                 raise why
             trace.run_to(part.beyond - 1)

@@ -38,7 +38,12 @@ _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
 _FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 _LABEL = re.compile(r"[ \t]*:[ \t]*$")
-_IN_ORDER = "Motions of interrupts, and behind GOTO, cannot be corrected; write them out in order."
+_IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
+JUMP = "it is not known before the program runs whether GOTO is run, and with it what runs next"
+JUMP_ADVICE = (
+    "Write LOOP with EXIT, FOR, WHILE or IF around the motions instead, or the motions in order; --keep-unresolved "
+    "cannot leave it as it is."
+)
 LOOP_ADVICE = (
     "Motions in loops and branches are corrected where it is known before the program runs what is executed, and how "
     "often: write them out in order, or leave them as they are by --keep-unresolved."
@@ -92,7 +97,7 @@ class Interpreter:
                 raise at.error(f"{word} without {_CLOSING[word]}")
             level.open.pop()
         elif word == "GOTO":
-            raise at.error("it is not known before the program runs whether GOTO is run", _IN_ORDER)
+            raise at.error(JUMP, JUMP_ADVICE)
         elif word == "RETURN":
             self._return(at)
         elif word in TIMED:

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines
 from postproc.dialects.krl.language.expressions import operand
-from postproc.dialects.krl.language.names import NAME, fault_of
+from postproc.dialects.krl.language.names import NAME, RESERVED, fault_of
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import MOTION_WORDS, calls, word_at
@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.structures import Block, checked, nodes_of, 
 from postproc.dialects.krl.language.values import Call
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.inexact import UnresolvedError
-from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
+from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
 from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
@@ -31,6 +31,9 @@ from postproc.dialects.krl.read.state import FIELDS
 from postproc.dialects.krl.read.tracing import Trace
 from postproc.errors import MOST, ProgramError, together
 from postproc.program import Bools, Ints
+
+_INSTRUCTIONS = MOTION_WORDS | RESERVED | {"BAS"}
+"""What begins a statement and is no variable that a fault would leave without a value."""
 
 
 def course_of(
@@ -56,8 +59,11 @@ def course_of(
     _submitted(run)
     flow.follow(main.source, nodes)
     if run.level.jump:
-        problem = "GOTO is followed to a label that stands behind it, in the same control structure or around it"
-        raise main.source.line_error(problem, run.level.jump, "Write a loop instead, or the motions in order.")
+        label = flow.label_of(main.source, run.level.jump)
+        problem = f"there is no label {label} in {main.name}"
+        if label in flow.labels(main.source, main.others):
+            problem = f"the label {label} stands before GOTO, or in a control structure that GOTO is not in"
+        raise main.source.line_error(problem, run.level.jump, JUMP_ADVICE)
     if not run.level.returned:
         trace.run_to(main.last - 1)
     trace.pass_to(main.last - 1, live=False)
@@ -252,7 +258,7 @@ class MainRoutine:
         names = [name.upper() for name in NAME.findall(at.source.text, *at.source.code_span(at.line))]
         if self._broken.isdisjoint(names):
             self._errors.append(cause)
-        self._broken.update(name for name in names[:1] if name not in FIELDS and name not in MOTION_WORDS)
+        self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
 
     def _motion(self, at: Place, word: str, start: int, stop: int) -> None:
         """Take a motion of the course.

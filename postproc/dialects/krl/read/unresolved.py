@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,7 +15,10 @@ from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
-_BEGIN = "where it begins is not known, and it depends on that: it goes along with a correction before it"
+_BEGIN = "where it begins is not known, and its path depends on that"
+_SHIFTED = ". It leads on from where the robot stands: the correction of the motion before it moves it too"
+_RELATIVE = re.compile(r"\w+_REL\b", re.IGNORECASE)
+_COMPONENT = re.compile(r"[{,:][ \t]*([XYZABC])[ \t]", re.IGNORECASE)
 _OPEN = (
     "Where this motion begins is not known, because the one before stays as it is: its end is corrected, no targets "
     "are inserted into it, and its path is not checked."
@@ -120,9 +124,17 @@ def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unres
         shown = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
-        message = f"stays as it is, uncorrected: {text!r} ({reason.problem})"
+        shifted = _SHIFTED if _depends(text) else ""
+        message = f"stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
         issues.append(Issue("warning", "unresolved", message, shown, subject=str(origin)))
     return tuple(found.values()), issues
+
+
+def _depends(text: str) -> bool:
+    """Return whether a motion that stays as it is goes to a place that is given from where the robot stands."""
+    literal = text[text.rfind("{") :] if "{" in text else ""
+    given = {name.upper() for name in _COMPONENT.findall(literal)}
+    return _RELATIVE.match(text) is not None or (0 < len(given) < 6)
 
 
 def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
