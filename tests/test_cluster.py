@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from postproc.errors import PostprocError
-from postproc.jobs import Cluster, Settings, convert_all, find_jobs
+from postproc.jobs import Settings, convert_all, find_jobs
+from postproc.jobs.cluster import Cluster
 from tests.processes import CELL_16, Held, programs, written
 
 distributed = pytest.importorskip("distributed", reason="an extra: pip install 'postproc[dask]'")

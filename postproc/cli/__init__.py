@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import gc
 import io
-import logging
 import sys
 import traceback
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -63,13 +63,14 @@ class LazyGroup(click.Group):
             from postproc import interrupts
 
             interrupts.leave_at_once()
-        logging.captureWarnings(_DEBUG not in (sys.argv if args is None else args))
-        try:
-            return super().main(args, *rest, **options)
-        finally:
-            logging.captureWarnings(False)
-            if args is None:
-                gc.freeze()  # the process ends: to look through all that it holds once more takes 0.1 s
+        with warnings.catch_warnings():
+            if _DEBUG not in (sys.argv if args is None else args):
+                warnings.showwarning = _not_shown
+            try:
+                return super().main(args, *rest, **options)
+            finally:
+                if args is None:
+                    gc.freeze()  # the process ends: to look through all that it holds once more takes 0.1 s
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a command: unusable input is a message and exit code 1, an interrupt 130, a fault a line and a file."""
@@ -98,6 +99,10 @@ class LazyGroup(click.Group):
 
             text = told(f"unexpected {type(cause).__name__}: {cause}", traceback.format_exc())
             raise click.ClickException(text) from cause
+
+
+def _not_shown(*_: object, **__: object) -> None:
+    """Show no warning."""
 
 
 @click.group(cls=LazyGroup, commands_at=_COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})

@@ -13,7 +13,8 @@ from postproc.cli.completion import complete_files
 from postproc.cli.outcomes import work
 
 if TYPE_CHECKING:
-    from postproc.jobs import Cluster, Job
+    from postproc.jobs import Job
+    from postproc.jobs.cluster import Cluster
 
 _PATH = click.Path(path_type=Path)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -165,9 +166,9 @@ def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
 
 
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
-    from postproc.jobs import Cluster
-
     if scheduler is not None:
+        from postproc.jobs.cluster import Cluster
+
         return Cluster(scheduler, *certificates)
     if any(certificates):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler tls://…")

@@ -12,7 +12,8 @@ import click
 from postproc.cli.faults import told
 
 if TYPE_CHECKING:
-    from postproc.jobs import Cluster, Job, Outcome, Settings
+    from postproc.jobs import Job, Outcome, Settings
+    from postproc.jobs.cluster import Cluster
 
 
 def work(

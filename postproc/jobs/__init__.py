@@ -1,11 +1,10 @@
 """What each command does: files in, files out, whole or not at all.
 
 `conversion` takes one program from file to files, `many_programs` many of them, one failure apart from the others.
-Other jobs have a file of their own, such as `plan_files` and `identification_files`, and are imported from there: what
-they need is loaded with them only.
+Other jobs have a file of their own, such as `plan_files` and `identification_files`, and so has a `cluster`; they are
+imported from there: what they need is loaded with them only.
 """
 
-from postproc.jobs.cluster import Cluster
 from postproc.jobs.conversion import convert_one, read_program
 from postproc.jobs.inputs import find_jobs, read_documents
 from postproc.jobs.job import Job
@@ -15,7 +14,6 @@ from postproc.jobs.outputs import left
 from postproc.jobs.setup import load_robot, load_setup
 
 __all__ = [
-    "Cluster",
     "Job",
     "Outcome",
     "Settings",

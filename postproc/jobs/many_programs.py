@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from postproc import interrupts
 from postproc.files import remove_leftovers
 from postproc.jobs import outputs, overview
-from postproc.jobs.cluster import Cluster, convert_on_cluster
 from postproc.jobs.conversion import convert_one
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import GOOD, Outcome, Settings
 from postproc.jobs.setup import load_setup
+
+if TYPE_CHECKING:
+    from postproc.jobs.cluster import Cluster
 
 
 def convert_all(
@@ -63,11 +66,13 @@ def _outcomes(
 ) -> Iterator[Outcome]:
     """Yield the outcomes of jobs; `convert` does one in this process."""
     if cluster is not None:
+        from postproc.jobs.cluster import convert_on_cluster  # like what runs processes, imported where there is one
+
         yield from convert_on_cluster(jobs, settings, cluster)
         return
     waiting = deque(jobs)
     if workers > 1 and len(jobs) > 1:
-        from postproc.jobs.pool import Pool  # what runs processes is imported where there are some
+        from postproc.jobs.pool import Pool
 
         yield from Pool(waiting, settings).outcomes(min(workers, len(jobs)))
     while waiting and not interrupts.came():

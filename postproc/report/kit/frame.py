@@ -18,6 +18,8 @@ _ALWAYS = ("selection", "tables")
 _DRAWING = ("columns", "theme", "stage", "cursor", "camera", "over", "sketch", "space", "plots")
 _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
+_PIECE = 65_536
+"""Bytes of the library that are read at once: memory for all of it would take longer than to read it."""
 
 
 class Page(Struct, frozen=True):
@@ -67,12 +69,17 @@ class Page(Struct, frozen=True):
             before, _, text = text.partition(_COLUMNS)
             yield from (before, columns.text.encode())
         before, drawn, rest = text.partition(_LIBRARY)
-        yield from (before, library() if drawn else b"", rest)
+        yield before
+        if drawn:
+            yield from library()
+        yield rest
 
 
-def library() -> bytes:
-    """Return the script of plotly from the installed package; its Python side, which is large, is not imported."""
-    return (_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
+def library() -> Iterator[bytes]:
+    """Yield the script of plotly from the installed package; its Python side, which is large, is not imported."""
+    with (_folder("plotly") / "package_data" / "plotly.min.js").open("rb") as file:
+        while piece := file.read(_PIECE):
+            yield piece
 
 
 @cache
