@@ -416,6 +416,7 @@ class Program(Struct, frozen=True, eq=False):
     :param issues: what the reader wants to tell; none of level error (a reader raises instead).
     :param after: (M,) row of the motion at whose end each begins, −1 for the start of the program; its own row where it
         is not known where it begins: it is taken to begin at its end. None: each begins where the one before ends.
+    :param meetings: rows of motions (−1: the start) at whose ends branches meet; it is not known which of them runs.
     :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.
     :param carriage: the linear axis that carries the robot; None: there is none.
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
@@ -435,6 +436,7 @@ class Program(Struct, frozen=True, eq=False):
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
     after: Ints | None = None
+    meetings: tuple[tuple[int, ...], ...] = ()
     swivel: Swivel | None = None
     carriage: Carriage | None = None
     with_path: Bools | None = None

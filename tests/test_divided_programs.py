@@ -83,6 +83,18 @@ def test_a_part_alone_is_refused(command):
     assert "part of partMain" in run(command, "out/part2.src", "-o", "again", code=1).stderr
 
 
+@pytest.mark.parametrize("marked", [True, False])
+def test_a_part_that_cannot_be_read_alone_is_told_as_a_part(marked):
+    run("convert", "part.nc", "-o", "out")
+    for path in Path("out").glob("part*.src"):  # a point that is known in the whole program alone
+        text = path.read_text() if marked else path.read_text().replace(";POSTPROC 1 part", "; part")
+        path.write_text(text.replace("LIN {", "LIN START\nLIN {", 1))
+    told = run("predict", "out/part2.src", "-o", "again", code=1).stderr
+    assert "this file is a part of partMain, which calls it: without it, the target is not known" in told
+    assert "Name partMain.src instead." in told
+    assert "--keep-unresolved" not in told
+
+
 def test_a_nominal_program_in_files_is_corrected_in_its_files():
     run("convert", "part.nc", "--nominal", "-o", "out")
     run("convert", "out/partMain.src", "-o", "again")

@@ -8,12 +8,14 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.errors import Issue, Level
-from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
 from postproc.program import PTP, Bools, Ints, Program, distinct
 from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 
+_MET = 8e-7
+"""Branches corrected more alike than this [m, rad] where they meet are read as meeting there, digits and all."""
 _WRIST = 0.2 * RAD_PER_DEG
 """|A5| below this is in the wrist singularity."""
 _ELBOW = 0.2 * RAD_PER_DEG
@@ -231,6 +233,33 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
                     f"{advice} or turn the tool about its axis.",
                     level,
                 )
+
+
+def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> Iterator[Issue]:
+    """Branches of which one runs, and it is not known which, must be corrected alike where they meet.
+
+    :param pose: (N, 4, 4) commanded, `wrench` (N, 6), of the samples in `$BASE`.
+    """
+    end = np.flatnonzero(sample.ends)
+    for rows in program.meetings:
+        motions = np.array([row for row in rows if row >= 0], dtype=np.int64)
+        moved = twist_between(sample.pose[end[motions]], pose[end[motions]])
+        if len(motions) < len(rows):
+            moved = np.append(moved, np.zeros((1, 6)), axis=0)  # the start, which is not corrected
+        if not len(motions) or np.ptp(moved, axis=0).max() < _MET:
+            continue
+        lines = program.motions.line[motions].tolist()
+        forces = [f"line {line}: {_force(wrench[end[row]])}" for line, row in zip(lines, motions.tolist(), strict=True)]
+        message = (
+            f"branches of which it is not known which one runs end under different forces ({', '.join(forces)}) and "
+            "would be corrected differently where they meet: what follows begins there. Give the last motions of all "
+            "of them the same force in $BASE."
+        )
+        yield Issue("error", "branch-forces", message, lines[0], count=len(lines), lines=tuple(lines))
+
+
+def _force(wrench: Array) -> str:
+    return f"F = ({', '.join(f'{value:.4g}' for value in wrench[:3].tolist())}) N"
 
 
 def correction_size(program: Program, motion: Ints, correction: Array, allowed: float) -> Iterator[Issue]:

@@ -63,6 +63,7 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, q, arcs),
         *checks.joint_speeds(program, robot, sample, speed),
+        *checks.meetings(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
     ]
     told = {issue.kind for issue in found}

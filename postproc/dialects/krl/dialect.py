@@ -14,7 +14,7 @@ from postproc.cell import Cell
 from postproc.dialects.krl import write
 from postproc.dialects.krl.callers import callers
 from postproc.dialects.krl.language.names import fault_of, valid
-from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined
+from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined, part_of
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
 from postproc.dialects.text import decode
@@ -43,6 +43,22 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
         return [*(name for name, _ in called(main)), *(PurePath(other.name).stem for other in beyond(main, find))]
     except (OSError, ProgramError):
         return []
+
+
+def _main_of(part: Document) -> str | None:
+    """Return the name of the main program of which a file is a part: as it says, or as one beside it calls it."""
+    if (says := part_of(part)) is not None:
+        return says
+    stem = PurePath(part.name).stem
+    wanted = f"{stem.rstrip('0123456789')}{MAIN}.src".lower()
+    try:
+        beside = sorted(Path(part.folder).iterdir()) if part.folder and stem[-1:].isdigit() else []
+        for path in (path for path in beside if path.name.lower() == wanted):
+            calls = [name.lower() for name, _ in called(decode(path.name, path.read_bytes()))]
+            return path.stem if stem.lower() in calls else None
+    except (OSError, ProgramError):
+        return None
+    return None
 
 
 class _Writer:
@@ -122,7 +138,14 @@ class Krl:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
         whole = joined(documents)
         if whole is None:
-            return read_program(documents, cell, forward, name)
+            try:
+                return read_program(documents, cell, forward, name)
+            except ProgramError as cause:
+                if (main := _main_of(documents[0])) is None:
+                    raise
+                problem = f"this file is a part of {main}, which calls it: without it, {cause.problem}"
+                advice = f"Name {main}.src instead."
+                raise ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice) from None
         stems = {PurePath(file).stem.lower() for file, _ in whole.files}
         others = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
         try:

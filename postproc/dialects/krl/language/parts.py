@@ -102,11 +102,17 @@ def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Docum
     stem, calls = PurePath(main.name).stem, called(main)
     while calls:
         document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(found) + 1}.src")
-        says = None if document is None else _PART_OF.search(document.text)
-        if document is None or says is None or says[1].lower() != stem.lower():
+        says = None if document is None else part_of(document)
+        if document is None or says is None or says.lower() != stem.lower():
             break
         found.append(document)
     return found
+
+
+def part_of(document: Document) -> str | None:
+    """Return the main program of which a file says that it is a part; None if it does not."""
+    says = _PART_OF.search(document.text)
+    return None if says is None else says[1]
 
 
 def joined(documents: Sequence[Document]) -> Joined | None:

@@ -9,17 +9,24 @@ import numpy as np
 
 from postproc.dialects.krl.course import Branch, Course, Fork, Join
 from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.layout import CONSTANT
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.unresolved import needs_start
 from postproc.errors import ProgramError
 from postproc.frames import Array, inverse
-from postproc.program import PTP, Carriage, Ints, Motions
+from postproc.program import PTP, SPL, Carriage, Ints, Motions
 
 _APART = 1e-6
 """Ends of branches closer than this [m, rad] are one."""
 _ADVICE = (
     "Branches whose condition is not known are corrected if they meet in one pose. Let them, or leave them as they are "
     "by --keep-unresolved."
+)
+
+
+_WHOLE = (
+    "Begin there with a LIN to all of X, Y, Z, A, B, C under $ORI_TYPE=#VAR, or leave the branches as they are by "
+    "--keep-unresolved."
 )
 
 
@@ -87,7 +94,7 @@ def branching(
     run_to(count)
     for row in np.flatnonzero(out != np.arange(count) - 1).tolist():
         if out[row] != row and needs_start(ordered, row, arcs=False):
-            raise _error(course, int(fork_of[row]), "components are missing where branches begin or meet")
+            raise _error(course, int(fork_of[row]), f"{_why(ordered, row)} where branches begin or meet", _WHOLE)
     return out, meetings
 
 
@@ -120,9 +127,23 @@ def check_meetings(
                 raise _error(course, fork, "E1 stands in different places at the ends of the branches")
 
 
-def _error(course: Course, fork: int, problem: str) -> BranchError:
+def _why(ordered: OrderedMotions, row: int) -> str:
+    """Return what of a motion depends on more than the place where it begins."""
+    kind, move = int(ordered.rows.kind[row]), ordered.moves.get(row)
+    if kind != PTP and ordered.states[ordered.state[row]].orientation == CONSTANT:
+        return "$ORI_TYPE=#CONSTANT keeps the orientation"
+    if kind == SPL:
+        return "SPL stands"
+    if move is not None and move.relative:
+        return "a relative motion stands"
+    if move is not None and move.angle is not None:
+        return "a circle with CA stands"
+    return "components are missing"
+
+
+def _error(course: Course, fork: int, problem: str, advice: str = _ADVICE) -> BranchError:
     source = course.source
-    told = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, _ADVICE)
+    told = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(told.problem, file=told.file, line=told.line, text=told.text, advice=told.advice)
     error.place = source.origin(fork)
     return error

@@ -58,9 +58,11 @@ class Calls:
     def call(self, at: Place, call: Call, *, certain: bool) -> Known:
         """Follow a call; return what a function gives."""
         found = self.run.library.find(call.name, self.run.level.module)
+        unknown = Unknown(f"{at}: what {call.spelt(at.source)}() gives is not known")
         if found is None:
             self._absent(at, call)
-            return NOTHING
+            ours = call.name in PURE or call.name in STANDARD
+            return unknown if ours else Unknown(f"{at}: {call.spelt(at.source)}() is in no file of the program")
         effects = self.run.analysis.of(*found)
         self.notice(at, call.name, effects)
         self._check_motion(at, call, effects)
@@ -72,7 +74,7 @@ class Calls:
                 return result
         self._forget_arguments(at, call, found[1])
         self._may_have_run(at, call.name, effects)
-        return NOTHING
+        return unknown
 
     def _absent(self, at: Place, call: Call) -> None:
         """Follow a call of what is in no file: it writes its arguments at most."""

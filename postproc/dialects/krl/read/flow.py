@@ -413,7 +413,11 @@ class Flow:
 
     def _unknown(self, at: Place) -> InexactError:
         word = word_at(at.source.text, *at.source.code_span(at.line))
-        return inexact(at, f"motion inside {word}: its condition is not known before the program runs", LOOP_ADVICE)
+        asked = [call.spelt(at.source) for call in calls(at.source, *at.source.code_span(at.line))]
+        why = f": it asks {asked[0]}()" if asked else ""
+        return inexact(
+            at, f"motion inside {word}: its condition is not known before the program runs{why}", LOOP_ADVICE
+        )
 
 
 class _Counter:

@@ -237,7 +237,8 @@ class Interpreter:
             self.run.variables.set(key, value, str(at))
         elif name != "$H_POS":
             given = at.source.text[start:stop].strip()[:80]
-            self.run.variables.set(key, Unknown(f"{at}: {given} is in no file of the program"), str(at))
+            why = "not known" if "(" in given else "in no file of the program"
+            self.run.variables.set(key, Unknown(f"{at}: {given} is {why}"), str(at))
 
     def _set_to(self, at: Place, target: Reference, start: int, stop: int) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""

@@ -170,6 +170,7 @@ class _Reading(Struct, frozen=True, eq=False):
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
             after=after,
+            meetings=tuple(meeting.ends for meeting in meetings),
             unresolved=resolved.unresolved,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )

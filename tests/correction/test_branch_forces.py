@@ -1,0 +1,50 @@
+"""Branches of which one runs must be corrected alike where they meet: forces from a file may say otherwise."""
+
+from pathlib import Path
+
+import pytest
+
+from postproc import cell as cells
+from postproc import correction, forces, robot
+from postproc.dialects.text import decode
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+HEAD = "DEF part()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n$VEL.CP=0.05\n"
+BRANCHES = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 30,Y 0", "ELSE", "X 20,Y -10", "X 30,Y 0", "ENDIF", "X 50,Y 0")
+ONE = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 0,Y 0", "ENDIF", "X 50,Y 0")
+
+
+def processed(lines, rows, tmp_path, mode="convert"):
+    text = HEAD + "".join(f"LIN {{{line},Z 0,A 180,B 0,C 180}}\n" if line[0] == "X" else f"{line}\n" for line in lines)
+    table = tmp_path / "part.csv"
+    table.write_text("line,Fx,Fy,Fz\n" + "".join(f"{line},{force},20,30\n" for line, force in rows.items()))
+    cell = cells.load(SAMPLES / "cell_kr270.toml")
+    model = robot.load(robot.find(cell.robot))
+    program = correction.read([decode("part.src", f"{text}END\n".encode())], model, cell, "part", "krl")
+    return correction.process(program, model, cell, forces.read(table), mode)
+
+
+@pytest.mark.parametrize(
+    ("lines", "rows", "where"),
+    [
+        (BRANCHES, {4: 90, 6: 90, 7: 90, 9: 90, 10: -90, 12: 90}, (7, 10)),
+        (BRANCHES, {7: 90}, (7, 10)),
+        (ONE, {6: 90, 7: 90, 9: 90}, (4, 7)),
+    ],
+)
+def test_branches_that_end_under_different_forces_are_told_with_lines_and_forces(lines, rows, where, tmp_path):
+    result = processed(lines, rows, tmp_path)
+    (error,) = [issue for issue in result.issues if issue.level == "error"]
+    assert (error.kind, error.lines) == ("branch-forces", where)
+    assert all(f"line {line}: F = (" in error.message for line in where)
+    assert not processed(lines, rows, tmp_path, "predict").failed
+
+
+@pytest.mark.parametrize(
+    ("lines", "rows"),
+    [(BRANCHES, {4: 90, 6: -50, 7: 90, 9: 10, 10: 90, 12: 9}), (ONE, {4: 90, 6: 10, 7: 90, 9: 1})],
+)
+def test_branches_that_end_under_one_force_are_corrected(lines, rows, tmp_path):
+    result = processed(lines, rows, tmp_path)
+    assert not result.failed, result.issues
+    assert "IF $IN[1]" in result.documents[0].text
