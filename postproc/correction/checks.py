@@ -84,7 +84,7 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
     yield from _first(
         program, sample.motion, wrist, "wrist-singularity", f"wrist singularity: A5 passes through 0°. {advice}"
     )
-    elbow = linear & (np.abs((q[:, 2] - form.elbow_stretched + np.pi) % (2 * np.pi) - np.pi) < _ELBOW)
+    elbow = linear & (np.abs(form.elbow(q)) < _ELBOW)
     yield from _first(
         program, sample.motion, elbow, "elbow-singularity", f"elbow singularity: the arm is stretched out. {advice}"
     )
@@ -96,12 +96,13 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
         "shoulder-singularity",
         f"shoulder singularity: the wrist stands above the A1 axis. {advice}",
     )
-    turned = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-    following = linear & (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1)
-    jump = following & (largest(turned) > _JUMP) & ~(wrist | elbow | shoulder)
+    jump = np.zeros(len(q), dtype=np.bool_)
+    jump[1:] = largest(np.diff(q, axis=0)) > _JUMP
+    jump &= linear & (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
     if len(apart):
         jump &= ~np.isin(sample.motion, apart)
-    flip = np.isin(np.argmax(turned, axis=1), (3, 5))
+    rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
+    flip[rows] = np.isin(np.argmax(np.abs(q[rows] - q[rows - 1]), axis=1), (3, 5))
     yield from _first(
         program,
         sample.motion,
@@ -167,7 +168,7 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
     """A PTP may drive the arm into another posture (status S): overhead, elbow or wrist turned over."""
     ends = np.flatnonzero(sample.ends & (program.motions.kind[sample.motion] == PTP))
-    before = kinematics.status_of(robot, np.concatenate([start[None], path.q])[ends])
+    before = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
     after = kinematics.status_of(robot, path.q[ends])
     changes = np.flatnonzero(before != after)
     if len(changes):

@@ -15,7 +15,7 @@ from msgspec import Struct
 from postproc import kinematics, toolpath
 from postproc.correction import checks
 from postproc.errors import Issue
-from postproc.frames import RAD_PER_DEG, Array, largest
+from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import CIRC, LIN, Bools, Ints, distinct
 from postproc.under_load import PathUnderLoad, unreachable
 
@@ -44,32 +44,6 @@ _REACH_PER_TURN = 0.5
 """How far the wrist may move by turning the tool [m/rad]."""
 
 
-def needed(path: PathUnderLoad, q: Array, speed: Array) -> Ints:
-    """Return the arcs (A,), rows of `Motions`, that need a closer look.
-
-    :param q: (N, 6) commanded joint angles of the samples [rad].
-    :param speed: (N, 6) joint speeds on the way to each [rad/s].
-    """
-    sample = path.sample
-    rows = np.flatnonzero(path.program.motions.kind[sample.motion] == CIRC)
-    if len(rows) == 0:
-        return rows
-    robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
-    before = np.concatenate([path.setting.cell.start_joints[None], q])[rows]
-    here, speed = q[rows], speed[rows]
-    turned, reach = np.abs(here - before), form.reach(here)
-    begins = np.diff(sample.motion[rows], prepend=-1) != 0
-    step = np.column_stack([turned, np.abs(reach - form.reach(before))])
-    step = np.maximum.reduceat(step, np.flatnonzero(begins))[np.cumsum(begins) - 1]
-    near = _STEPS * step
-    elbow = (here[:, 2] - form.elbow_stretched + np.pi) % (2.0 * np.pi) - np.pi
-    close = (np.minimum(here - robot.lower, robot.upper - here) < near[:, :6]).any(axis=1)
-    close |= (largest(turned) > _TURNED) | (speed > _SHARE_OF_SPEED * robot.speed).any(axis=1)
-    close |= (np.abs(here[:, 4]) < np.maximum(near[:, 4], _NEAR_WRIST)) | (np.abs(elbow) < _NEAR_ELBOW)
-    close |= np.abs(reach) < near[:, 6] + checks.SHOULDER
-    return distinct(sample.motion[rows[close]])
-
-
 class Stretches(Struct, frozen=True, eq=False):
     """S stretches of motions that need a closer look, in order along the path.
 
@@ -84,42 +58,84 @@ class Stretches(Struct, frozen=True, eq=False):
     count: Ints
 
 
-def arcs_of(path: PathUnderLoad, arcs: Ints) -> Stretches:
-    """Return arcs (A,), rows of `Motions`, as stretches looked at every 5°."""
-    count = np.ceil(path.program.motions.sweep[arcs] / _SPACING - 1e-9).astype(np.int64) + 1
-    return Stretches(arcs, np.zeros(len(arcs)), np.ones(len(arcs)), count)
+_WRIST, _SHOULDER, _ELBOW = 6, 7, 8
+"""Rows of `States` that must not come to zero, behind those of the joint angles."""
 
 
-def lines(path: PathUnderLoad, q: Array, speed: Array) -> Stretches:
-    """Return the pieces of lines between two samples within which a joint may come to what it cannot do.
+class States(Struct, frozen=True, eq=False):
+    """What must not come to zero at N samples, and at the start before them.
 
-    :param q: (N, 6) commanded joint angles of the samples [rad].
-    :param speed: (N, 6) joint speeds on the way to each [rad/s].
+    Rows: from A1…A6 to their nearer limits [rad]; A5 [rad]; how far the wrist centre stands ahead of A1 [m]; A3 from
+    where the arm is stretched [rad].
+
+    :param room: (9, N + 1) the magnitudes.
+    :param step: (9, N) by how much angles and reach change on the way to each sample.
+    :param fast: (N,) whether a joint turns about as fast as it can there.
     """
+
+    room: Array
+    step: Array
+    fast: Bools
+
+    @classmethod
+    def of(cls, path: PathUnderLoad, q: Array, speed: Array) -> States:
+        """Return the states of the samples.
+
+        :param q: (N, 6) commanded joint angles [rad].
+        :param speed: (N, 6) joint speeds on the way to each [rad/s].
+        """
+        robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
+        state = np.empty((9, len(q) + 1))
+        state[:6, 0], state[:6, 1:] = path.setting.cell.start_joints, q.T
+        state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
+        step, room = np.abs(np.diff(state, axis=1)), np.abs(state)
+        room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
+        return cls(room, step, np.asarray((speed > _SHARE_OF_SPEED * robot.speed).any(axis=1)))
+
+
+def arcs(path: PathUnderLoad, states: States) -> Stretches:
+    """Return the arcs on which a joint may come to what it cannot do, looked at every 5°."""
+    m, motion = path.program.motions, path.sample.motion
+    rows = np.flatnonzero(m.kind[motion] == CIRC)
+    if len(rows):
+        certain = motion[rows[states.fast[rows] | (states.step[:6, rows].max(axis=0) > _TURNED)]]
+        # what comes near by the largest step of any arc may come near by that of its own
+        rows = rows[(states.room[:, rows + 1] < _near(states.step[:, rows].max(axis=1, keepdims=True))).any(axis=0)]
+        rows = np.flatnonzero(np.isin(motion, motion[rows]))
+        first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
+        near = _near(np.maximum.reduceat(states.step[:, rows], first, axis=1))
+        close = (np.minimum.reduceat(states.room[:, rows + 1], first, axis=1) < near).any(axis=0)
+        rows = distinct(np.append(certain, motion[rows[first[close]]]))
+    count = np.ceil(m.sweep[rows] / _SPACING - 1e-9).astype(np.int64) + 1
+    return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), count)
+
+
+def _near(step: Array) -> Array:
+    """Return what states may come to between samples of an arc (9, n), by their largest steps along it (9, n)."""
+    near = _STEPS * step
+    near[_WRIST] = np.maximum(near[_WRIST], _NEAR_WRIST)
+    near[_SHOULDER] += checks.SHOULDER
+    near[_ELBOW] = _NEAR_ELBOW
+    return near
+
+
+def lines(path: PathUnderLoad, states: States) -> Stretches:
+    """Return the pieces of lines between two samples within which a joint may come to what it cannot do."""
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))
     way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.way, segments.turn))
-    long = (path.program.motions.kind[sample.motion] == LIN) & ((way > _LONG) | (turn > _TURNS))
-    rows = np.flatnonzero(long)
-    close = rows[_close(path, q, speed, rows, way[rows], turn[rows])]
-    count = np.ceil(np.maximum(way[close] / _LONG, turn[close] / _TURNS)).astype(np.int64) + 1
-    return Stretches(sample.motion[close], begin[close], sample.t[close], count)
-
-
-def _close(path: PathUnderLoad, q: Array, speed: Array, rows: Ints, way: Array, turn: Array) -> Bools:
-    """Return on the way to which samples, `rows` (n,), a joint may come to what it cannot do."""
-    robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
-    before, here = np.concatenate([path.setting.cell.start_joints[None], q])[rows], q[rows]
-    near = _STEPS * np.abs(here - before) + (way / _NEAREST + _PER_TURN * turn)[:, None]
-    margin = np.minimum(*(np.minimum(each - robot.lower, robot.upper - each) for each in (before, here)))
-    elbow = (np.stack([before, here])[..., 2] - form.elbow_stretched + np.pi) % (2.0 * np.pi) - np.pi
-    reach = np.stack([form.reach(before), form.reach(here)])
-    near_reach = _STEPS * np.abs(reach[1] - reach[0]) + way + _REACH_PER_TURN * turn + checks.SHOULDER
-    out = (margin < near).any(axis=1) | (speed[rows] > _SHARE_OF_SPEED * robot.speed).any(axis=1)
-    out |= np.minimum(np.abs(before[:, 4]), np.abs(here[:, 4])) < near[:, 4]
-    out |= np.abs(elbow).min(axis=0) < _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
-    return np.asarray(out | (np.abs(reach).min(axis=0) < near_reach))
+    rows = np.flatnonzero((path.program.motions.kind[sample.motion] == LIN) & ((way > _LONG) | (turn > _TURNS)))
+    way, turn = way[rows], turn[rows]
+    near = _STEPS * states.step[:, rows]
+    near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
+    near[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
+    near[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
+    room = np.minimum(states.room[:, rows], states.room[:, rows + 1])
+    close = (room < near).any(axis=0) | states.fast[rows]
+    rows, way, turn = rows[close], way[close], turn[close]
+    count = np.ceil(np.maximum(way / _LONG, turn / _TURNS)).astype(np.int64) + 1
+    return Stretches(sample.motion[rows], begin[rows], sample.t[rows], count)
 
 
 def look(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, apart: Ints) -> Iterator[Issue]:

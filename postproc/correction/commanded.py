@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from msgspec import Struct
 
@@ -10,7 +12,7 @@ from postproc.chunks import in_chunks
 from postproc.compensation import Compensation
 from postproc.errors import Issue, NotConvergedError
 from postproc.frames import Array
-from postproc.program import Bools, Ints, distinct
+from postproc.program import Ints, distinct
 from postproc.under_load import ImpossiblePathError, PathUnderLoad
 
 _NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
@@ -26,25 +28,21 @@ def corrected(path: PathUnderLoad) -> Compensation:
 
     :raises ImpossiblePathError: some sample cannot be held.
     """
-    movable = np.isnan(path.program.motions.joints[path.sample.motion, 0])
+    movable = np.flatnonzero(np.isnan(path.program.motions.joints[path.sample.motion, 0]))
 
-    def in_chunk(row: Ints, movable: Bools) -> tuple[Array, Array, Array]:
-        q, pose = path.joints.q[row], path.sample.pose[row]
-        theta = np.zeros((len(row), path.setting.robot.actual.nv))
-        places = np.flatnonzero(movable)
-        row = row[places]
-        try:
-            found = path.setting.compensate(path.pose_in_root(row), q[places], path.tool(row), path.wrench_in_root(row))
-        except NotConvergedError as cause:
-            raise NotConvergedError(str(cause), places[list(cause.rows)]) from None
-        q[places], theta[places] = found.q, found.theta
-        pose[places] = toolpath.pose_in_base(path.program, path.sample.motion[row], found.pose, path.sample.t[row])
-        return q, pose, theta
+    def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
+        pose, q, tool = path.pose_in_root(row), path.joints.q[row], path.tool(row)
+        found = path.setting.compensate(pose, q, tool, path.wrench_in_root(row))
+        motion, t = path.sample.motion[row], path.sample.t[row]
+        return found.q, toolpath.pose_in_base(path.program, motion, found.pose, t), found.theta
 
-    try:
-        return Compensation(*in_chunks(in_chunk, np.arange(len(path)), movable))
-    except NotConvergedError as cause:
-        raise _no_balance(path, cause) from None
+    found = _balanced(path, in_chunk, movable)
+    if len(movable) == len(path):
+        return Compensation(*found)
+    every = as_it_stands(path)
+    every = Compensation(every.q.copy(), every.pose.copy(), every.theta)
+    every.q[movable], every.pose[movable], every.theta[movable] = found
+    return every
 
 
 class Uncorrected(Struct, frozen=True, eq=False):
@@ -80,17 +78,20 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
         rest, _ = path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
         return deviation, tip - rest, by_tool
 
+    return Uncorrected(*_balanced(path, in_chunk, rows))
+
+
+def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
+    """Return what a function makes of samples (n,), in chunks.
+
+    :raises ImpossiblePathError: it finds no equilibrium; the first of the motions concerned is named, all are counted.
+    """
     try:
-        return Uncorrected(*in_chunks(in_chunk, rows))
+        return in_chunks(function, rows)
     except NotConvergedError as cause:
-        raise _no_balance(path, NotConvergedError(str(cause), rows[list(cause.rows)])) from None
-
-
-def _no_balance(path: PathUnderLoad, cause: NotConvergedError) -> ImpossiblePathError:
-    """Return an error that names the first of the motions concerned and counts them."""
-    motion = path.sample.motion[list(cause.rows)]
+        motion = path.sample.motion[rows[list(cause.rows)]]
     line = path.program.motions.line[distinct(motion)]
     lines = tuple(distinct(line).tolist())
-    return ImpossiblePathError(
+    raise ImpossiblePathError(
         Issue("error", "not-converged", _NO_BALANCE, source_line=int(line[0]), count=len(line), lines=lines)
     )

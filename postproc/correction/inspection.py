@@ -53,7 +53,8 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     program, robot, sample, cell = path.program, path.setting.robot, path.sample, path.setting.cell
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
     speed = checks.joint_speed(program, sample, path.motions.segments.turn, q, position)
-    arcs = closely.needed(path, q, speed)
+    states = closely.States.of(path, q, speed)
+    arcs, lines = closely.arcs(path, states), closely.lines(path, states)
     allowed = cell.output.max_correction_mm * M_PER_MM
     found = [
         *checks.start_joints(program, robot, start),
@@ -61,14 +62,13 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
         *checks.posture(program, robot, sample, path.joints, start),
         *checks.status_and_turn(program, robot, sample, path.joints.q),
         *checks.joint_limits(program, robot, sample, q),
-        *checks.singularities(program, robot, sample, q, arcs),
+        *checks.singularities(program, robot, sample, q, arcs.motion),
         *checks.joint_speeds(program, robot, sample, speed),
         *checks.meetings(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
     ]
     told = {issue.kind for issue in found}
-    lines = closely.lines(path, q, speed)
-    for stretches, apart in ((closely.arcs_of(path, arcs), arcs[:0]), (lines, lines.motion)):
+    for stretches, apart in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
         found += (issue for issue in closely.look(path, q, position, stretches, apart) if issue.kind not in told)
         told |= {issue.kind for issue in found}
     return found

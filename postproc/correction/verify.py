@@ -39,6 +39,8 @@ _AT_ONCE = 1e-6
 """Length of a piece [m] on which a force that changes jumps: it is divided no more."""
 _ON_RAMPS = 4
 """Places looked at on such runs."""
+_HERE = 1e-10
+"""Places of a motion (t) that are no farther apart are the same."""
 
 
 class Missed(Struct, frozen=True, eq=False):
@@ -134,7 +136,10 @@ def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
     setting, written = path.setting, back.program
-    sample = chosen.row[probes.target]
+    sample, inside = chosen.row[probes.target], np.flatnonzero(probes.inside)  # the sample there, or the next one
+    sample[inside] = np.searchsorted(
+        path.sample.motion + path.sample.t, probes.motion[inside] + probes.t[inside] - _HERE
+    )
 
     def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)

@@ -68,12 +68,17 @@ class ClosedForm(Struct, frozen=True, eq=False):
         """Return how far ahead of the A1 axis the wrist centre stands (N,) [m] at angles (N, 6); negative: overhead."""
         upper = self.tilt[0] + self.sign[1] * q[:, 1]
         fore = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
-        return np.asarray(self.shoulder + self.upper_arm * np.sin(upper) + self.forearm * np.sin(fore))
+        (upper, _), (fore, _) = sine_and_cosine(upper), sine_and_cosine(fore)
+        return np.asarray(self.shoulder + self.upper_arm * upper + self.forearm * fore)
+
+    def elbow(self, q: Array) -> Array:
+        """Return how far A3 (N,) is past where the arm is stretched [rad], from −π to π, at angles (N, 6)."""
+        return _wrapped(q[:, 2] - self.elbow_stretched)
 
     def branch_of(self, q: Array) -> Ints:
         """Return the branch (N,) on which joint angles (N, 6) lie; with A5 in line that of A5 > 0."""
         behind = self.reach(q) < 0.0
-        past = _wrapped(q[:, 2] - self.elbow_stretched) >= 0.0
+        past = self.elbow(q) >= 0.0
         flipped = _wrapped(q[:, 4] + self.bend) < -_IN_LINE
         return np.asarray(behind * 1 + past * 2 + flipped * 4, dtype=np.int64)
 
@@ -186,7 +191,7 @@ def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
 
 
 def _wrapped(angle: Array) -> Array:
-    return np.asarray((angle + np.pi) % _TURN - np.pi)
+    return np.asarray(angle - _TURN * np.rint(angle / _TURN))
 
 
 def status_of(robot: RobotModel, q: Array) -> Ints:
@@ -195,5 +200,4 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
     Bit 0: wrist centre behind A1; bit 1: A3 at or beyond the stretched position; bit 2: A5 < 0.
     """
     form = closed_form(robot)
-    beyond = _wrapped(q[:, 2] - form.elbow_stretched) >= 0.0
-    return np.asarray((form.reach(q) < 0.0) * 1 + beyond * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)
+    return np.asarray((form.reach(q) < 0.0) * 1 + (form.elbow(q) >= 0.0) * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)
