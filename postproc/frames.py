@@ -64,9 +64,9 @@ def xyzabc_from_pose(pose: Array) -> Array:
     [10.0, 20.0, 30.0, 0.0, 90.0, -25.0]
     """
     r = pose[..., :3, :3]
-    at_pole = np.hypot(r[..., 1, 0], r[..., 0, 0]) < _POLE
+    at_pole = r[..., 1, 0] ** 2 + r[..., 0, 0] ** 2 < _POLE**2
     a = np.where(at_pole, 0.0, np.arctan2(r[..., 1, 0], r[..., 0, 0]))
-    sa, ca = np.sin(a), np.cos(a)
+    sa, ca = sine_and_cosine(a)
     b = np.arctan2(-r[..., 2, 0], ca * r[..., 0, 0] + sa * r[..., 1, 0])
     c = np.arctan2(
         sa * r[..., 0, 2] - ca * r[..., 1, 2],

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from postproc.errors import ForceError, Issue
+from postproc.errors import ForceError, Issue, Level
 from postproc.frames import Array, inverse, norm
 
 Ints = NDArray[np.int64]
@@ -87,6 +87,12 @@ class Motions(Struct, frozen=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.line)
+
+    def issue(self, level: Level, kind: str, message: str, motion: Ints) -> Issue:
+        """Return an issue of motions (n,), n ≥ 1: it names the line of the first, and counts them."""
+        line = self.line[motion]
+        lines = tuple(distinct(line).tolist())
+        return Issue(level, kind, message, source_line=int(line[0]), count=len(distinct(motion)), lines=lines)
 
 
 class Swivel(Struct, frozen=True, eq=False):

@@ -14,7 +14,7 @@ import numpy as np
 
 from postproc import toolpath
 from postproc.cell import Cell
-from postproc.frames import M_PER_MM, Array, norm
+from postproc.frames import M_PER_MM, Array, norm, sine_and_cosine
 from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program, Targets
 from postproc.toolpath import Segments, circle_through
 
@@ -79,7 +79,7 @@ def of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corner
     arcs = np.flatnonzero(targets.kind == CIRC)
     if len(arcs):
         _, radial, across, angle = circle_through(begin[arcs], np.round(targets.via[arcs], _PRINTED), end[arcs])
-        radius, sine, cosine = norm(radial), np.sin(angle)[:, None], np.cos(angle)[:, None]
+        radius, (sine, cosine) = norm(radial), sine_and_cosine(angle[:, None])
         leave[arcs] = across / radius[:, None]
         arrive[arcs] = (cosine * across - sine * radial) / radius[:, None]
         length[arcs] = radius * angle

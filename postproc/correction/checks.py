@@ -10,7 +10,7 @@ from postproc import elastostatics, kinematics
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
-from postproc.program import PTP, Bools, Ints, Program, distinct
+from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 
@@ -40,11 +40,8 @@ def _first(
     program: Program, motion: Ints, bad: Bools, kind: str, message: str, level: Level = "error"
 ) -> Iterator[Issue]:
     """Yield one issue for all bad rows; it names the first one's line."""
-    rows = np.flatnonzero(bad)
-    if len(rows):
-        line = program.motions.line[motion[rows]]
-        count, lines = len(distinct(motion[rows])), tuple(distinct(line).tolist())
-        yield Issue(level, kind, message, source_line=int(line[0]), count=count, lines=lines)
+    if bad.any():
+        yield program.motions.issue(level, kind, message, motion[bad])
 
 
 def _turn_the_tool(program: Program) -> str:
@@ -177,9 +174,7 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
             f"The arm changes its posture (status S from {before[first]} to {after[first]}): the way there is the "
             "controller's."
         )
-        line = program.motions.line[sample.motion[ends[changes]]]
-        lines = tuple(distinct(line).tolist())
-        yield Issue("info", "posture", message, source_line=int(line[0]), count=len(changes), lines=lines)
+        yield program.motions.issue("info", "posture", message, sample.motion[ends[changes]])
 
 
 def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, position: Array) -> Array:

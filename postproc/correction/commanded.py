@@ -10,9 +10,9 @@ from msgspec import Struct
 from postproc import toolpath
 from postproc.chunks import in_chunks
 from postproc.compensation import Compensation
-from postproc.errors import Issue, NotConvergedError
+from postproc.errors import NotConvergedError
 from postproc.frames import Array
-from postproc.program import Ints, distinct
+from postproc.program import Ints
 from postproc.under_load import ImpossiblePathError, PathUnderLoad
 
 _NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
@@ -90,8 +90,4 @@ def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]]
         return in_chunks(function, rows)
     except NotConvergedError as cause:
         motion = path.sample.motion[rows[list(cause.rows)]]
-    line = path.program.motions.line[distinct(motion)]
-    lines = tuple(distinct(line).tolist())
-    raise ImpossiblePathError(
-        Issue("error", "not-converged", _NO_BALANCE, source_line=int(line[0]), count=len(line), lines=lines)
-    )
+        raise ImpossiblePathError(path.program.motions.issue("error", "not-converged", _NO_BALANCE, motion)) from None

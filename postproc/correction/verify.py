@@ -16,10 +16,10 @@ from postproc.chunks import in_chunks
 from postproc.correction import blending, checks
 from postproc.correction.read_back import ReadBack, UnusableTextError
 from postproc.correction.targets import Chosen
-from postproc.errors import Issue, Level, NotConvergedError
+from postproc.errors import Issue, NotConvergedError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import CIRC, PTP, SPL, Bools, Ints, distinct
+from postproc.program import CIRC, PTP, SPL, Bools, Ints
 from postproc.under_load import PathUnderLoad
 
 _HELD = 1e-6
@@ -223,7 +223,7 @@ def _steps(path: PathUnderLoad, motion: Ints, distance: Array) -> Iterator[Issue
             "over which the correction follows. Let the move begin (t = 0) with the force with which the one before "
             "ends; or give one force without t: it comes up over force_ramp_mm."
         )
-        yield _at_first(path, "warning", "force-step", message, motion[felt])
+        yield path.program.motions.issue("warning", "force-step", message, motion[felt])
 
 
 def _jumps(path: PathUnderLoad, motion: Ints, distance: Array, jump: Bools) -> Iterator[Issue]:
@@ -237,7 +237,7 @@ def _jumps(path: PathUnderLoad, motion: Ints, distance: Array, jump: Bools) -> I
             "however close the targets. Divide the move there and give each part its force, or give the force in BASE "
             "or TOOL axes."
         )
-        yield _at_first(path, "error", "force-jump", message, motion[bad])
+        yield path.program.motions.issue("error", "force-jump", message, motion[bad])
 
 
 def _not_held(path: PathUnderLoad, chosen: Chosen, probes: _Probes, distance: Array, settled: Bools) -> Iterator[Issue]:
@@ -252,13 +252,4 @@ def _not_held(path: PathUnderLoad, chosen: Chosen, probes: _Probes, distance: Ar
                 f"simulating the written program leaves {np.nanmax(values[bad]) * MM_PER_M:.4f} mm {what} "
                 f"(allowed {limit * MM_PER_M:g} mm)"
             )
-            line = path.program.motions.line[motion[bad]]
-            lines = tuple(distinct(line).tolist())
-            yield Issue("error", "tolerance", message, source_line=int(line[0]), count=int(bad.sum()), lines=lines)
-
-
-def _at_first(path: PathUnderLoad, level: Level, kind: str, message: str, motion: Ints) -> Issue:
-    """Return an issue that names the first of motions (n,) and counts them."""
-    line = path.program.motions.line[motion]
-    count, lines = len(distinct(motion)), tuple(distinct(line).tolist())
-    return Issue(level, kind, message, source_line=int(line[0]), count=count, lines=lines)
+            yield path.program.motions.issue("error", "tolerance", message, motion[bad])

@@ -112,11 +112,7 @@ _ON_RAPID = "rapid moves carry no force: the row is ignored"
 
 def _told(program: Program, motion: Ints, kind: str, message: str) -> list[Issue]:
     """Return a warning for motions (n,) if there are any."""
-    if len(motion) == 0:
-        return []
-    line = program.motions.line[motion]
-    count, lines = len(distinct(motion)), tuple(distinct(line).tolist())
-    return [Issue("warning", kind, message, source_line=int(line[0]), count=count, lines=lines)]
+    return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 
 def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) -> PathForces:
@@ -183,9 +179,5 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
             "a FEED force on a move along the spindle, which has no feed direction: x is the travel direction of the "
             "last move that had one, before any such move that of the first"
         )
-        line = m.line[needs]
-        lines = tuple(distinct(line).tolist())
-        issues.append(
-            Issue("info", "feed-direction", message, source_line=int(line[0]), count=int(needs.sum()), lines=lines)
-        )
+        issues.append(m.issue("info", "feed-direction", message, np.flatnonzero(needs)))
     return travel, issues

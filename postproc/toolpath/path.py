@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import in_chunks
-from postproc.frames import Array, angle_between, interpolated, norm, rotation_from_vector
+from postproc.frames import Array, angle_between, interpolated, norm, rotation_from_vector, sine_and_cosine
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
 
 _STILL = 1e-6
@@ -60,18 +60,20 @@ class Arcs(Struct, frozen=True, eq=False):
     def position(self, motion: Ints, t: Array) -> Array:
         """Return the positions (n, 3) at places (motion, t)."""
         arc = np.searchsorted(self.motion, motion)
-        angle, scale = self.sweep[arc] * t, 1.0 + self.growth[arc] * t
-        cos, sin = (scale * np.cos(angle))[:, None], (scale * np.sin(angle))[:, None]
-        spot: Array = self.centre[arc] + cos * self.radial[arc] + sin * self.across[arc] + t[:, None] * self.climb[arc]
+        (sine, cosine), scale = sine_and_cosine(self.sweep[arc] * t), 1.0 + self.growth[arc] * t
+        spot = self.centre.take(arc, axis=0)  # `take` of rows is several times faster than an index
+        for share, vector in ((scale * cosine, self.radial), (scale * sine, self.across), (t, self.climb)):
+            spot += share[:, None] * vector.take(arc, axis=0)
         return spot
 
     def velocity(self, motion: Ints, t: Array) -> Array:
         """Return the derivatives (n, 3) of the positions by t."""
         arc = np.searchsorted(self.motion, motion)
         angle, scale, growth = self.sweep[arc] * t, 1.0 + self.growth[arc] * t, self.growth[arc]
-        cos, sin, turning = np.cos(angle), np.sin(angle), self.sweep[arc] * scale
+        (sin, cos), turning = sine_and_cosine(angle), self.sweep[arc] * scale
         along, out = growth * cos - turning * sin, growth * sin + turning * cos
-        return np.asarray(along[:, None] * self.radial[arc] + out[:, None] * self.across[arc] + self.climb[arc])
+        radial, across, climb = (each.take(arc, axis=0) for each in (self.radial, self.across, self.climb))
+        return np.asarray(along[:, None] * radial + out[:, None] * across + climb)
 
 
 class Toolpath(Struct, frozen=True, eq=False):
@@ -158,7 +160,7 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     for it.
     """
     m = program.motions
-    pose = m.target[motion]
+    pose = m.target.take(motion, axis=0)
     turns = np.where((t < 1.0) & (m.kind[motion] != PTP), path.turn[motion], 0.0)
     still = np.flatnonzero((turns > 0.0) & (turns < _STILL))
     if len(still):

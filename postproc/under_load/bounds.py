@@ -9,7 +9,7 @@ import numpy as np
 from postproc import kinematics, toolpath
 from postproc.errors import Issue, PostprocError
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import CIRC, Bools, Ints, Program, distinct
+from postproc.program import CIRC, Bools, Ints, Program
 from postproc.robot import RobotModel
 from postproc.toolpath import Segments
 
@@ -35,9 +35,7 @@ class ImpossiblePathError(PostprocError):
 def unreachable(program: Program, motion: Ints) -> Issue:
     """Return the error of motions (n,) on which the robot does not reach a place."""
     message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
-    line = program.motions.line[motion]
-    count, lines = len(distinct(motion)), tuple(distinct(line).tolist())
-    return Issue("error", "unreachable", message, source_line=int(line[0]), count=count, lines=lines)
+    return program.motions.issue("error", "unreachable", message, motion)
 
 
 def check_ends(program: Program, robot: RobotModel) -> None:
@@ -103,8 +101,4 @@ def _reach(robot: RobotModel) -> float:
 
 def _check(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> None:
     if bad.any():
-        line = program.motions.line[motion[bad]]
-        lines = tuple(distinct(line).tolist())
-        raise ImpossiblePathError(
-            Issue("error", kind, message, source_line=int(line[0]), count=int(bad.sum()), lines=lines)
-        )
+        raise ImpossiblePathError(program.motions.issue("error", kind, message, motion[bad]))
