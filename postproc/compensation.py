@@ -67,7 +67,9 @@ def _solve(robot: RobotModel, target: Array, x: Array, tool: Array, wrench: Arra
         load = np.einsum("ikn,in->kn", jacobian, wrench)
         theta = elastostatics.springs_at(robot, x, load, elastostatics.asked(robot, x, state))
         missed = kinematics.twist_between(state.pose, target)
-        between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
+        between = np.zeros_like(missed)
+        if len(passive):
+            between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
         left = np.abs(missed) + np.abs(between)
         bad = ~((left[:3].max(axis=0) <= POSITION_TOLERANCE) & (left[3:].max(axis=0) <= ROTATION_TOLERANCE))
         if not bad.any():

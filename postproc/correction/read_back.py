@@ -11,7 +11,7 @@ from postproc.chunks import in_chunks
 from postproc.correction.targets import Chosen
 from postproc.dialects import registry
 from postproc.errors import Issue, PostprocError, ProgramError
-from postproc.frames import Array, largest, twist_between
+from postproc.frames import Array, angle_between, largest, twist_between
 from postproc.program import Bools, Ints, Program, Targets, Written
 from postproc.toolpath import Segments
 from postproc.under_load import PathUnderLoad
@@ -85,7 +85,8 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
 
     def apart(row: Ints, pose: Array) -> tuple[Array]:
-        return (largest(twist_between(m.target[row], pose)),)
+        read = m.target.take(row, axis=0)
+        return (np.maximum(largest(read[:, :3, 3] - pose[:, :3, 3]), angle_between(read[:, :3, :3], pose[:, :3, :3])),)
 
     wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, row, targets.pose)[0] > _PRINTED)
     for frames, other, used, wanted in (

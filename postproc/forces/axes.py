@@ -37,9 +37,9 @@ class Axes(Struct, frozen=True, eq=False):
 
     def _turned(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
         out = columns.copy()
-        acts = columns.any(axis=(1, 2, 3))
         for code in (TOOL, FEED):
-            rows = np.flatnonzero((frame == code) & acts)
+            rows = np.flatnonzero(frame == code)
+            rows = rows[columns[rows].any(axis=(1, 2, 3))]
             if len(rows):
                 here = sample.take(rows)
                 rotation = here.pose[:, :3, :3]

@@ -24,7 +24,6 @@ def estimate(forces: PathForces, softness: tuple[float, float]) -> DisplacementE
     """
     m, path = forces.axes.program.motions, forces.axes.path
     turning = (m.kind == CIRC) & (forces.frame == FEED)
-    across = forces.wrench * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
 
     def moves(wrench: Array) -> Array:
         return np.asarray(softness[0] * norm(wrench[:, :3]) + softness[1] * norm(wrench[:, 3:]))
@@ -40,18 +39,21 @@ def estimate(forces: PathForces, softness: tuple[float, float]) -> DisplacementE
     stepped = moves(_steps(forces))
     step = np.flatnonzero(stepped > _STEP)
     behind = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
-    swings = np.zeros(len(m), dtype=np.bool_)
-    acts = np.zeros(len(m), dtype=np.bool_)
-    acts[motion[across.any(axis=1)]] = True
-    found = np.flatnonzero(turning & acts)
-    swings[found] = ~runs_across(forces.axes.program, path, found, forces.axes.spindle)
+    swings, turned = np.zeros(len(m), dtype=np.bool_), np.zeros(len(m))
+    if turning.any():
+        across = forces.wrench * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
+        turned = np.where(turning, largest_of_own(moves(across)), 0.0)
+        acts = np.zeros(len(m), dtype=np.bool_)
+        acts[motion[across.any(axis=1)]] = True
+        found = np.flatnonzero(turning & acts)
+        swings[found] = ~runs_across(forces.axes.program, path, found, forces.axes.spindle)
     order = np.lexsort((np.append(forces.t, behind), np.append(motion, step)))
     return DisplacementEstimate(
         motion=np.append(motion, step)[order],
         t=np.append(forces.t, behind)[order],
         change=np.append(moves(change), stepped[step])[order],
         bent=np.append(bent, np.ones(len(step), dtype=np.bool_))[order],
-        turning=np.where(turning, largest_of_own(moves(across)), 0.0),
+        turning=turned,
         size=largest_of_own(moves(forces.wrench)),
         round=swings,
     )

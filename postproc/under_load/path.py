@@ -86,8 +86,9 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         """
         motion = self.sample.motion[rows]
         tip, share = self.setting.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
-        rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
-        share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
+        if self.setting.tool_spring is not None:
+            rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
+            share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
         return toolpath.points_in_base(self.program, motion, tip, self.sample.t[rows]), share
 
     @property

@@ -276,7 +276,7 @@ def test_many_targets_are_written_in_bulk():
     pose = pose_from_xyzabc(np.random.default_rng(3).uniform(-170, 170, (20_000, 6)))
 
     def writing(count):
-        motions = Motions(*(np.repeat(getattr(few, name), count, axis=0) for name in Motions.__slots__))
+        motions = Motions(*(np.repeat(getattr(few, name), count, axis=0) for name in Motions.__struct_fields__))
         motions.target[:] = pose[:count]
         program = replace(milling(MOVES[:1], ()), motions=motions)
         return partial(krl.emit, program, programs.ends(motions, pose[:count]), MILLING)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from postproc.chunks import in_chunks
 from postproc.dialects.circles import through
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import RAD_PER_DEG, Array, rotation_from_vector
@@ -19,7 +20,7 @@ def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) ->
     :param line: (n,) 1-based lines, for messages.
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
-    centre, normal, angle, flat = through(start, via, end)
+    centre, normal, angle, flat = in_chunks(through, start, via, end)
     if flat.any():
         raise source.line_error(
             "the three points of the circle lie on a line or coincide",

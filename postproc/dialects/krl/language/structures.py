@@ -130,17 +130,13 @@ def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     :raises ProgramError: something stands behind words of control structures, where it would not be read; or they lack
         something.
     """
-    exits = "EXIT" in source.text.upper()
-    if errors := list(islice(_mistakes(source, nodes, exits=exits), MOST + 1)):
+    if errors := list(islice(_mistakes(source, nodes, in_loop=False), MOST + 1)):
         raise together(errors)
     return nodes
 
 
-def _mistakes(source: Source, nodes: Sequence[Node], *, exits: bool) -> Iterator[ProgramError]:
-    """Yield what is wrong with control structures.
-
-    :param exits: EXIT may stand there, and would be outside of a loop.
-    """
+def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
+    """Yield what is wrong with control structures; EXIT may stand in a loop only."""
     for node in nodes:
         if isinstance(node, Block):
             for line in dict.fromkeys((*(part.head for part in node.parts), node.last)):
@@ -148,8 +144,8 @@ def _mistakes(source: Source, nodes: Sequence[Node], *, exits: bool) -> Iterator
                 if wrong is not None:
                     yield source.line_error(wrong[0], line, wrong[1])
             for part in node.parts:
-                yield from _mistakes(source, part.nodes, exits=exits and node.word not in LOOPS)
-        elif exits and word_at(source.text, *source.code_span(node)) == "EXIT":
+                yield from _mistakes(source, part.nodes, in_loop=in_loop or node.word in LOOPS)
+        elif not in_loop and word_at(source.text, *source.code_span(node)) == "EXIT":
             advice = "It leaves LOOP, FOR, WHILE or REPEAT: check where these end."
             yield source.line_error("EXIT outside of a loop", node, advice)
 

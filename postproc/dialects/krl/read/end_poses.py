@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from msgspec import Struct
 
+from postproc.chunks import in_chunks
 from postproc.dialects.krl.language.circles import circles, turned
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import Position
@@ -262,7 +263,7 @@ def end_poses(
         row = at + 1
     follower.absolute(row, len(line))
 
-    pose = pose_from_xyzabc(follower.numbers)
+    (pose,) = in_chunks(lambda numbers: (pose_from_xyzabc(numbers),), follower.numbers)
     start = Starts.of(frames, pose.__getitem__, start_flange, after)
     ignored = led.constant & (np.abs(given - follower.numbers)[:, 3:] > _SAME).any(axis=1)
     _check_ignored(source, line, given, moves, led.constant, ignored)

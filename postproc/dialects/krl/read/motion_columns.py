@@ -171,7 +171,9 @@ def merged(parts: Sequence[MotionColumns], place: Ints) -> MotionColumns:
     columns = [np.empty((len(place), *values.shape[1:]), values.dtype) for values in parts[0].columns()]
     begin = 0
     for rows in parts:
-        where = place[begin : begin + len(rows)]
+        where: Ints | slice = place[begin : begin + len(rows)]
+        if len(rows) and place[begin + len(rows) - 1] - place[begin] == len(rows) - 1:  # nothing between them
+            where = slice(place[begin], place[begin] + len(rows))
         for column, values in zip(columns, rows.columns(), strict=True):
             column[where] = values
         begin += len(rows)

@@ -326,14 +326,9 @@ def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, s
 
 def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
     """Tell where the path is approximated by something else than a distance."""
-    capitals = source.text.upper()
-    if "C_VEL" not in capitals and "C_ORI" not in capitals:  # told much faster than by the expression
-        return []
-    place = np.array([match.start() for match in _BY_SPEED.finditer(source.text)], dtype=np.int64)
-    row = np.searchsorted(rows.tail[:, 0], place, side="right") - 1
-    found = distinct(row[(row >= 0) & (place < rows.tail[row, 1])])
-    found = found[(rows.kind[found] != PTP) & ~rows.approximated[found]]
-    if not len(found):
+    exact = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
+    found = [row for row in exact.tolist() if _BY_SPEED.search(source.text, *rows.tail[row].tolist())]
+    if not found:
         return []
     message = (
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and is left out of "

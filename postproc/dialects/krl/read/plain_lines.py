@@ -102,15 +102,15 @@ def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
     number[1:] &= number[:-1].copy()
     number[:1] = False
     forms = marked[~number].tobytes().split(b"\n")  # each number is one mark
-    begins = np.append(0, np.flatnonzero(marked == ord("\n")) + 1).tolist()
-    example = dict(zip(reversed(forms), reversed(begins), strict=True))
-    decided = {form: _is_plain(text, begin, _LOOSE) for form, begin in example.items()}
-    plain = np.array([decided[form] for form in forms])
+    begins = np.append(0, np.flatnonzero(marked == ord("\n")) + 1)
+    example = dict(zip(forms, range(len(forms)), strict=True))
+    decided = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in example.items()}
+    plain = np.fromiter(map(decided.__getitem__, forms), np.bool_, len(forms))
     own = {form for form, good in decided.items() if good and _OWN.search(form)}
     if own:
         for index in [index for index, form in enumerate(forms) if form in own]:
-            plain[index] = _is_plain(text, begins[index], _LOOSE)
-    return np.asarray(np.searchsorted(starts, np.array(begins)[plain]))
+            plain[index] = _is_plain(text, int(begins[index]), _LOOSE)
+    return np.asarray(np.searchsorted(starts, begins[plain]))
 
 
 def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
@@ -141,12 +141,13 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
     if circles:  # auxiliary points have columns of their own, before those of the targets
         line = np.searchsorted(begins, points[:, 0], side="right") - 1
         target = np.append(line[1:] != line[:-1], True)
-        column += np.where(target, NUMBERS, 0)[np.searchsorted(points[:, 0], starts) - 1]
+        column += np.repeat(
+            np.where(target, NUMBERS, 0), np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))
+        )
     numbers = np.full((len(index), NUMBERS * (1 + circles)), np.nan)
     spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
     row, column = _places(column, begins, starts)
-    offset = shift[row]
-    shape = offset.shape if offset.ndim == 1 else (len(index), -1)
+    offset, shape = (shift[:, None], (len(index), -1)) if isinstance(row, slice) else (shift[row], (-1,))
     numbers[row, column] = values.reshape(shape)
     spans[row, column, 0] = starts.reshape(shape) + offset
     spans[row, column, 1] = stops.reshape(shape) + offset
@@ -177,13 +178,13 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
     )
 
 
-def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints, Ints]:
-    """Return which row and column numbers belong to: (T,) each, or where all lines are alike (P, 1) and (1, C)."""
+def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
+    """Return which row and column numbers belong to: (T,) each, or where all lines are alike all rows and (C,)."""
     each, rest = divmod(len(starts), len(begins))
     if rest == 0:
         groups = column.reshape(-1, each)
         if (groups == groups[0]).all():  # columns increase within a line, so that no line reaches into the next group
-            return np.arange(len(begins))[:, None], groups[:1]
+            return slice(None), groups[0]
     first = np.searchsorted(starts, begins)
     return np.repeat(np.arange(len(begins)), np.diff(first, append=len(starts))), column
 

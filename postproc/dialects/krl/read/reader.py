@@ -39,7 +39,7 @@ from postproc.dialects.krl.read.unresolved import without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
-from postproc.frames import DEG_PER_RAD, Array, largest
+from postproc.frames import DEG_PER_RAD, Array
 from postproc.program import PTP, Document, Program, distinct
 
 
@@ -243,10 +243,11 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
 
 def _check_size(source: Source, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
-    farthest = largest(np.nan_to_num(np.concatenate([rows.numbers[:, :6], rows.via], axis=1)))
-    beyond = np.flatnonzero(farthest > FARTHEST)
+    size = np.abs(np.concatenate([rows.numbers[:, :6], rows.via], axis=1))
+    beyond = np.flatnonzero(size > FARTHEST)
     if len(beyond):
-        raise out_of_reach(Place(source, int(rows.line[beyond[0]])), float(farthest[beyond[0]]))
+        row = int(beyond[0]) // size.shape[1]
+        raise out_of_reach(Place(source, int(rows.line[row])), float(np.nanmax(size[row])))
 
 
 def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
