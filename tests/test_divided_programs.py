@@ -95,6 +95,44 @@ def test_a_part_that_cannot_be_read_alone_is_told_as_a_part(marked):
     assert "--keep-unresolved" not in told
 
 
+def subprograms(declared: str = "", inside: str = "") -> None:
+    head = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n;FORCE FX=100 FY=-150 FZ=80\n"
+    lines = "".join(f"LIN {{X {n},Y 0,Z 0,A 0,B 0,C 180}}\n" for n in range(30))
+    Path("job.src").write_text(f"DEF job( )\n{declared}{head}{lines}cut( )\nEND\n")
+    Path("cut.src").write_text(f"DEF cut( )\n{inside}{lines}END\n")
+    Path("stopped.src").write_text("DEF stopped( )\nBRAKE\nback( )\nEND\nDEF back( )\nRESUME\nEND\n")
+
+
+@pytest.mark.parametrize(
+    ("declared", "inside", "resumes"),
+    [
+        ("INTERRUPT DECL 5 WHEN $IN[9] DO stopped( )\n", "", True),
+        ("global interrupt decl 5 when $in[9] do stopped( )\n", "", True),
+        ("", "INTERRUPT DECL 5 WHEN $IN[9] DO stopped( )\nINTERRUPT ON 5\n", False),
+        ("INTERRUPT DECL 5 WHEN $IN[9] DO $OUT[1]=TRUE\n", "", False),
+    ],
+)
+def test_resume_in_another_file_is_seen_where_it_goes_back_to_the_program(declared, inside, resumes):
+    subprograms(declared, inside)
+    told = run("convert", "job.src", "-o", "out", code=int(resumes)).stderr
+    if resumes:
+        assert "cannot be divided into files: RESUME would break off" in told
+        assert "stopped.src, line 6" in told
+    else:
+        assert "jobMain.src" in sources()
+        assert "stopped.src" not in told
+    cell(200)
+    run("convert", "job.src", "-o", "whole")
+
+
+def test_the_file_of_a_subprogram_that_is_longer_than_files_may_be_is_told():
+    subprograms()
+    done = run("convert", "job.src", "-o", "out", "--json")
+    (told,) = [i for i in json.loads(done.stdout)["programs"][0]["issues"] if i["kind"] == "long-file"]
+    assert "cut.src has 32 lines, more than 20: files of subprograms are not divided" in told["message"]
+    assert {"jobMain.src", "cut.src"} < sources()
+
+
 def test_a_nominal_program_in_files_is_corrected_in_its_files():
     run("convert", "part.nc", "--nominal", "-o", "out")
     run("convert", "out/partMain.src", "-o", "again")

@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined, p
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
 from postproc.dialects.text import decode
-from postproc.errors import ProgramError
+from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
@@ -61,6 +61,15 @@ def _main_of(part: Document) -> str | None:
     return None
 
 
+def _long(document: Document, limit: int) -> Issue:
+    lines = document.text.count("\n")
+    message = (
+        f"{document.name} has {lines} lines, more than {limit}: files of subprograms are not divided. Divide it into "
+        "several, or raise lines_per_file."
+    )
+    return Issue("warning", "long-file", message, subject=document.name)
+
+
 class _Writer:
     """Writes KRL: a program read from KRL in its own text, any other as a new one."""
 
@@ -90,9 +99,15 @@ class _Writer:
         whole = write.rewrite(program, targets, comments)
         own = replace(whole, documents=tuple(d for d in whole.documents if d.name not in apart))
         files = [document for document in program.documents if document.name not in apart]
-        written = write.in_files(program.name, files, own, cell.output.lines_per_file, program.layout.course.taken)
+        limit, layout = cell.output.lines_per_file, program.layout
+        written = write.in_files(program.name, files, own, limit, layout.course.taken, layout.broken_off)
         others = tuple(document for document in whole.documents if document.name in apart)
-        return replace(written, documents=(*written.documents, *others))
+        issues = [
+            _long(document, limit)
+            for document in others
+            if limit and document.name.lower().endswith(self.extension) and document.text.count("\n") > limit
+        ]
+        return replace(written, documents=(*written.documents, *others), issues=(*written.issues, *issues))
 
     def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name."""

@@ -48,6 +48,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param understood: offsets in the `.src` of names whose use the reader followed.
     :param triggers: TRIGGER statements, in order.
     :param carriage: the linear axis E1 that carries the robot.
+    :param broken_off: where RESUME stands in another file that goes back to the program; empty: nowhere.
     :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
     :param files: then, name of each `.src` and the number that its first line has in the one text.
     """
@@ -75,6 +76,7 @@ class Layout(Struct, frozen=True, eq=False):
     understood: frozenset[int]
     triggers: tuple[Trigger, ...]
     carriage: Carriage | None = None
+    broken_off: str = ""
     documents: tuple[Document, ...] = ()
     files: tuple[tuple[str, int], ...] = ()
 

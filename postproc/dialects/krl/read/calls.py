@@ -90,7 +90,7 @@ class Calls:
         :raises ProgramError: that are frames or speeds.
         """
         self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
-        self.run.resumable |= effects.resumes
+        self.run.resumable |= effects.resumes is not None
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:
             problem = f"{what} changes what motions depend on at any time: {', '.join(relevant)}"

@@ -57,7 +57,7 @@ class Effects(Struct, eq=False):
     :ivar force: where a force comment stands; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
     :ivar jumps: True where it may not run line by line: GOTO, RESUME.
-    :ivar resumes: True where RESUME may break off what is running.
+    :ivar resumes: RESUME that may break off what is running; None if there is none.
     """
 
     writes: dict[str, Place] = {}
@@ -66,7 +66,7 @@ class Effects(Struct, eq=False):
     force: Place | None = None
     absent: dict[str, str] = {}
     jumps: bool = False
-    resumes: bool = False
+    resumes: Place | None = None
 
     def add(self, other: Effects) -> None:
         """Take what a called routine may do."""
@@ -184,8 +184,10 @@ class Analysis:
                 start, stop = routine.source.code_span(line)
                 word = word_at(routine.source.text, start, stop)
                 known.now.jumps |= word in ("GOTO", "RESUME")
-                known.now.resumes |= word == "RESUME"
-                self._read(known, word, (module, routine), Place(routine.source, line))
+                place = Place(routine.source, line)
+                if word == "RESUME":
+                    known.now.resumes = known.now.resumes or place
+                self._read(known, word, (module, routine), place)
         return known
 
     def _read(self, direct: _Direct, word: str, where: Called, place: Place) -> None:

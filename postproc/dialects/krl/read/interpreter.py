@@ -258,3 +258,7 @@ class Interpreter:
         if effects.motion is not None:
             raise at.error(f"{word} moves the robot ({effects.motion})", _IN_ORDER)
         self.calls.notice(at, f"{word} in {at}", effects)
+        declared = at.source.origin(at.line).source
+        public = word_at(at.source.text, *at.source.code_span(at.line)) == "GLOBAL"
+        if public or declared is self.run.routine.source:
+            self.run.resumed = self.run.resumed or effects.resumes

@@ -157,6 +157,7 @@ def motions_and_layout(
         understood=frozenset(main.run.understood),
         triggers=_triggers(source, main, rows.line, motions, ends.start),
         carriage=carriage,
+        broken_off="" if main.run.resumed is None else str(main.run.resumed),
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     assumptions = _assumptions(motions.line, missing, assumed, moves)

@@ -74,6 +74,7 @@ class Run:
     :ivar steps: statements of called routines that have run.
     :ivar calls: calls that have been run.
     :ivar resumable: True where RESUME may break off what is running.
+    :ivar resumed: RESUME that goes back to the program, or to where it is not known; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: (line, reason): behind such a line it is not known where the robot stands.
     :ivar unforced: line → reason: behind such a line it is not known which force acts.
@@ -96,6 +97,7 @@ class Run:
         self.stack: list[Routine] = [routine]
         self.steps = self.calls = 0
         self.resumable = False
+        self.resumed: Place | None = None
         self.triggers: list[int] = []
         self.moved: list[tuple[int, ProgramError]] = []
         self.unforced: dict[int, str] = {}

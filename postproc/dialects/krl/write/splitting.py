@@ -35,12 +35,18 @@ from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, together
 from postproc.program import Document, Ints, Written
 
+_RESUME = "RESUME would break off the whole file that runs"
 _MOST_NAMES = 5
 """So many names are told in one message."""
 
 
 def in_files(
-    name: str, documents: Sequence[Document], written: Written, limit: int, taken: Collection[str] = ()
+    name: str,
+    documents: Sequence[Document],
+    written: Written,
+    limit: int,
+    taken: Collection[str] = (),
+    broken_off: str = "",
 ) -> Written:
     """Return a written program in as many files as it needs, or as it had.
 
@@ -49,6 +55,7 @@ def in_files(
     :param written: it as one text.
     :param limit: lines of a file at most; 0: a program that was in one file stays in one.
     :param taken: names of other programs and GLOBAL routines, upper case.
+    :param broken_off: where RESUME stands in another file that goes back to the program; empty: nowhere.
     :raises ProgramError: it is too long, and cannot be divided.
     """
     before = joined(documents) if documents else None
@@ -58,6 +65,8 @@ def in_files(
         source = Source.of(written.documents[0], 0)
         if not limit or len(source.starts) <= limit:
             return written
+    if broken_off:
+        raise undivided(Source.of(written.documents[0], 0), f"{_RESUME}, in {broken_off}", 1)
     return _Splitter(name, written, limit, taken).written()
 
 
@@ -115,7 +124,7 @@ class _Splitter:
         """Return the program in several files, each line of a target counted on from file to file."""
         for line in chain.from_iterable(one.lines for one in (self.main, *self.others)):
             if word_at(self.source.text, *self.source.code_span(line)) == "RESUME":
-                raise undivided(self.source, "RESUME would break off the whole file that runs", line)
+                raise undivided(self.source, _RESUME, line)
         files = self._files()
         file_of, number_of = self._lines(files)
         data = self.whole.documents[1] if len(self.whole.documents) > 1 else None
@@ -179,7 +188,8 @@ class _Splitter:
                 free = room
             if len(block) > room:
                 message = (
-                    f"A file has more than {self.limit} lines: a routine of its own, at line {block.start}, is not cut."
+                    f"A routine of the program, at line {block.start}, has {len(block)} lines and is not cut: its file "
+                    f"has more than {self.limit} lines. Divide it into several DEF, or raise lines_per_file."
                 )
                 self.issues.append(Issue("warning", "long-file", message))
             out[-1].append(block)
