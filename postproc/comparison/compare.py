@@ -59,7 +59,7 @@ def compare(
         kept = np.searchsorted(one.rows, found.pair[:, 0])
         told = cuts.at_pairs(found, one, other, wrench[kept], off[kept])
         found = replace(found, cuts=cuts.between(found, told, one, other, load))
-    return replace(found, differences=differences(found, one, other))
+    return replace(found, differences=differences(found, one, other, in_file=source is not None))
 
 
 def _paired(one: Side, other: Side, partner: Ints) -> Comparison:

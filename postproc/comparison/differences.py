@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from postproc import toolpath
 from postproc.comparison.curves import SAME_FRAME
 from postproc.comparison.result import Comparison, Difference
 from postproc.comparison.side import Side
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
-from postproc.program import CIRC, Ints, Program
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm, twist_between
+from postproc.program import CIRC, FORCE_FRAMES, PTP, Ints, Program
 
 BESIDE = 3.0
 """How far from the path a target may stand to be one inserted on it, in offsets of its neighbours."""
@@ -24,22 +25,34 @@ _SAME_POSTURE = np.radians(20.0)
 """So far a correction does not turn a joint."""
 _SAME_ANGLE = np.radians(0.001)
 """Axis targets that differ by less are the same."""
-_SAME_FORCE = 0.05, 1e-3
-"""Forces that differ by less [N, N·m] are the same, or by a smaller share of themselves: texts round them."""
+_SAME_FORCE, _SAME_SHARE = 0.05, (1e-3, 0.05)
+"""Forces that differ by less [N, N·m] are the same, or by a smaller share of themselves: texts round them. The second
+share is for TOOL and FEED axes, which the correction turns a little."""
+_NOTHING = 1e-9
+"""A move [m, rad] that is none."""
+_BACK = 1e-3
+"""So far [m] a program does not go back on its path, but where it is wrong."""
 LEVER = 0.1
 """Length of tool [m] along which the tolerance must hold where it is turned."""
 
 
-def differences(found: Comparison, one: Side, other: Side) -> tuple[Difference, ...]:
-    """Return what differs besides offsets."""
+def differences(found: Comparison, one: Side, other: Side, *, in_file: bool) -> tuple[Difference, ...]:
+    """Return what differs besides offsets.
+
+    :param in_file: forces of the nominal program come from a file.
+    """
     return (
         *_unresolved(found),
         *_open(found),
         *_calls(found),
         *_values(found, one, other),
+        *_forces(found, other, in_file=in_file),
+        *_rapid(found, one),
+        *_twice(found, one, other),
+        *_back(found, one),
         *_alone(found),
         *_axis_targets(found, one, other),
-        *_orientation(found, one),
+        *_orientation(found, one, other),
         *_astray(found, one),
     )
 
@@ -109,7 +122,6 @@ def _values(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
     yield from _external_axes(found)
     yield from _posture(found, one, other)
     yield from _frames(found)
-    yield from _forces(found, other)
 
 
 def _approximation(found: Comparison) -> Iterator[Difference]:
@@ -185,21 +197,41 @@ def _frames_of(program: Program) -> tuple[tuple[Array, Ints], tuple[Array, Ints]
     return (program.bases, m.base), (program.tools, m.tool)
 
 
-def _forces(found: Comparison, other: Side) -> Iterator[Difference]:
-    """Tell where comments of the second program give another force than is known of the nominal one."""
-    if found.cuts is None or not found.corrected.notes:
+def _forces(found: Comparison, other: Side, *, in_file: bool) -> Iterator[Difference]:
+    """Tell where comments of the second program give another force than is known of the nominal one.
+
+    Where its forces come from a file, comments that it has too are kept as they are.
+    """
+    kept, notes = (program.notes for program in (found.nominal, found.corrected))
+    if found.cuts is None or not notes:
         return
-    rotation = found.nominal.bases[found.nominal.motions.base[found.pair[:, 0]], :3, :3]
-    theirs = other.wrench(other.forces(None), found.pair[:, 1]).reshape(-1, 2, 3)
-    theirs = np.einsum("nji,nkj->nki", rotation, theirs).reshape(-1, 6)
-    apart, size = norm(theirs - found.cuts.wrench), norm(found.cuts.wrench)
-    where = np.flatnonzero((apart > _SAME_FORCE[0] + _SAME_FORCE[1] * size) & ~found.rapid)
+    told = "its comments say another force than those of the nominal program"
+    if in_file and kept:
+        texts = [[(note.wrench, note.frame) for note in side] for side in (kept, notes)]
+        if texts[0] != texts[1]:
+            first = next(
+                (k for k, pair in enumerate(zip(*texts, strict=False)) if pair[0] != pair[1]), min(map(len, texts))
+            )
+            rows = [
+                min(side[first].before, len(program.motions) - 1) if first < len(side) else -1
+                for side, program in ((kept, found.nominal), (notes, found.corrected))
+            ]
+            yield _rows(found, "force", f"{told}.", rows, 1)
+        return
+    load, two = other.forces(None), found.pair[:, 1]
+    theirs, mine = _in_base(found, other.wrench(load, two)), found.cuts.wrench
+    share = np.where(load.frame[two] == FORCE_FRAMES.index("BASE"), *_SAME_SHARE)
+    where = np.flatnonzero((norm(theirs - mine) > _SAME_FORCE + share * norm(mine)) & ~found.rapid)
     if len(where):
-        now, was = (
-            " ".join(f"{value:.4g}" for value in wrench[where[0], :3]) for wrench in (theirs, found.cuts.wrench)
-        )
+        now, was = (" ".join(f"{value:.4g}" for value in wrench[where[0], :3]) for wrench in (theirs, mine))
         message = f"its comments say the force {now} N instead of {was} N ($BASE): it was corrected for another one."
         yield _at(found, "force", message, where)
+
+
+def _in_base(found: Comparison, wrench: Array) -> Array:
+    """Return wrenches (P, 6) in the root in the nominal `$BASE` of the pairs."""
+    rotation = found.nominal.bases[found.nominal.motions.base[found.pair[:, 0]], :3, :3]
+    return np.asarray(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3))).reshape(-1, 6)
 
 
 def _alone(found: Comparison) -> Iterator[Difference]:
@@ -246,20 +278,90 @@ def _axis_targets(found: Comparison, one: Side, other: Side) -> Iterator[Differe
         yield _rows(found, "axis-target", message, alone[0], len(alone))
 
 
-def _orientation(found: Comparison, one: Side) -> Iterator[Difference]:
-    """Tell where the tool is turned by more than the tolerance on a part of its length.
+def _orientation(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
+    """Tell where the tool is turned by more than the tolerance on a part of its length, also at inserted targets.
 
     That is from where it should be told to stand under the forces, or from its nominal orientation, which programs have
     that correct positions alone.
     """
     allowed = one.place.tolerance / LEVER
     turned = found.rotation if found.cuts is None else np.minimum(found.rotation, found.cuts.turned)
-    where = np.flatnonzero((turned > allowed) & ~found.rapid)
-    if not len(where) or (found.cuts is None and any(each.kind == "base" for each in _frames(found))):
+    if found.cuts is None and any(each.kind == "base" for each in _frames(found)):
         return
-    worst = where[np.argmax(turned[where])]
-    message = f"the tool is turned by {turned[worst] * DEG_PER_RAD:.4f}° from its nominal orientation."
-    yield _rows(found, "orientation", message, found.pair[worst].tolist(), len(where))
+    where = np.flatnonzero(turned > allowed)
+    inserted, off = _inserted_turned(found, one, other)
+    beside = np.flatnonzero(off > allowed)
+    if not len(where) and not len(beside):
+        return
+    rows, angle = ([-1, -1], 0.0)
+    if len(beside):
+        worst = beside[np.argmax(off[beside])]
+        rows, angle = [-1, int(inserted[worst])], float(off[worst])
+    if len(where) and turned[where].max() > angle:
+        worst = where[np.argmax(turned[where])]
+        rows, angle = found.pair[worst].tolist(), float(turned[worst])
+    message = f"the tool is turned by {angle * DEG_PER_RAD:.4f}° from its nominal orientation."
+    yield _rows(found, "orientation", message, rows, len(where) + len(beside))
+
+
+def _inserted_turned(found: Comparison, one: Side, other: Side) -> tuple[Ints, Array]:
+    """Return inserted targets (n,) and by how much they turn the tool from the nominal path at their place (n,) [rad].
+
+    Without forces the place is that at the same share of the way; less what the pairs beside it are turned by.
+    """
+    cuts = found.cuts
+    if cuts is not None and len(cuts.row):
+        ends = np.flatnonzero(cuts.t == 1.0)
+        return cuts.row[ends], cuts.between_turned[ends]
+    row = found.inserted
+    behind = np.searchsorted(found.pair[:, 1], row)
+    row, behind = row[behind > 0], behind[behind > 0]
+    if found.curves is None or not len(row):
+        return row[:0], np.zeros(0)
+    chain = found.curves.other
+    motion, t = found.curves.one.at(chain.end[row - chain.row[0]])
+    mine = toolpath.at(one.program, one.path, motion, t).pose
+    flange = toolpath.flange_from_tcp(other.program, row, other.program.motions.target[row], None)
+    theirs = toolpath.pose_in_base(one.program, motion, flange @ toolpath.tool_of(one.program, motion), None)
+    beside = np.maximum(found.rotation[behind - 1], found.rotation[behind])
+    return row, angle_between(mine[:, :3, :3], theirs[:, :3, :3]) - beside
+
+
+def _rapid(found: Comparison, one: Side) -> Iterator[Difference]:
+    """Tell rapid targets that are elsewhere: no force calls for that."""
+    off = found.distance if found.cuts is None else np.minimum(found.distance, norm(found.cuts.corrected))
+    where = np.flatnonzero((off > one.place.tolerance) & found.rapid)
+    if len(where) and not any(each.kind == "base" for each in _frames(found)):
+        worst = where[np.argmax(off[where])]
+        message = f"a rapid target is {off[worst] * MM_PER_M:.4f} mm off."
+        yield _rows(found, "rapid", message, found.pair[worst].tolist(), len(where))
+
+
+def _twice(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
+    """Tell targets of the second program at which the robot stands already: it stops there, approximated or not."""
+    still, also = (
+        (side.path.way < _NOTHING) & (side.path.turn < _NOTHING) & (side.program.motions.kind != PTP)
+        for side in (other, one)
+    )
+    still[found.pair[also[found.pair[:, 0]], 1]] = False
+    where = np.flatnonzero(still)
+    if len(where):
+        message = "a target stands twice: the robot stops there."
+        yield _rows(found, "twice", message, (-1, int(where[0])), len(where))
+
+
+def _back(found: Comparison, one: Side) -> Iterator[Difference]:
+    """Tell inserted targets before which the robot goes back on its path."""
+    cuts = found.cuts
+    if cuts is None:
+        return
+    ends = np.flatnonzero(cuts.t == 1.0)
+    behind = np.searchsorted(found.pair[:, 1], cuts.row[ends])
+    along = cuts.share[ends] * one.path.length[found.pair[behind, 0]]
+    back = np.flatnonzero((np.diff(along) < -_BACK) & (np.diff(behind) == 0)) + 1
+    if len(back):
+        message = f"the robot goes {(along[back[0] - 1] - along[back[0]]) * MM_PER_M:.4f} mm back on its path."
+        yield _rows(found, "back", message, (-1, int(cuts.row[ends[back[0]]])), len(back))
 
 
 def _astray(found: Comparison, one: Side) -> Iterator[Difference]:

@@ -22,6 +22,9 @@ class Cuts(Struct, frozen=True, eq=False):
         Inserted targets (t = 1) are among them.
     :param between_nominal: (B,) there, how far it would stand from its place on the nominal path by the nominal
         program; `between_corrected` (B,) how far from that path by the corrected one [m].
+    :param between_turned: (B,) by how much the corrected one turns the loaded tool there from the nominal path [rad],
+        at inserted targets; 0 elsewhere.
+    :param share: (B,) where on the nominal motion that is.
     """
 
     wrench: Array
@@ -32,6 +35,8 @@ class Cuts(Struct, frozen=True, eq=False):
     t: Array
     between_nominal: Array
     between_corrected: Array
+    between_turned: Array
+    share: Array
 
 
 class Difference(Struct, frozen=True):

@@ -23,7 +23,7 @@ from postproc.report.summary import Distances, Judged
 _MOST = 20
 _DIFFERENCES = (
     "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
-    "not-compared",
+    "rapid", "twice", "back", "not-compared",
 )  # fmt: skip
 
 

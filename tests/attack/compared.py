@@ -1,0 +1,313 @@
+"""Random programs corrected, and compared with what they were made from: as written, and with one difference planted.
+
+python -m tests.attack.compared --minutes 60 [--seed 0] [--keep-going]
+
+The corrected text does not say where it comes from, as that of another post: nothing but the motions tells. What moves
+the tool by less than three times the tolerance is not planted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+import time
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from postproc import cell as cells
+from postproc import correction
+from postproc.comparison import compare
+from postproc.errors import PostprocError
+from postproc.frames import M_PER_MM
+from postproc.program import CIRC, PTP
+from postproc.provenance import Provenance
+from postproc.report.comparison import MadeFrom, comparison_summary
+from tests.attack import carried
+from tests.benchmarks import programs
+
+LEAST_MM, LEAST_DEG = 0.03, 0.05
+TURNED = "A 180,B 0,C 180"
+HEAD = """DEF part( )
+$VEL.CP=0.05
+$APO.CDIS=0.5
+$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}
+$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}
+PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
+"""
+NUMBER = r"(?<![\w.$])({name} ?)(-?\d+\.?\d*)"
+
+
+class Silent(Exception):
+    """A difference was planted, and compare says that both belong together; or nothing was, and it complains."""
+
+
+def splines(rng):
+    """A program of lines, spline blocks with SCIRC in them, and arcs."""
+    lines, x = [HEAD, f"; FORCE FX={rng.uniform(-200, 200):.1f} FY={rng.uniform(-200, 200):.1f} FZ=120"], 0.0
+    lines.append(f"LIN {{X 0.000,Y 0.000,Z 5.000,{TURNED}}}")
+    for _ in range(int(rng.integers(2, 5))):
+        points = [(x + step, *np.round(rng.uniform(-8, 8, 2), 3)) for step in (6.0, 12.0, 18.0, 24.0)]
+        a, b, c, d = (f"{{X {px:.3f},Y {py:.3f},Z {pz:.3f},{TURNED}}}" for px, py, pz in points)
+        if rng.random() < 0.6:
+            via = a.replace(f",{TURNED}", "")
+            lines += ["SPLINE", f"  SCIRC {via},{b}", f"  SLIN {c}", f"  SLIN {d}", "ENDSPLINE"]
+        else:
+            lines += [f"LIN {a}", f"CIRC {b.replace(f',{TURNED}', '')},{c}", f"LIN {d} C_DIS"]
+        x += 24.0
+    return "\n".join([*lines, "END", ""])
+
+
+def on_rail(rng):
+    """A program whose robot is carried by E1."""
+    lines = [HEAD, f"; FORCE FX={rng.uniform(-200, 200):.1f} FY=90 FZ={rng.uniform(50, 200):.1f}"]
+    for n in range(12):
+        x, y, z = rng.uniform((0, -60, 0), (80, 60, 20))
+        lines.append(f"LIN {{X {x:.3f},Y {y:.3f},Z {z:.3f},{TURNED},E1 {40.0 * n:.1f}}} C_DIS")
+    return "\n".join([*lines, "END", ""])
+
+
+@cache
+def rail():
+    _, robot = carried.setup("cell_kr270.toml")
+    text = (carried.SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "cell.toml"
+        path.write_text(text + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")
+        return cells.load(path), robot
+
+
+def job(seed):
+    """Return files, dialect, cell and robot of a job, and what writes forces for it."""
+    writer = carried.Writer(seed)
+    rng = writer.rng
+    kind = writer.pick("gcode", "krl", "krl", "splines", "rail", "circles", "corners", "lines", "posted")
+    cell, robot = rail() if kind == "rail" else carried.setup("cell_kr270.toml")
+    count = int(rng.integers(12, 40))
+    text = {
+        "gcode": writer.gcode,
+        "krl": writer.krl,
+        "splines": lambda: splines(rng),
+        "rail": lambda: on_rail(rng),
+        "circles": lambda: programs.half_circles(count),
+        "corners": lambda: programs.rounded_corners(count),
+        "lines": lambda: programs.lines(count, "modal lines"),
+        "posted": lambda: programs.krl(count),
+    }[kind]()
+    dialect = "gcode" if kind in ("gcode", "circles", "corners", "lines") else "krl"
+    files = {"part.nc": text} if dialect == "gcode" else {"part.src": text, "part.dat": carried.DATA}
+    return kind, files, dialect, cell, robot, writer
+
+
+def told(nominal, files, cell, robot, rows):
+    """Return the state of the verdict on files against a program, and why."""
+    try:
+        other = carried.read(files, "krl", cell, robot)
+        found = compare(nominal, other, robot, cell, rows)
+    except PostprocError as cause:
+        return "refused", [str(cause)]
+    limit = cell.output.max_correction_mm * M_PER_MM
+    verdict = comparison_summary(found, MadeFrom(Provenance("none"), {}), cell.tolerance, limit)["verdict"]
+    return verdict["state"], verdict["reasons"]
+
+
+class Planter:
+    """Plants one difference into a corrected text."""
+
+    def __init__(self, rng, text, result):
+        self.rng, self.lines, self.result = rng, text.splitlines(keepends=True), result
+        m = result.program.motions
+        motion = result.motion
+        self.cutting = result.output_line[(m.kind[motion] != PTP)]
+        self.ends = result.output_line[(m.kind[motion] != PTP) & (result.t == 1.0)]
+        self.keeps_text = result.program.keeps_text
+
+    def pick(self, values):
+        return values[int(self.rng.integers(len(values)))] if len(values) else None
+
+    def written(self, pattern, among=None):
+        """Return a line, from 0, that matches."""
+        numbers = range(len(self.lines)) if among is None else sorted({int(n) - 1 for n in among})
+        return self.pick([n for n in numbers if re.search(pattern, self.lines[n], re.IGNORECASE)])
+
+    def changed(self, number, name, least, begin=0):
+        """Change a digit of a number by `least` at least; return the text, or None."""
+        line = self.lines[number]
+        found = [m for m in re.finditer(NUMBER.format(name=re.escape(name)), line) if m.start() >= begin]
+        if not found:
+            return None
+        match = found[0]
+        digits = [k for k, c in enumerate(match[2]) if c.isdigit()]
+        for place in self.rng.permutation(digits).tolist():
+            for digit in self.rng.permutation(10).tolist():
+                new = match[2][:place] + str(digit) + match[2][place + 1 :]
+                if least <= abs(float(new) - float(match[2])) <= 400.0:
+                    return self.with_line(number, line[: match.start(2)] + new + line[match.end(2) :])
+        return None
+
+    def with_line(self, number, line):
+        return "".join([*self.lines[:number], line, *self.lines[number + 1 :]])
+
+    def coordinate(self):
+        number = self.written(r"^\s*S?(LIN|CIRC)\b.*\{X", self.ends)  # inserted ones may move along the path
+        return None if number is None else self.changed(number, self.pick("XYZ"), LEAST_MM, self.target(number))
+
+    def angle(self):
+        number = self.written(r"^\s*S?(LIN|CIRC)\b.*\bA -?\d", self.cutting)
+        return None if number is None else self.changed(number, self.pick("ABC"), LEAST_DEG, self.target(number))
+
+    def target(self, number):
+        return self.lines[number].rfind("{")
+
+    def auxiliary_point(self):
+        number = self.written(r"^\s*S?CIRC\b", self.cutting)
+        if number is None:
+            return None
+        line = self.lines[number]
+        x, y = (float(value) for value in re.search(r"X (-?[\d.]+),Y (-?[\d.]+)", line).groups())
+        row = np.flatnonzero(self.result.output_line == number + 1)[0]
+        m, motion = self.result.program.motions, self.result.motion[row]
+        centre = m.centre[motion] / M_PER_MM
+        out = np.array([x, y]) - centre[:2]
+        long = np.linalg.norm(out)
+        if m.kind[motion] != CIRC or long < 1.0 or abs(m.normal[motion][2]) < 0.9:
+            return None
+        x, y = np.array([x, y]) + 0.2 * out / long
+        return self.with_line(number, re.sub(r"X -?[\d.]+,Y -?[\d.]+", f"X {x:.4f},Y {y:.4f}", line, count=1))
+
+    def axis_angle(self):
+        number = self.written(r"^\s*PTP\b.*\bA1 ")
+        known = self.keeps_text and number is not None
+        return self.changed(number, self.pick(("A1", "A2", "A3", "A4", "A5", "A6")), LEAST_DEG) if known else None
+
+    def external_axis(self):
+        number = self.written(r"\bE1 -?\d", self.ends)
+        return None if number is None else self.changed(number, "E1", LEAST_MM)
+
+    def speed(self):
+        number = self.written(r"^\s*\$VEL\.CP\s*=")
+        if number is None:
+            return None
+        line = self.lines[number]
+        return self.with_line(number, re.sub(r"=\s*([\d.]+)", lambda m: f"={float(m[1]) * 1.1:.6f}", line))
+
+    def approximation(self):
+        number = self.written(r"^\s*\$APO\.CDIS\s*=")
+        if number is None or not self.keeps_text or self.written(r"\bC_DIS\b", self.ends) is None:
+            return None
+        line = self.lines[number]
+        return self.with_line(number, re.sub(r"=\s*([\d.]+)", lambda m: f"={float(m[1]) + 0.3:.4f}", line))
+
+    def frame(self):
+        number = self.written(r"^\s*\$(BASE|TOOL)\s*=\s*\{.*X")
+        return None if number is None else self.changed(number, self.pick("XYZABC"), LEAST_DEG)
+
+    def no_approximation(self):
+        number = self.written(r"\bC_DIS\b", self.ends)
+        if number is None or not self.keeps_text:
+            return None
+        return self.with_line(number, self.lines[number].replace(" C_DIS", "", 1))
+
+    def joint_move(self):
+        number = self.written(r"^\s*LIN \{", self.ends)
+        return None if number is None else self.with_line(number, self.lines[number].replace("LIN", "PTP", 1))
+
+    def missing(self):
+        number = self.written(r"^\s*S?(LIN|CIRC)\b", self.ends)
+        return None if number is None else self.with_line(number, "")
+
+    def twice(self):
+        number = self.written(r"^\s*S?LIN\b(?!_REL)", self.ends)
+        return None if number is None else self.with_line(number, 2 * self.lines[number])
+
+    def exchanged(self):
+        plain = [line.lstrip().startswith("LIN {") for line in self.lines]
+        plain = [n for n in range(len(plain) - 1) if plain[n] and plain[n + 1]]
+        number = self.pick(plain)
+        if number is None:
+            return None
+        one, other = self.lines[number : number + 2]
+        points = [np.array([float(m) for m in re.findall(r"[XYZ] (-?[\d.]+)", line)[:3]]) for line in (one, other)]
+        if len(points[0]) < 3 or len(points[1]) < 3 or np.abs(points[1] - points[0]).max() < LEAST_MM:
+            return None
+        return "".join([*self.lines[:number], other, one, *self.lines[number + 2 :]])
+
+    def force(self):
+        number = self.written(r";\s*FORCE.*F[XYZ]=-?\d", self.ends)
+        if number is None:
+            return None
+        match = self.pick(list(re.finditer(r"F[XYZ]=(-?[\d.]+)", self.lines[number])))
+        value = float(match[1])
+        if abs(value) < 1.0:
+            return None
+        line = self.lines[number]
+        return self.with_line(number, line[: match.start(1)] + f"{-value:.3f}" + line[match.end(1) :])
+
+
+PLANTS = (
+    "coordinate", "coordinate", "angle", "auxiliary_point", "axis_angle", "external_axis", "speed", "approximation",
+    "frame", "no_approximation", "joint_move", "missing", "twice", "exchanged", "force",
+)  # fmt: skip
+
+
+def attack(seed):
+    """Try the job of a seed: return what came of it.
+
+    :raises Silent: a planted difference is not told, or one is told where none is.
+    """
+    kind, files, dialect, cell, robot, writer = job(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            nominal = carried.read(files, dialect, cell, robot)
+            rows = carried.csv_of(writer, nominal, folder)
+            result = correction.process(nominal, robot, cell, rows)
+        except PostprocError:
+            return "refused"
+    if result.failed or not len(result):
+        return "refused"
+    written = {document.name: document.text for document in result.documents}
+    name = result.documents[0].name
+    state, why = told(nominal, written, cell, robot, rows)
+    if state != "ok":
+        raise Silent(f"seed {seed}, {kind}: nothing was planted, and compare says {state}: {why}")
+    planter = Planter(writer.rng, written[name], result)
+    plant = writer.pick(*PLANTS)
+    text = getattr(planter, plant)()
+    if text is None or text == written[name]:
+        return "nothing to plant"
+    state, why = told(nominal, written | {name: text}, cell, robot, rows)
+    if state == "ok":
+        was, now = written[name].splitlines(), text.splitlines()
+        lines = [n for n, (a, b) in enumerate(zip(was, now, strict=False), 1) if a != b][:2]
+        told_lines = "\n".join(f"{n}: {was[n - 1]}\n{n}: {now[n - 1]}" for n in lines)
+        raise Silent(f"seed {seed}, {kind}: {plant} is not told\n{told_lines}\n{why}")
+    return plant
+
+
+def main():
+    """Try programs for some minutes, and count what came of them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--count", type=int, default=10**9)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep-going", action="store_true")
+    options = parser.parse_args()
+    found, seed, end = Counter(), options.seed, time.monotonic() + 60.0 * options.minutes
+    while time.monotonic() < end and found.total() < options.count:
+        try:
+            found[attack(seed)] += 1
+        except Silent as cause:
+            found["silent"] += 1
+            print(cause, flush=True)
+            if not options.keep_going:
+                break
+        seed += 1
+    print(f"{found.total()} programs, next seed {seed}: {dict(found)}")
+    return found["silent"] > 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

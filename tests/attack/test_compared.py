@@ -1,0 +1,46 @@
+"""Differences planted in random corrected programs; for hours: `python -m tests.attack.compared`."""
+
+from collections import Counter
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from tests.attack import compared
+from tests.attack.compared import Silent, attack
+
+module = import_module("postproc.comparison.compare")
+
+
+def test_every_difference_planted_is_told_and_nothing_else():
+    outcomes = Counter(attack(seed) for seed in range(60))
+    planted = {name: number for name, number in outcomes.items() if name not in ("refused", "nothing to plant")}
+    assert sum(planted.values()) > 30
+    assert len(planted) >= 10
+
+
+FAULTS = {
+    "tells no differences": lambda *_, **__: (),
+    "tells what is not there": None,
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_attack_finds_a_comparison_that(fault, monkeypatch):
+    if FAULTS[fault]:
+        monkeypatch.setattr(module, "differences", FAULTS[fault])
+    else:
+        partners = module.partners
+        monkeypatch.setattr(module, "partners", lambda *tracks: np.where(partners(*tracks) == 1, -1, partners(*tracks)))
+    with pytest.raises(Silent):
+        Counter(attack(seed) for seed in range(40))
+
+
+def test_a_digit_is_changed_by_as_much_as_asked():
+    planter = compared.Planter.__new__(compared.Planter)
+    planter.rng, planter.lines = np.random.default_rng(1), ["LIN {X 12.3456,Y -0.5,Z 3}\n"]
+    for _ in range(50):
+        text = planter.changed(0, "X", 0.03)
+        value = float(text.split("X ")[1].split(",")[0])
+        assert 0.03 <= abs(value - 12.3456) <= 400.0
+        assert sum(a != b for a, b in zip(text, planter.lines[0], strict=True)) == 1
