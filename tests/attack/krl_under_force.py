@@ -173,9 +173,9 @@ def compare(nominal, corrected, kept, text):
 
 
 def statements(files):
-    """(file, line) → its statement."""
+    """(file, line) → its statement; names that files share, once the program is divided, as they were before."""
     return {
-        (Path(name).name, number): line.strip()
+        (Path(name).name, number): line.strip().replace("part_", "")
         for name, text in files.items()
         for number, line in enumerate(text.splitlines(), 1)
     }

@@ -17,6 +17,10 @@ def test_random_programs_do_what_is_read_and_what_is_written():
     assert outcomes["accepted"] > 100
 
 
+def test_programs_that_were_refused_when_they_were_read_back():
+    assert [attack(seed) for seed in (508015, 4160)] == ["accepted", "accepted"]
+
+
 def test_damaged_programs_are_refused_with_a_message_or_read():
     outcomes = Counter(damaged(seed) for seed in range(500))
     assert outcomes["read"] > 20

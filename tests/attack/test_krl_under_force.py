@@ -23,6 +23,10 @@ def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
     assert outcomes["kept"] >= 1
 
 
+def test_branches_that_stay_in_some_rounds_of_a_loop_only_are_read_back_as_they_were_read():
+    assert attack(20409) == "kept, in files"  # its first round is corrected and written out, the others stay a loop
+
+
 def test_choices_go_through_all_that_inputs_may_be():
     def run(choices):
         return (choices(), choices() and choices())

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from msgspec import Struct, field
 
 from postproc.dialects.krl.language.routines import Module, Routine
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.errors import ProgramError
 from postproc.program import Bools, Document
 
@@ -31,10 +31,21 @@ class Kept(NamedTuple):
     why: ProgramError
 
 
+class Occasion(NamedTuple):
+    """A place that the course comes to, perhaps one of several times.
+
+    :ivar way: loops around it and calls that lead there, each with its round.
+    """
+
+    place: Place
+    way: tuple[tuple[Place, int], ...]
+
+
 class Fork(NamedTuple):
     """Behind a line branches follow of which one runs, and it is not known which."""
 
     line: int
+    occasion: Occasion
 
 
 class Branch(NamedTuple):

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Course, Fork, Join
-from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion
 from postproc.dialects.krl.layout import CONSTANT
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.unresolved import needs_start
@@ -33,10 +32,10 @@ _WHOLE = (
 class BranchError(ProgramError):
     """Branches cannot be corrected.
 
-    :ivar place: where they divide.
+    :ivar occasions: where they, and others that cannot be, divide.
     """
 
-    place: Place
+    occasions: frozenset[Occasion]
 
 
 class Meeting(NamedTuple):
@@ -63,6 +62,7 @@ def branching(
     open_: list[tuple[int, int, list[int], bool]] = []
     meetings: list[Meeting] = []
     fork_of = np.full(count + 1, 0)
+    faults: list[BranchError] = []
     now, done = -1, 0
 
     def run_to(row: int) -> None:
@@ -84,17 +84,20 @@ def branching(
         else:
             fork, entry, ends, _ = open_.pop()
             ends = [*ends, now, *([] if step.complete else [entry])]
-            if any(fork < inside <= step.line for inside in kept):
-                raise _error(course, fork, "a motion that stays as it is stands in a branch")
             rows = np.flatnonzero((line > fork) & (line <= step.line))
-            if (ordered.rows.kind[rows] == PTP).any():
-                raise _error(course, fork, "PTP stands in a branch")
+            if any(fork < inside <= step.line for inside in kept):
+                faults.append(_error(course, fork, "a motion that stays as it is stands in a branch"))
+            elif (ordered.rows.kind[rows] == PTP).any():
+                faults.append(_error(course, fork, "PTP stands in a branch"))
             meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
             now = min(ends)
     run_to(count)
+    _raise(faults)
     for row in np.flatnonzero(out != np.arange(count) - 1).tolist():
         if out[row] != row and needs_start(ordered, row, arcs=False):
-            raise _error(course, int(fork_of[row]), f"{_why(ordered, row)} where branches begin or meet", _WHOLE)
+            problem = f"{_why(ordered, row)} where branches begin or meet"
+            faults.append(_error(course, int(fork_of[row]), problem, _WHOLE))
+    _raise(faults)
     return out, meetings
 
 
@@ -114,17 +117,26 @@ def check_meetings(
     :raises BranchError: they do.
     """
     bases, tools = frames
+    faults = []
     for fork, ends in meetings:
         flanges = [
             start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
             for row in ends
         ]
         if any(np.abs(flange - flanges[0]).max() > _APART for flange in flanges[1:]):
-            raise _error(course, fork, "the branches end in different places")
-        if carriage is not None:
+            faults.append(_error(course, fork, "the branches end in different places"))
+        elif carriage is not None:
             places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
             if np.ptp(places) > _APART:
-                raise _error(course, fork, "E1 stands in different places at the ends of the branches")
+                faults.append(_error(course, fork, "E1 stands in different places at the ends of the branches"))
+    _raise(faults)
+
+
+def _raise(faults: Sequence[BranchError]) -> None:
+    """Raise the first of some errors, with the branches of all."""
+    if faults:
+        faults[0].occasions = frozenset[Occasion]().union(*(fault.occasions for fault in faults))
+        raise faults[0]
 
 
 def _why(ordered: OrderedMotions, row: int) -> str:
@@ -145,5 +157,5 @@ def _error(course: Course, fork: int, problem: str, advice: str = _ADVICE) -> Br
     source = course.source
     told = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(told.problem, file=told.file, line=told.line, text=told.text, advice=told.advice)
-    error.place = source.origin(fork)
+    error.occasions = frozenset(s.occasion for s in course.steps if isinstance(s, Fork) and s.line == fork)
     return error

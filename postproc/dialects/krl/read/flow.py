@@ -10,7 +10,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable
 
-from postproc.dialects.krl.course import Branch, Fork, Join
+from postproc.dialects.krl.course import Branch, Fork, Join, Occasion
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
@@ -59,6 +59,7 @@ class Flow:
         self.run, self.trace, self._fault, self._stays = run, trace, fault, stays
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
+        self._way: list[tuple[Place, int]] = []
         self._traced = self._still = 0
 
     def follow(self, source: Source, nodes: tuple[Node, ...]) -> None:
@@ -209,13 +210,13 @@ class Flow:
     def _undoing(self, trace: Trace) -> Callable[[], None]:
         """Return what goes back to where the run is now."""
         run, entered = self.run, self.interpreter.calls.entered
-        marks, mark, here, depth = run.marks(), trace.mark(), run.standing(), len(entered)
+        marks, mark, here, depth, way = run.marks(), trace.mark(), run.standing(), len(entered), len(self._way)
 
         def undo() -> None:
             run.back_to(marks)
             trace.back_to(mark)
             run.stand(here)
-            del entered[depth:]
+            del entered[depth:], self._way[way:]
 
         return undo
 
@@ -225,7 +226,9 @@ class Flow:
         trace.enter(at, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter(at, call, module, routine)
         level = run.level
+        self._way.append((at, 0))
         self.called()
+        self._way.pop()
         if not level.returned:
             trace.run_to(routine.last - 1)
         trace.pass_to(routine.last - 1, live=False)
@@ -291,9 +294,10 @@ class Flow:
         try:
             taken = self._taken(source, block)
         except InexactError as cause:
-            if trace is None or Place(source, block.first) in self.run.elsewhere:
+            occasion = Occasion(Place(source, block.first), tuple(self._way))
+            if trace is None or occasion in self.run.elsewhere:
                 raise
-            self._all(source, block, trace, cause)
+            self._all(source, block, trace, occasion, cause)
             return
         level = self.run.level
         if trace is not None:
@@ -310,7 +314,7 @@ class Flow:
         if trace is not None:
             trace.pass_to(block.last)
 
-    def _all(self, source: Source, block: Block, trace: Trace, why: InexactError) -> None:
+    def _all(self, source: Source, block: Block, trace: Trace, occasion: Occasion, why: InexactError) -> None:
         """Follow all branches of IF or SWITCH, each from where they divide.
 
         :raises InexactError: one of them does not lead to where they meet.
@@ -321,7 +325,7 @@ class Flow:
             raise why
         trace.run_to(block.first - 1)
         trace.pass_to(block.first)
-        trace.divide(Fork(0))
+        trace.divide(Fork(0, occasion))
         run.fork()
         for part in block.parts[block.word == "SWITCH" :]:
             trace.pass_to(part.head)
@@ -372,9 +376,12 @@ class Flow:
         step = counter.step if counter is not None else 0
         loop = trace.begin(block, step, left="EXIT" in words) if trace is not None else None
         level.loops += 1
+        way = len(self._way)
+        self._way.append((Place(source, block.first), 0))
         try:
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
+                self._way[way] = Place(source, block.first), self._way[way][1] + 1
                 before = self.run.variables.changes
                 if trace is not None and loop is not None:
                     trace.repeat(loop, block, counter.text if counter is not None else None)
@@ -393,6 +400,7 @@ class Flow:
                     raise inexact(Place(source, block.first), problem, LOOP_ADVICE)
         finally:
             level.loops -= 1
+            del self._way[way:]
         ended = counter is not None and not (level.returned or level.left)
         level.left = False
         if trace is not None and loop is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines
+from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines, Occasion
 from postproc.dialects.krl.language.expressions import operand
 from postproc.dialects.krl.language.names import NAME, RESERVED, fault_of
 from postproc.dialects.krl.language.routines import Routine
@@ -37,7 +37,7 @@ _INSTRUCTIONS = MOTION_WORDS | RESERVED | {"BAS"}
 
 
 def course_of(
-    library: Library, main: Routine, settings: Settings, reader: MotionReader, elsewhere: frozenset[Routine | Place]
+    library: Library, main: Routine, settings: Settings, reader: MotionReader, elsewhere: frozenset[Routine | Occasion]
 ) -> Course:
     """Return the lines of a program in the order in which they run.
 

@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
@@ -70,7 +71,7 @@ def read_program(
     others = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), others))
     reading = _Reading(documents, cell, forward, name, library, entry, faults)
-    elsewhere: frozenset[Routine | Place] = frozenset()
+    elsewhere: frozenset[Routine | Occasion] = frozenset()
     while True:
         try:
             return reading.program(plain, elsewhere, bulk=_bulk)
@@ -92,7 +93,7 @@ class _Reading(Struct, frozen=True, eq=False):
     entry: Routine
     faults: list[ProgramError]
 
-    def program(self, plain: Plain, elsewhere: frozenset[Routine | Place], *, bulk: bool) -> Program:
+    def program(self, plain: Plain, elsewhere: frozenset[Routine | Occasion], *, bulk: bool) -> Program:
         """Follow the program, and read what moves.
 
         :param plain: plain lines of the `.src`.
@@ -194,10 +195,10 @@ def _belongs(data: Document, source: Document) -> bool:
     return PurePath(data.name).suffix.upper() == ".DAT" and data.name[:-4].upper() == PurePath(source.name).stem.upper()
 
 
-def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Place]:
+def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Occasion]:
     """Return the routines of other files that an error is about, or branches: their motions are left as they are."""
     if isinstance(cause, BranchError) and keep:
-        return frozenset({cause.place})
+        return cause.occasions
     if isinstance(cause, InexactError) and cause.routine is not None:
         return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
     files = {error.file for error in (cause, *cause.others)}

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from msgspec import Struct
 
+from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Node, checked, nodes_of
@@ -83,8 +84,8 @@ class Run:
     :ivar reached: routines of the program itself that it calls.
     :ivar issues: what the user should know.
     :ivar unresolved: (line, reason): motions of the course that stay as they are, where `keep`s that.
-    :ivar elsewhere: routines of other files whose motions are not those of the program, and first lines of branches
-        that are not followed.
+    :ivar elsewhere: routines of other files whose motions are not those of the program, and occasions on which branches
+        are not followed.
     """
 
     def __init__(self, library: Library, routine: Routine, settings: Settings, source: Source | None = None) -> None:
@@ -107,7 +108,7 @@ class Run:
         self.issues: list[Issue] = []
         self.keep = settings.cell.krl.keep_unresolved
         self.unresolved: list[tuple[int, ProgramError]] = []
-        self.elsewhere: frozenset[Routine | Place] = frozenset()
+        self.elsewhere: frozenset[Routine | Occasion] = frozenset()
         self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
