@@ -25,6 +25,7 @@ WORDS: dict[tuple[bool, State], str] = {
     (False, "failed"): "It cannot be predicted.",
 }
 """The verdict in a word: (is there a program to run, state)."""
+_PLACES = 9
 SOLID = "link masses"
 """An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
 
@@ -82,11 +83,13 @@ def _tolerance(content: Summary) -> tuple[list[str], list[str], list[str]]:
         return [], [], []
     if content["tolerance_held"] is False:
         reached = max(between, content["after"]["max_mm"])
-        return [f"the predicted path leaves the nominal one by {reached:.4f} mm: more than {tolerance:g} mm"], [], []
+        told = above(reached, tolerance, 4)
+        return [f"the predicted path leaves the nominal one by {told} mm: more than {tolerance:g} mm"], [], []
     holds = f"the predicted path stays within {tolerance:g} mm of the nominal one, between targets too"
     if content["tolerance_held"] is None:
         blending = content["blending"]
-        told = f"{blending['by']} rounds corners by up to {blending['max_mm']:.3f} mm, more than {tolerance:g} mm"
+        reached_mm = above(blending["max_mm"], tolerance)
+        told = f"{blending['by']} rounds corners by up to {reached_mm} mm, more than {tolerance:g} mm"
         return [], [_told(told, blending["source_line"])], [f"{holds}, but for corners that {blending['by']} rounds"]
     return [], [], [holds]
 
@@ -96,8 +99,20 @@ def _expected(content: Summary) -> list[str]:
     if bound is None:
         return ["how far the part will be off is unknown: the robot model states no uncertainty of its parameters"]
     if tolerance is not None and bound["max_mm"] > tolerance:
-        return [f"on the part up to {bound['max_mm']:.3f} mm (95 %) may remain, more than {tolerance:g} mm"]
+        told = above(bound["max_mm"], tolerance)
+        return [f"on the part up to {told} mm (95 %) may remain, more than {tolerance:g} mm"]
     return []
+
+
+def above(value_mm: float, limit_mm: float, places: int = 3) -> str:
+    """Return a number that is more than a limit as text, with as many decimals as it takes to see it.
+
+    >>> above(0.0493, 0.01), above(0.0104, 0.01)
+    ('0.049', '0.0104')
+    """
+    while places < _PLACES and float(f"{value_mm:.{places}f}") <= limit_mm:
+        places += 1
+    return f"{value_mm:.{places}f}"
 
 
 def _limits(content: Summary) -> tuple[list[str], list[str]]:

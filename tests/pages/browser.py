@@ -69,5 +69,42 @@ def opened(browser, path: Path, *, width: int = 1440, height: int = 1000, dark: 
     assert said == [], said
 
 
+_FAULTS = """() => {
+  const wide = document.documentElement.clientWidth;
+  const out = [];
+  if (document.documentElement.scrollWidth > wide) out.push(['the page is wider than the screen']);
+  for (const e of document.querySelectorAll('main *, aside *, header *')) {
+    const { width, right } = e.getBoundingClientRect();
+    if (width && right > wide + 1 && !e.closest('.scroll, svg'))
+      out.push(['beyond the screen', e.tagName, e.textContent.slice(0, 40)]);
+  }
+  for (const e of document.querySelectorAll('.scroll'))
+    if (wide > 1000 && e.scrollWidth > e.clientWidth + 1) out.push(['table cut off', e.getAttribute('aria-label')]);
+  for (const plot of document.querySelectorAll('.plot, .view')) {
+    const box = plot.getBoundingClientRect();
+    const name = plot.closest('section').id;
+    const texts = [...plot.querySelectorAll('text')].filter((e) => e.textContent.trim() && !e.hasAttribute('data-mark'))
+      .map((e) => ({ text: e.textContent.slice(0, 60), at: e.getBoundingClientRect() }))
+      .filter(({ at }) => at.width > 0);
+    texts.forEach(({ text, at }, k) => {
+      if (at.left < box.left - 2 || at.right > box.right + 2 || at.top < box.top - 2 || at.bottom > box.bottom + 2)
+        out.push(['text beyond its plot', name, text]);
+      for (const { text: other, at: beside } of texts.slice(k + 1))
+        if (Math.min(at.right, beside.right) - Math.max(at.left, beside.left) > 2
+            && Math.min(at.bottom, beside.bottom) - Math.max(at.top, beside.top) > 4)
+          out.push(['texts over each other', name, text, other]);
+    });
+  }
+  return out;
+}"""
+
+
+def faults_of_looks(page) -> list:
+    """What does not fit a page that is drawn: wider than the screen, cut off, texts that lie over each other."""
+    page.wait_for_function("document.querySelector('.sketch') === null")
+    page.wait_for_timeout(300)
+    return page.evaluate(_FAULTS)
+
+
 def _elsewhere(url: str) -> bool:
     return not url.startswith(("file:", "data:", "blob:"))

@@ -44,7 +44,8 @@ def test_page_draws_its_plots_without_network_and_fits_the_screen(browser, compa
 _SHOWN = """(line) => {
   const plots = [...document.querySelectorAll('#along .plot')];
   const dot = Number([...document.querySelectorAll('#view3d circle')].at(-1).dataset.at.split(' ')[0]);
-  return plots.length === 2 && plots.every((plot) => Number(plot.querySelector('.cursor')?.dataset.x) === line)
+  return plots.length === 2
+    && plots.every((plot) => Number(plot.querySelector('.cursor')?.dataset.x) === selection.chosen + 1)
     && Math.abs(dot - columns.places.X[selection.chosen]) < 1e-3
     && columns.places.nominal_line[selection.chosen] === line
     && document.querySelector('#place dd').textContent === String(line);
@@ -53,7 +54,8 @@ _SHOWN = """(line) => {
 
 _POINT_OF_LINE_100 = """(() => {
   const { data: [curve], _fullLayout: { xaxis, yaxis } } = document.querySelector('#along .plot');
-  return [xaxis._offset + xaxis.l2p(100), yaxis._offset + yaxis.l2p(curve.y[curve.x.indexOf(100)])];
+  const place = columns.places.nominal_line.indexOf(100);
+  return [xaxis._offset + xaxis.l2p(curve.x[place]), yaxis._offset + yaxis.l2p(curve.y[place])];
 })()"""
 
 

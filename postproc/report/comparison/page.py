@@ -252,11 +252,11 @@ def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
 
 def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
     places = [*range(len(rows))]
-    line = found.nominal_line[rows].astype(float).tolist()
+    order = (rows + 1.0).tolist()  # lines go back where a program repeats some
     offset = (found.offset[rows] * MM_PER_M).T.tolist()
     names: tuple[tuple[str, Colour], ...] = (("X", "correction"), ("Y", "force"), ("Z", "ink"))
     curves = [
-        Curve(line, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
+        Curve(order, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
     ]
     counted_on = ", counted on over its files" if nominal.several else ""
     x = Axis(title=f"line of {nominal.main}{counted_on}")
@@ -265,7 +265,7 @@ def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: N
     ]
     if found.cuts is not None:
         cuts = [
-            Curve(line, (norm(off[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
+            Curve(order, (norm(off[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
             for off, name, colour in (
                 (found.cuts.nominal, "nominal", "before"),
                 (found.cuts.corrected, "corrected", "after"),
@@ -297,7 +297,7 @@ def _histogram(found: Comparison, shown: Ints) -> Section:
         x=Axis(title="offset, mm"),
         y=Axis(title="targets"),
     )
-    return Section("histogram", "Distribution of the offset", (plot,), "half")
+    return Section("histogram", "Distribution of the offset", (plot,))
 
 
 def _operations(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Section:
@@ -316,8 +316,10 @@ def _operations(found: Comparison, content: ComparisonSummary, shown: Ints, name
         ]
         where = operation["nominal_file"], operation["nominal_line"]
         rows.append(Row(tuple(cells), _place_of(found, shown, names[0], *where), where[1]))
-    table = Table(tuple(head), tuple(rows), "Operations, largest values", sortable=True, note="Largest values.")
-    return Section("operations", "Operations and tools", (table,), "half")
+    table = Table(
+        tuple(head), tuple(rows), "Operations, largest values", texts=(1,), sortable=True, note="Largest values."
+    )
+    return Section("operations", "Operations and tools", (table,))
 
 
 def _worst_pairs(found: Comparison, shown: Ints, names: Sequence[Names]) -> Section:

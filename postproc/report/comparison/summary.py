@@ -19,6 +19,7 @@ from postproc.provenance import Provenance, State
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.deviation.operations import operation_starts
 from postproc.report.summary import Distances, Judged
+from postproc.report.verdict import above
 
 _MOST = 20
 _DIFFERENCES = (
@@ -238,25 +239,26 @@ def where_of(entry: DifferenceEntry) -> str:
 
 
 def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> Iterator[str]:
-    origin, cut = content["provenance"], content["cut"]
+    origin, cut, tolerance = content["provenance"], content["cut"], content["tolerance_mm"]
     if origin["state"] == "changed":
         edited = origin["edited"]
         where = "where, is not known" if edited is None else _listed(edited, origin["missing_lines"], corrected)
         yield f"{content['corrected']} was changed since postproc wrote it: {where}"
-    if cut is not None and not cut["corrected"]["max_mm"] <= content["tolerance_mm"]:
+    if cut is not None and not cut["corrected"]["max_mm"] <= tolerance:
         yield (
-            f"{content['corrected']} leaves {cut['corrected']['max_mm']:.4f} mm at a target under the forces given "
-            f"(tolerance {content['tolerance_mm']:g} mm)"
+            f"{content['corrected']} leaves {above(cut['corrected']['max_mm'], tolerance, 4)} mm at a target under the "
+            f"forces given (tolerance {tolerance:g} mm)"
         )
     between = content["between"]
-    if between is not None and not between["corrected_max_mm"] <= content["tolerance_mm"]:
+    if between is not None and not between["corrected_max_mm"] <= tolerance:
         yield (
             f"{between['corrected_file']}:{between['corrected_line']}: between targets it leaves "
-            f"{between['corrected_max_mm']:.4f} mm to the nominal path under the forces given "
-            f"(tolerance {content['tolerance_mm']:g} mm)"
+            f"{above(between['corrected_max_mm'], tolerance, 4)} mm to the nominal path under the forces given "
+            f"(tolerance {tolerance:g} mm)"
         )
     if not content["offset"]["max_mm"] <= limit_mm:
-        yield f"a target is {content['offset']['max_mm']:.3f} mm off: more than max_correction_mm = {limit_mm:g}"
+        told = above(content["offset"]["max_mm"], limit_mm)
+        yield f"a target is {told} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content["pairs"]:
         yield "no target of one program belongs to one of the other"
     yield from (_told(issue) for issue in content["issues"] if issue["level"] == "error")

@@ -34,7 +34,7 @@ from postproc.robot.parameters import named
 _GOOD, _ROUGH, _KNOWN = 0.1, 0.5, 1.0
 """Half width of an interval as a share of the value: up to which it is well, roughly, and barely known."""
 _LEAST, _LARGE = 1e-3, 1e5
-_FLOOR_MM = 1e-5
+_FLOOR_MM, _LEAST_MM = 1e-5, 1e-3
 _SPRINGS = (
     "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
     f"{WITH_LINKS}: the intervals are of that sum. Springs of links that lie alike in the chain are determined "
@@ -55,7 +55,8 @@ def verdict(told: Identified) -> Section | None:
     notes = [
         Note(
             f"On configurations left out, {level.load_N:.0f} N: {level.held_out_mm:.3f} mm RMS, of which "
-            f"{level.noise_mm:.3f} mm noise; 95 % of what the model does not explain is below {level.u95_mm:.3f} mm."
+            f"{level.noise_mm:.3f} mm noise; 95 % of what the model does not explain is below "
+            f"{max(level.u95_mm, _LEAST_MM):.3f} mm."
         )
         for level in told.discrepancy or ()
     ]

@@ -11,8 +11,8 @@
     before: { title: `${values.before.title}, mm`, series: one("before", "before"), on: true, zero: true },
     ...(places.compared && { after: { title: "Deviation after, at targets, mm (own scale)", series: one("after", "after"), on: true, zero: true } }),
     ...(facts.bounded && { u95: { title: "Expected on the part (95 %), mm", series: one("u95", "ink"), on: true, zero: true } }),
-    feed: { title: "Deviation along, across, normal to the feed, mm", series: three("b_", ["along", "across", "normal"]), on: true },
-    xyz: { title: "Deviation in X, Y, Z of $BASE, mm", series: three("b", ["X", "Y", "Z"]), on: false },
+    feed: { title: "Deviation, mm", label: "along, across, normal", series: three("b_", ["along", "across", "normal"]), on: true },
+    xyz: { title: "Deviation, mm", label: "X, Y, Z", series: three("b", ["X", "Y", "Z"]), on: false },
     force: { title: "Force, N", series: one("force", "force"), on: true, zero: true },
     ...(places.compared && { correction: { title: "Correction, mm", series: one("correction", "correction"), on: true, zero: true } }),
     margin: { title: "Smallest joint margin, °", series: one("margin", "ink"), on: false },
@@ -93,8 +93,8 @@
 
   const controls = document.getElementById("along-controls");
   controls.innerHTML = `<label>Over <select id="along-over"><option value="length">length</option><option value="time">time</option></select></label>
-    <fieldset><legend>Show</legend>${Object.entries(strips).map(([name, { title, on: ticked }]) =>
-      `<label><input type="checkbox" data-strip="${name}"${ticked ? " checked" : ""}>${title.split(",")[0]}</label>`).join("")}</fieldset>`;
+    <span role="group" aria-label="What is shown along the path"><span>Show</span>${Object.entries(strips).map(([name, { title, label, on: ticked }]) =>
+      `<label><input type="checkbox" data-strip="${name}"${ticked ? " checked" : ""}>${label ?? title.split(",")[0]}</label>`).join("")}</span>`;
   document.getElementById("along-over").addEventListener("change", (event) => {
     over = event.target.value;
     range = null;

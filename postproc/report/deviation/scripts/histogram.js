@@ -1,28 +1,28 @@
 "use strict";
-// How many cutting targets deviate by how much; the bar of the chosen place stands out.
+// How many cutting targets deviate by how much; a line stands at the chosen place.
 (() => {
   const view = document.getElementById("histogram-view");
   if (!view) return;
   const { at, count, values } = places;
   const measures = Object.keys(facts.histograms);
-  const bin = (name, place) => {
-    const { edges, counts } = facts.histograms[name];
-    return Math.min(Math.floor(at[name][place] / (edges[1] - edges[0])), counts.length - 1);
-  };
+  const NARROW = 520; // pixels: below, one histogram stands below the other
 
   function figure() {
-    const place = selection.place;
-    const layout = theme.layout({ height: 300, bargap: 0.05, margin: { l: 50, r: 10, t: 26, b: 44 }, annotations: [] });
+    const wide = theme.printing || view.clientWidth >= NARROW || measures.length === 1;
+    const [across, down] = wide ? [measures.length, 1] : [1, measures.length];
+    const height = 250 * down;
+    view.style.minHeight = `${height}px`;
+    const layout = theme.layout({ height, bargap: 0.05, margin: { l: 50, r: 10, t: 10, b: 44 } });
     const data = measures.map((name, k) => {
       const suffix = k ? String(k + 1) : "";
       const { edges, counts } = facts.histograms[name];
-      const width = 1 / measures.length;
-      layout[`xaxis${suffix}`] = theme.axis({ domain: [k * width + (k ? 0.06 : 0), (k + 1) * width], anchor: `y${suffix}`, fixedrange: true,
-        title: { text: `${values[name].title}, mm` }, nticks: 5 });
-      layout[`yaxis${suffix}`] = theme.axis({ anchor: `x${suffix}`, fixedrange: true, title: k ? undefined : { text: "targets" } });
-      const chosen = place === null || at.rapid[place] ? -1 : bin(name, place);
+      const [column, row] = wide ? [k, 0] : [0, k];
+      layout[`xaxis${suffix}`] = theme.axis({ domain: [(column + 0.07 * (column > 0)) / across, (column + 1) / across], anchor: `y${suffix}`,
+        fixedrange: true, title: { text: `${values[name].title}, mm` }, nticks: 5, tickangle: 0 });
+      layout[`yaxis${suffix}`] = theme.axis({ domain: [1 - (row + 1 - 0.2 * (row + 1 < down)) / down, 1 - row / down], anchor: `x${suffix}`,
+        fixedrange: true, title: column ? undefined : { text: "targets" } });
       return { type: "bar", x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, xaxis: `x${suffix}`, yaxis: `y${suffix}`,
-        customdata: counts.map((_, i) => [edges[i], edges[i + 1]]), marker: { color: counts.map((_, i) => theme.colour(i === chosen ? "chosen" : name)) },
+        customdata: counts.map((_, i) => [edges[i], edges[i + 1]]), marker: { color: theme.colour(name) },
         hovertemplate: "%{y} targets, %{customdata[0]:.4f} … %{customdata[1]:.4f} mm<extra></extra>" };
     });
     return [data, layout];
@@ -40,15 +40,12 @@
     }
     return best;
   }
-  view.style.minHeight = "300px";
   stage.add(view, () => draw().then(() => {
     view.on("plotly_click", ({ points: [point] }) => selection.choose(worst(measures[point.curveNumber], ...point.customdata)));
     theme.onChange(draw);
-    let shown = "";
-    selection.subscribe((place) => {
-      const bins = place === null || at.rapid[place] ? "" : String(measures.map((name) => bin(name, place)));
-      if (bins !== shown) requestAnimationFrame(draw);
-      shown = bins;
-    });
+    measures.forEach((name, k) => cursor.follow(view, () => {
+      const place = selection.place;
+      return place === null || at.rapid[place] ? null : at[name][place];
+    }, k ? String(k + 1) : ""));
   }));
 })();

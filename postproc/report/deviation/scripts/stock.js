@@ -5,7 +5,7 @@
   if (!view) return;
   const { x, y, z } = columns.stock_points;
   const { i, j, k } = columns.stock_faces;
-  view.style.height = "480px";
+  view.style.maxHeight = "480px";
   space.add(view, {
     unit: "mm",
     traces: () => [{ type: "mesh3d", x, y, z, i, j, k, color: "#a9b4bf", flatshading: true, hoverinfo: "skip",

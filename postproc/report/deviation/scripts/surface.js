@@ -32,7 +32,7 @@
   touched.forEach((f, k) => {
     for (const axis of ["x", "y", "z"]) for (let c = 0; c < 3; c++) middles[axis][k] += columns.corners[axis][3 * f + c] / 3;
   });
-  view.style.height = "520px";
+  view.style.maxHeight = "520px";
   const { draw } = space.add(view, { unit: "mm", traces, bar: () => bar, points: () => middles, marks: () =>
     (selection.place === null ? [] : [{ dot: places.position(selection.place), colour: theme.colour("chosen"), size: 5 }]) });
   document.getElementById("surface-controls").innerHTML = `<label>Colour <select id="surface-colour">${Object.entries(titles)

@@ -179,11 +179,11 @@
   controls.innerHTML = `
     <label>Colour <select id="view3d-colour">${Object.entries(values).map(([name, { title }]) =>
       `<option value="${name}">${title}</option>`).join("")}</select></label>
-    <fieldset><legend>Enlarged</legend>${Object.keys(paths).map(tick).join("")}</fieldset>
+    <span role="group" aria-label="Paths that are drawn enlarged"><span>Enlarged</span>${Object.keys(paths).map(tick).join("")}</span>
     <label>by <input type="range" id="view3d-enlarged" min="0" max="4" step="0.05" value="${Math.log10(shown.enlarged)}">
       <output id="view3d-factor">${shown.enlarged} ×</output></label>
     <label><input type="checkbox" id="view3d-robot"> robot</label>
-    <fieldset><legend>View</legend>${Object.keys(sides).map((name) => `<button type="button">${name}</button>`).join("")}</fieldset>`;
+    <span role="group" aria-label="Where it is looked at from"><span>View</span>${Object.keys(sides).map((name) => `<button type="button">${name}</button>`).join("")}</span>`;
   document.getElementById("view3d-colour").addEventListener("change", (event) => {
     shown.colour = event.target.value;
     keep = kept();
@@ -204,5 +204,4 @@
   });
   for (const button of controls.querySelectorAll("button"))
     button.addEventListener("click", () => look({ to: sides[button.textContent] }));
-  view.style.height = "min(70vh, 640px)";
 })();

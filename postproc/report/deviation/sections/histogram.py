@@ -10,4 +10,4 @@ def section(told: Deviation) -> Section | None:
         return None
     label = "Histogram of the deviation at cutting targets, before and after; a click on a bar chooses its worst place."
     note = "All cutting targets, each with its own scale. A click on a bar chooses the worst place in it."
-    return Section("histogram", "Distribution of the deviation", (View("histogram", label, note),), "half")
+    return Section("histogram", "Distribution of the deviation", (View("histogram", label, note),))

@@ -36,6 +36,11 @@ def section(told: Deviation) -> Section | None:
     head += ["After, mm"] if told.compared else []
     head += ["On the part (95 %), mm"] if told.result.bound is not None else []
     table = Table(
-        tuple(head), tuple(rows), "Operations and tools, largest values", sortable=True, note="Largest values."
+        tuple(head),
+        tuple(rows),
+        "Operations and tools, largest values",
+        texts=(1,),
+        sortable=True,
+        note="Largest values.",
     )
-    return Section("operations", "Operations and tools", (table,), "half")
+    return Section("operations", "Operations and tools", (table,))

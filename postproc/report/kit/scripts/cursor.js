@@ -1,24 +1,21 @@
 "use strict";
 // An upright line over a plot at the place that is shown: it moves at once, where the library would draw the plot anew.
 const cursor = (() => {
-  const lines = new Map();
-
-  // Has the line of a plot stand at x, or nowhere (null).
-  function put(plot, x) {
-    const { xaxis, _size: size } = plot._fullLayout ?? {};
+  // Has the line of a plot stand at x of an axis, or nowhere (null), as high as the axis or the whole plot.
+  function put(plot, line, x, suffix) {
+    const { _size: size, [`xaxis${suffix ?? ""}`]: xaxis, [`yaxis${suffix}`]: yaxis } = plot._fullLayout ?? {};
     if (!xaxis) return;
-    if (!lines.has(plot)) lines.set(plot, Object.assign(document.createElement("div"), { className: "cursor" }));
-    const line = lines.get(plot);
     if (line.parentNode !== plot) plot.append(line);
     const at = x === null ? NaN : xaxis.d2p(x);
     line.hidden = !(at >= 0 && at <= xaxis._length);
     line.dataset.x = String(x);
-    Object.assign(line.style, { left: `${xaxis._offset + at}px`, top: `${size.t}px`, height: `${size.h}px` });
+    Object.assign(line.style, { left: `${xaxis._offset + at}px`, top: `${yaxis?._offset ?? size.t}px`, height: `${yaxis?._length ?? size.h}px` });
   }
 
-  // Follows the place that is shown; `at` says where on x it is.
-  function follow(plot, at) {
-    const move = () => put(plot, at());
+  // Follows the place that is shown; `at` says where on x it is, `suffix` of which axes, if there are several of x.
+  function follow(plot, at, suffix = null) {
+    const line = Object.assign(document.createElement("div"), { className: "cursor" });
+    const move = () => put(plot, line, at(), suffix);
     let asked = false;
     selection.subscribe(() => {
       if (asked) return;

@@ -36,7 +36,9 @@ const over = (() => {
       const put = (value, text, off) => out.push({ text, at: corner.with(r, value), by: [away[0] * off, away[1] * off + 4],
         anchor: Math.abs(away[0]) < 0.3 ? "middle" : away[0] < 0 ? "end" : "start", soft: true });
       for (let k = low; k <= high; k++) if (k % each === 0) put(k * step, told(k * step), NUMBERS);
-      put((box[0][r] + box[1][r]) / 2, `${names[r]}, ${unit}`, TITLES);
+      const title = `${names[r]}, ${unit}`;
+      if (r < 2) put((box[0][r] + box[1][r]) / 2, title, TITLES);
+      else out.push({ text: title, at: corner.with(2, box[1][2]), by: [0, -8], soft: true });
     }
     return out;
   }
@@ -53,7 +55,7 @@ const over = (() => {
     if (mark.dot)
       return `<circle data-at="${mark.dot.map((value) => value.toFixed(4)).join(" ")}" cx="${number(x)}" cy="${number(y)}" r="${mark.size}" stroke="${mark.colour}" stroke-width="2" fill="${mark.hollow ? "none" : mark.colour}"/>`;
     const [right, below] = mark.by ?? [0, 0];
-    return `<text x="${number(x + right)}" y="${number(y + below)}" text-anchor="${mark.anchor ?? "middle"}" fill="${theme.colour(mark.soft ? "soft" : "ink")}">${mark.text}</text>`;
+    return `<text${mark.soft ? "" : ' data-mark=""'} x="${number(x + right)}" y="${number(y + below)}" text-anchor="${mark.anchor ?? "middle"}" fill="${theme.colour(mark.soft ? "soft" : "ink")}">${mark.text}</text>`;
   }
 
   // What the colours stand for, at the right of the picture.

@@ -18,8 +18,8 @@ const plots = (() => {
       x: x.flatMap((at) => [at, at, null]), y: low.flatMap((from, i) => [from, high[i], null]),
     }),
     bars: ({ lengths, texts, chosen }) => ({
-      type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), text: texts, textposition: "auto",
-      insidetextanchor: "start", textangle: 0, hoverinfo: "text", cliponaxis: false, marker: { color: chosen.map((is) => colour(is ? "after" : "rule")) },
+      type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), hovertext: texts, hoverinfo: "text",
+      marker: { color: chosen.map((is) => colour(is ? "after" : "rule")), opacity: 0.45 },
     }),
     counts: ({ edges, counts, name, places }) => ({
       type: "bar", name, customdata: places, x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, marker: { color: colour("soft") },
@@ -64,47 +64,81 @@ const plots = (() => {
     if (plot.traces.some(({ type, places }) => places && type !== "counts")) cursor.follow(element, () => chosen(plot)?.x ?? null);
   }
 
-  function axis({ title, logarithmic, range, categories }, square) {
-    return theme.axis({
-      title: { text: title }, type: categories || square ? undefined : logarithmic ? "log" : "linear",
-      range: range && logarithmic ? range.map(Math.log10) : range ?? undefined,
-      tickvals: categories?.map((_, i) => i), ticktext: categories ?? undefined, dtick: logarithmic ? undefined : null,
-    });
+  // Smallest and largest value of a plot on x or y.
+  function reach(plot, name) {
+    if (plot[name].range) return plot[name].range;
+    const values = plot.traces.flatMap((trace) => (name === "x" ? trace.edges ?? trace.lengths ?? trace.x : trace.y ?? trace.high) ?? []);
+    const known = values.filter((value) => value !== null && (value > 0 || !plot[name].logarithmic));
+    return [Math.min(...known), Math.max(...known)];
+  }
+  // Decades, or 1, 2 and 5 of each where there are few.
+  function decades([low, high]) {
+    const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+    const steps = Math.log10(high / low) < 1.6 ? [1, 2, 5] : [1];
+    return Array.from({ length: last - first + 1 }, (_, k) => first + k).flatMap((power) => steps.map((step) => Number(`${step}e${power}`)));
   }
 
-  // Whether a place on x is in the right part of a plot: its text stands to the left, then.
-  function far({ x, traces }, at) {
-    const values = traces.flatMap((trace) => trace.edges ?? trace.lengths ?? trace.x ?? []);
-    const [low, high] = x.range ?? [Math.min(...values), Math.max(...values)];
-    return x.logarithmic ? Math.log(at / low) > 0.6 * Math.log(high / low) : at - low > 0.6 * (high - low);
+  function axis(plot, name, square) {
+    const { title, logarithmic, range, categories } = plot[name];
+    const ticks = categories ? { tickvals: categories.map((_, i) => i), ticktext: categories, range: [categories.length - 0.5, -0.5] }
+      : logarithmic ? { tickvals: decades(reach(plot, name)), ticktext: decades(reach(plot, name)).map(String), range: range?.map(Math.log10) }
+        : { range: range ?? undefined };
+    return theme.axis({ title: { text: title }, type: categories || square ? undefined : logarithmic ? "log" : "linear", ...ticks });
   }
 
-  function figure(plot) {
+  // Where a place on x is in the width of a plot, 0 … 1.
+  function share(plot, at) {
+    const [low, high] = reach(plot, "x");
+    return plot.x.logarithmic ? Math.log(at / low) / Math.log(high / low) : (at - low) / (high - low);
+  }
+
+  const LINE = 15; // pixels
+  const NARROW = 560; // pixels
+  function figure(plot, width) {
     const square = plot.traces.some(({ type }) => type === "matrix");
     const layout = theme.layout({ showlegend: plot.traces.filter(({ name }) => name).length > 1 });
-    layout.legend = { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 };
+    const upright = plot.marks.filter(({ level }) => !level); // their texts stand in lines above the plot, the legend above them
+    const wide = plot.traces.reduce((sum, { name }) => sum + (name ? 7 * name.length + 45 : 0), 0);
+    layout.margin.t = LINE * (upright.length + layout.showlegend * 1.3 * Math.ceil(wide / width)) + 12;
+    layout.legend = { orientation: "h", yref: "container", y: 1, yanchor: "top", x: 0 };
     layout.hovermode = "closest";
     const data = plot.traces.map((trace) => traced[trace.type](trace));
-    layout.xaxis = axis(plot.x, square);
-    layout.yaxis = axis(plot.y, square);
-    if (square || plot.y.categories) layout.yaxis.autorange = "reversed";
-    if (square) Object.assign(layout.xaxis, { tickangle: -60 });
+    layout.xaxis = axis(plot, "x", square);
+    layout.yaxis = axis(plot, "y", square);
+    if (square) {
+      const names = plot.traces[0].names;
+      const each = Math.ceil((1.3 * LINE * names.length) / Math.max(width - 150, 100)); // names that have room
+      layout.yaxis.autorange = "reversed";
+      Object.assign(layout.xaxis, { tickangle: -90, tickvals: names.filter((_, k) => k % each === 0) });
+    }
     const along = (mark) => (mark.level
       ? { x0: 0, x1: 1, xref: "paper", y0: mark.at, y1: mark.at, yref: "y" }
       : { x0: mark.at, x1: mark.at, xref: "x", y0: 0, y1: 1, yref: "paper" });
     layout.shapes = plot.marks.map((mark) => ({
       type: "line", ...along(mark), line: { color: colour(mark.colour), width: 1.5, dash: "dash" },
     }));
-    layout.annotations = plot.marks.map((mark, i) => {
+    layout.annotations = plot.marks.map((mark) => {
       const log = (mark.level ? plot.y : plot.x).logarithmic;
       const at = log ? Math.log10(mark.at) : mark.at;
       return {
         text: mark.text, showarrow: false, font: { color: colour(mark.colour) },
         ...(mark.level ? { x: 1, xref: "paper", xanchor: "right", y: at, yanchor: "bottom" }
-          : { x: at, xanchor: far(plot, mark.at) ? "right" : "left", y: 1 - 0.09 * i, yref: "paper", yanchor: "top" }),
+          : { x: at, xanchor: share(plot, mark.at) < 0.3 ? "left" : share(plot, mark.at) > 0.7 ? "right" : "center",
+            y: 1, yref: "paper", yanchor: "bottom", yshift: LINE * upright.indexOf(mark) }),
       };
     });
+    if (plot.traces[0].type === "bars") label(plot, layout, width);
     return [data, layout];
+  }
+
+  // Texts of lying bars begin where the bars do; in a narrow plot with the name of each before them, on lines of 45 letters.
+  function label({ y: { categories }, traces: [{ texts }] }, layout, width) {
+    const narrow = width < NARROW;
+    if (narrow) Object.assign(layout, { height: 70 * texts.length + 80, yaxis: { ...layout.yaxis, showticklabels: false } });
+    layout.annotations.push(...texts.map((text, i) => ({
+      text: narrow ? `${categories[i].replace(/(.{1,45})(\s|$)/g, "$1<br>")}${text}` : text, showarrow: false, font: { color: colour("ink"), size: narrow ? 11 : 12 },
+      x: 0, xref: "paper", xanchor: "left", xshift: 4, y: i, yanchor: "middle", align: "left",
+    })));
   }
 
   // Lines in space; the chosen place is marked on the first of those that have places. A slider shows some of many.
@@ -113,6 +147,7 @@ const plots = (() => {
     const step = linked.length ? stepping(plot) : null;
     const all = plot.traces.map((_, i) => i);
     let shown = plot.steps?.[0] ?? all;
+    Object.assign(element.style, { height: "", maxHeight: `${plot.height}px` });
     const view = space.add(element, {
       unit: plot.unit, room: () => plot.traces,
       traces: () => plot.traces.map((trace, i) => ({ ...traced.lines(trace), visible: shown.includes(i) })),
@@ -147,7 +182,11 @@ const plots = (() => {
   for (const element of document.querySelectorAll(".plot")) {
     const plot = JSON.parse(element.nextElementSibling.textContent);
     if (plot.traces.some(({ type }) => type === "lines")) { inSpace(element, plot); continue; }
-    const draw = () => Plotly.react(element, ...figure(plot), theme.config);
+    const draw = () => {
+      const [data, layout] = figure(plot, element.clientWidth);
+      element.style.height = `${layout.height ?? plot.height}px`;
+      return Plotly.react(element, data, layout, theme.config);
+    };
     stage.add(element, () => draw().then(() => {
       theme.onChange(draw);
       if (plot.traces.some(({ places }) => places)) link(element, plot);

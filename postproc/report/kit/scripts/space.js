@@ -69,8 +69,8 @@ const space = (() => {
   const spacing = ([low, high]) => round(Math.max(...high.map((value, r) => value - low[r]), 1e-9) / LINES);
 
   // What the library is told of the box: lines, and no text of its own.
-  function scene(box, step, from) {
-    const [x, y, z] = camera.lengths(box);
+  function scene(box, size, step, from) {
+    const [x, y, z] = camera.lengths(box, size);
     const axis = (r) => {
       const first = Math.ceil(box[0][r] / step);
       const tickvals = Array.from({ length: Math.max(Math.floor(box[1][r] / step) - first + 1, 0) }, (_, k) => (first + k) * step);
@@ -109,14 +109,15 @@ const space = (() => {
     let from = camera.OBLIQUE; // where it is seen from, as long as the library has drawn nothing
     let started = false; // to be drawn by the library
     let drawn = false;
-    let [content, box, step] = [[], null, 1];
+    let [content, box, size, step] = [[], null, 1, 1];
 
     function prepare() {
       content = traces().filter(({ visible }) => visible !== false);
       box = camera.box(reach([...content, ...room()]));
+      size = camera.size(box, view.clientWidth, view.clientHeight);
       step = spacing(box);
     }
-    const how = () => (drawn ? shownBy(view, box) : box && camera.seen(from, box, view.clientWidth, view.clientHeight));
+    const how = () => (drawn ? shownBy(view, box) : box && camera.seen(from, box, size, view.clientWidth, view.clientHeight));
     function mark() {
       const shown = how();
       if (shown) picture.draw(shown, { step, unit, names, marks: marks(), bar: bar() });
@@ -151,7 +152,7 @@ const space = (() => {
     function draw() {
       prepare();
       Plotly.react(view, traces(), theme.layout({ margin: { l: 0, r: 0, t: 0, b: 0 }, hovermode: false, uirevision: 1,
-        scene: scene(box, step, from) }), theme.config);
+        scene: scene(box, size, step, from) }), theme.config);
       follow();
       if (theme.printing) over.expose(view);
       mark();
@@ -209,9 +210,9 @@ const space = (() => {
       event.preventDefault();
       look({ nearer: 1.1 ** -Math.sign(event.deltaY) });
     });
+    view.classList.add("space");
     view.prepend(canvas);
-    const size = new ResizeObserver(() => { if (!drawn) outline(); });
-    size.observe(view);
+    new ResizeObserver(() => { if (!drawn) outline(); }).observe(view);
     theme.onChange(again);
     stage.add(view, () => {
       started = able();

@@ -1,0 +1,55 @@
+"""Nothing on a page is cut off, or written over something else, on a screen of any width."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+from postproc.report import page as rendered
+from tests import fabricated
+from tests.documentation.pages import ROOT
+from tests.pages.browser import faults_of_looks, needs_chromium, opened
+
+pytestmark = needs_chromium
+WIDTHS = (1440, 1200, 420)
+
+
+@pytest.fixture(scope="module")
+def pages(results, tmp_path_factory):
+    """Pages of programs: one with arcs, what it is compared with, and one with a bound."""
+    samples = ROOT / "samples"
+    arguments = ["compare", str(samples / "pocket.nc"), str(results / "pocket.src"), "-o", str(results)]
+    done = CliRunner().invoke(main, [*arguments, "--cell", str(samples / "cell_kr270.toml")], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    hard = tmp_path_factory.mktemp("looks") / "hard.html"
+    result = fabricated.result()
+    result = fabricated.with_changes(result, bound=np.full(len(result), 3e-5), after=result.before * 1e-4)
+    hard.write_bytes(b"".join(rendered(result, 1e-5)))
+    return {
+        "corrected": results / "pocket.report.html",
+        "predicted": results / "pocket.predict.report.html",
+        "compared": results / "pocket.compare.report.html",
+        "bounded": hard,
+    }
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("name", ["corrected", "predicted", "compared", "bounded"])
+def test_nothing_is_cut_off_or_written_over_something_else(browser, pages, name, width):
+    with opened(browser, pages[name], width=width) as page:
+        assert faults_of_looks(page) == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "document.querySelector('#worst').style.width = '3000px'",
+        "document.querySelectorAll('#histogram .xtick text').forEach((e) => { e.style.fontSize = '60px' })",
+    ],
+)
+def test_what_does_not_fit_would_be_noticed(browser, pages, wrong):
+    with opened(browser, pages["corrected"]) as page:
+        page.evaluate(wrong)
+        assert faults_of_looks(page) != []
