@@ -198,9 +198,8 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     by_feed = norm(rotation_vector(relative)) * np.nan_to_num(feed[turns])
     by_turning[turns] = by_feed > _ORIENTATION_SPEED * nominal[turns]
     usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
-    speed = np.zeros_like(q)
-    turned = np.abs(np.diff(q, axis=0))
-    speed[1:] = np.where(usable[:, None], turned * (feed / np.where(usable, travel, 1.0))[:, None], 0.0)
+    speed = np.abs(np.diff(q, axis=0, prepend=q[:1]))
+    speed[1:] *= np.where(usable, feed / np.where(usable, travel, 1.0), 0.0)[:, None]
     return speed
 
 

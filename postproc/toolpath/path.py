@@ -161,12 +161,12 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """
     m = program.motions
     pose = m.target.take(motion, axis=0)
-    turns = np.where((t < 1.0) & (m.kind[motion] != PTP), path.turn[motion], 0.0)
-    still = np.flatnonzero((turns > 0.0) & (turns < _STILL))
+    inner = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
+    turn = path.turn[motion[inner]]
+    still, turning = inner[(turn > 0.0) & (turn < _STILL)], inner[turn >= _STILL]
     if len(still):
-        before = path.start.at(motion[still])
-        pose[still] += (1.0 - t[still])[:, None, None] * (before - pose[still])
-    turning = np.flatnonzero(turns >= _STILL)
+        before, after = path.start.at(motion[still])[:, :3, :3], pose[still, :3, :3]
+        pose[still, :3, :3] = after + (1.0 - t[still])[:, None, None] * (before - after)
     if program.swivel is not None:
         active = program.swivel.active[motion[turning]]
         swivelling, turning = turning[active], turning[~active]
@@ -177,8 +177,8 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         pose[with_path, :3, :3] = _with_path(program, path, motion[with_path], t[with_path])
     if len(turning):
         rows = motion[turning]
-        pose[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])
-    pose[:, :3, 3] = positions(program, path, motion, t)
+        pose[turning, :3, :3] = interpolated(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
+    _place(program, path, motion, t, pose[:, :3, 3])
     return Toolpath(motion, t, pose, path.length[motion] * t)
 
 
@@ -198,18 +198,21 @@ def _turned_back(program: Program, rows: Ints, angle: Array, orientation: Array)
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     """Return where the TCP is nominally (n, 3) at places (motion, t), as `at`."""
-    m = program.motions
-    out = m.target[motion, :3, 3]
-    kind = m.kind[motion]
-    inner = t < 1.0
-    lines = np.flatnonzero(inner & ((kind == LIN) | (kind == SPL)))
-    if len(lines):
-        begin = path.begin[motion[lines]]
-        out[lines] = begin + t[lines, None] * (out[lines] - begin)
-    arcs = np.flatnonzero(inner & (kind == CIRC))
-    if len(arcs):
-        out[arcs] = path.arcs.position(motion[arcs], t[arcs])
+    out = program.motions.target[motion, :3, 3]
+    _place(program, path, motion, t, out)
     return out
+
+
+def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array) -> None:
+    """Move the ends of motions (n, 3) back to places (motion, t)."""
+    inner = np.flatnonzero(t < 1.0)
+    kind = program.motions.kind[motion[inner]]
+    lines, arcs = inner[(kind == LIN) | (kind == SPL)], inner[kind == CIRC]
+    if len(lines):
+        begin = path.begin.take(motion[lines], axis=0)
+        spot[lines] = begin + t[lines, None] * (spot[lines] - begin)
+    if len(arcs):
+        spot[arcs] = path.arcs.position(motion[arcs], t[arcs])
 
 
 def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
