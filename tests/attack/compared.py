@@ -94,7 +94,7 @@ def job(seed):
         "rail": lambda: on_rail(rng),
         "circles": lambda: programs.half_circles(count),
         "corners": lambda: programs.rounded_corners(count),
-        "lines": lambda: programs.lines(count, "modal lines"),
+        "lines": lambda: programs.lines(count, programs.LINES["modal lines"]),
         "posted": lambda: programs.krl(count),
     }[kind]()
     dialect = "gcode" if kind in ("gcode", "circles", "corners", "lines") else "krl"
