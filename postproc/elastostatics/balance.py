@@ -27,8 +27,11 @@ class Balance(Struct, frozen=True, eq=False):
     :param wrench: (6, n) at the TCP, root axes [N, N·m].
     :param torque: (nv, n) τ [N·m, N].
     :param at_rest: (nv, n) or (nv, 1) torque at θ = 0 that gears which stiffen feel besides τ.
+    :param by_load: (nv, n) τ less what weights of the links and compensator ask for: what turns lost motion over.
     :param theta: (nv, n) c(τ): what the springs give way under it. Equal to x − q where the torques are balanced.
     :param slope: (nv, n) c′(τ), the tangent compliance.
+    :param loose: (nv, n) or (nv, 1) what of it weights and compensator do not move: that of lost motion, where τ is not
+        the load's alone.
     """
 
     robot: RobotModel
@@ -38,8 +41,10 @@ class Balance(Struct, frozen=True, eq=False):
     wrench: Array
     torque: Array
     at_rest: Array
+    by_load: Array
     theta: Array
     slope: Array
+    loose: Array
 
     @classmethod
     def at(cls, robot: RobotModel, x: Array, held: Array, tool: Array, wrench: Array) -> Balance:
@@ -51,8 +56,10 @@ class Balance(Struct, frozen=True, eq=False):
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
         torque = np.einsum("ikn,in->kn", jacobian, wrench) - asked(robot, x, state) + held
-        at_rest = felt(robot, held)
-        return cls(robot, x, state.pose, jacobian, wrench, torque, at_rest, *given_way(robot, torque, at_rest))
+        at_rest, by_load = felt(robot, held), load_alone(robot, x, torque)
+        found = given_way(robot, torque, at_rest, by_load)
+        loose = np.zeros((len(x), 1)) if by_load is torque else _of_lost_motion(robot, by_load)
+        return cls(robot, x, state.pose, jacobian, wrench, torque, at_rest, by_load, *found, loose)
 
     def moved(self, change: Array) -> Array:
         """Return the twist (6, n) of the tool when the coordinates change by (nv, n)."""
@@ -70,7 +77,17 @@ class Balance(Struct, frozen=True, eq=False):
         if self.robot.compensator is not None:
             row = self.robot.actuated[A2]
             hessian[:, row, row] -= self.robot.compensator.stiffness_about_joint(self.x[row])
-        return np.eye(len(self.x)) - self.slope.T[:, :, None] * hessian
+        tangent = np.eye(len(self.x)) - self.slope.T[:, :, None] * hessian
+        return tangent if self.by_load is self.torque else tangent - self.loose.T[:, :, None] * self._asked_more()
+
+    def _asked_more(self) -> Array:
+        """Return ∂²U_g/∂x² + U_c″ (n, nv, nv) without payload."""
+        robot, x = self.robot, self.x
+        hessian = kinematics.gravity_stiffness(robot.actual, x.T)
+        if robot.compensator is not None:
+            row = robot.actuated[A2]
+            hessian[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
+        return hessian
 
     def reach(self) -> Array:
         """Return J (I − C·H)⁻¹ (n, 6, nv): how the tool moves in all when one spring gives way by itself."""
@@ -100,6 +117,26 @@ def felt(robot: RobotModel, held: Array) -> Array:
     """Return the torque at rest (nv, n) that a gear which stiffens feels besides the load."""
     carries = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
     return -held if carries else np.zeros((len(held), 1))
+
+
+def load_alone(robot: RobotModel, x: Array, torque: Array) -> Array:
+    """Return what of the torque τ (nv, n) at coordinates x (nv, n) is the load's, payload included.
+
+    Where the geometry holds the state at rest that is all of it.
+    """
+    if robot.subtract_reference or all(parameter.feels_rest for parameter, _ in robot.terms):
+        return torque
+    return torque + asked(robot, x, kinematics.posture(robot.actual, x, weigh=robot.has_weight))
+
+
+def _of_lost_motion(robot: RobotModel, by_load: Array) -> Array:
+    """Return the tangent compliance (nv, n) of what the load alone turns over."""
+    out = np.zeros_like(by_load)
+    for parameter, value in robot.terms:
+        if not parameter.feels_rest:
+            row = parameter.row(robot)
+            out[row] += value * parameter.effect(by_load[row], np.zeros_like(by_load[row]))[1]
+    return out
 
 
 def beside(robot: RobotModel, x: Array, slope: Array) -> Array:

@@ -35,7 +35,7 @@ def _given_way_by_mass(state: Balance, link: LinkMass, q: Array) -> Array:
     robot = state.robot
     weight = weight_of(robot, link, state.x)
     if not robot.subtract_reference:
-        return np.asarray(-state.slope * weight)
+        return np.asarray((state.loose - state.slope) * weight)
     held = weight_of(robot, link, q)
     return np.asarray(-state.slope * (weight - held) - more_at_rest(robot, state.torque, state.at_rest) * held)
 
@@ -66,12 +66,13 @@ def given_way_by(state: Balance, parameter: Parameter, q: Array) -> Array:
     """
     robot, row = state.robot, parameter.row(state.robot)
     if isinstance(parameter, Spring):
-        return parameter.effect(state.torque[row], state.at_rest[row])[0]
+        torque = state.torque if parameter.feels_rest else state.by_load
+        return parameter.effect(torque[row], state.at_rest[row])[0]
     if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
         raise ModelError(f"{parameter.name} belongs to no spring of {robot.name}")
     taken, _ = parameter.effect(robot.compensator, state.x[row])
     if not robot.subtract_reference:
-        return np.asarray(-state.slope[row] * taken)
+        return np.asarray((state.loose - state.slope)[row] * taken)
     held, _ = parameter.effect(robot.compensator, q[row])
     out = -state.slope[row] * (taken - held)
     # the torque that the gears feel at rest changes too

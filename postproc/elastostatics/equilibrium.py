@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
-from postproc.elastostatics.balance import Balance, beside, felt, held
+from postproc.elastostatics.balance import Balance, beside, felt, held, load_alone
 from postproc.elastostatics.springs import A2, given_way, spread
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, norm, twist_between
@@ -136,7 +136,8 @@ def springs_at(robot: RobotModel, x: Array, load: Array, weights: Array) -> Arra
     theta = np.zeros_like(x)
     previous = np.full(x.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
-        found, slope = given_way(robot, load - weights + balanced, felt(robot, balanced))
+        torque = load - weights + balanced
+        found, slope = given_way(robot, torque, felt(robot, balanced), load_alone(robot, x, torque))
         step = found - theta
         if robot.subtract_reference:
             step[robot.actuated[A2]] /= beside(robot, x, slope)

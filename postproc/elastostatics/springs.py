@@ -39,15 +39,19 @@ def spring_deflection(robot: RobotModel, torque: Array, at_rest: Array | None = 
     return theta.T, slope.T
 
 
-def given_way(robot: RobotModel, torque: Array, at_rest: Array) -> tuple[Array, Array]:
-    """Return θ (nv, n) and the tangent compliance (nv, n) as `spring_deflection`; `at_rest` (nv, n) or (nv, 1)."""
+def given_way(robot: RobotModel, torque: Array, at_rest: Array, by_load: Array | None = None) -> tuple[Array, Array]:
+    """Return θ (nv, n) and the tangent compliance (nv, n) as `spring_deflection`; `at_rest` (nv, n) or (nv, 1).
+
+    :param by_load: (nv, n) what the load alone puts on the springs, if that is not `torque`.
+    """
+    by_load = torque if by_load is None else by_load
     steady = robot.steady[:, None]
     if not robot.terms:
         return steady * torque, np.broadcast_to(steady, torque.shape)
     theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
     for parameter, value in robot.terms:
         row = parameter.row(robot)
-        share, tangent = parameter.effect(torque[row], at_rest[row])
+        share, tangent = parameter.effect((torque if parameter.feels_rest else by_load)[row], at_rest[row])
         theta[row] += value * share
         slope[row] += value * tangent
     return theta, slope

@@ -4,11 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from postproc import elastostatics, robot
+from postproc import elastostatics, kinematics, robot
+from postproc.elastostatics import balance
 from postproc.identification import identify_folder, model_folder
 from postproc.identification.prediction import predict
 from postproc.identification.structure import Structure
-from postproc.robot.model_file import PayloadEntry
+from postproc.robot.model_file import BacklashEntry, PayloadEntry
 from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
 
@@ -101,3 +102,30 @@ def compare_with_differences(structure, values, data, placement, share=1e-3, wit
         slope = (plus - minus) / (2 * step[index])
         name = structure.parameters[index].name
         np.testing.assert_allclose(slopes[..., index], slope, atol=within * np.abs(slope).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("carried", [0.0, 120.0])
+def test_lost_motion_is_turned_over_by_the_load_alone_whatever_the_geometry_describes(tmp_path, carried):
+    """Springs that were identified with the state at rest in the geometry, and a geometry that is then weightless."""
+    rng = np.random.default_rng(12)
+    q, force = simulator.milling_job(rng)
+    wrench, moved = np.c_[force, 0 * force], {}
+    for reference in ("calibrated", "rigid"):
+        content = model_folder.read_prior(prior(tmp_path / reference, reference), None, "")
+        loose = BacklashEntry(angle_urad=50.0, torque_Nm=60.0)
+        joints = {name: msgspec.structs.replace(spring, lost_motion=loose) for name, spring in content.joints.items()}
+        content = msgspec.structs.replace(content, joints=joints)
+        if carried:
+            content = msgspec.structs.replace(content, payload=PayloadEntry(source="", mass_kg=carried, X_mm=100.0))
+        model = robot.assemble("loose", content, harness.PRIOR.nominal)
+        loaded, rest = (elastostatics.deflect(model, q, harness.TOOL, load * wrench).pose for load in (1.0, 0.0))
+        moved[reference] = loaded[:, :3, 3] - rest[:, :3, 3]
+        # the inverse problem gives way alike
+        found = elastostatics.deflect(model, q, harness.TOOL, wrench)
+        x = (elastostatics.coordinates(model, q) + found.theta).T
+        state = kinematics.posture(model.loaded, x, kinematics.components(harness.TOOL), weigh=model.has_weight)
+        load = np.einsum("ikn,in->kn", state.jacobian(), wrench.T)
+        there = elastostatics.springs_at(model, x, load, balance.asked(model, x, state))
+        np.testing.assert_allclose(there, found.theta.T, atol=1e-8)
+    size = np.linalg.norm(moved["calibrated"], axis=1)
+    assert np.linalg.norm(moved["rigid"] - moved["calibrated"], axis=1).max() < 0.02 * size.max()
