@@ -139,8 +139,11 @@ def validate(ctx: click.Context, model: Path, measurements: Path, experiment: Pa
     robot in other configurations or under other loads; states that the model was identified from are left out.
     MODEL_DIR may be the name of a robot that comes along. Prints, for each level of loads, the displacements measured,
     what the model leaves of them, the noise in that, its 95 % bound, the factor (> where what is left can not be told
-    from noise), and the share of displacements whose error is inside the bound. Exit codes: 0 the model holds; 1 the
-    readings can not be used; 3 the model does not hold, or states no bound that could.
+    from noise), the share of displacements whose error is inside the bound, and between which limits that of all
+    displacements then is: what some configurations can tell, with 95 % confidence. The model does not hold if less than
+    the promised 95 % are inside even at the upper limit; it holds if 90 % are inside and the lower limit is above 50 %;
+    else more configurations are needed. Exit codes: 0 the model holds; 1 the readings can not be used; 3 the model does
+    not hold, or that can not be told, or it states no bound that could.
 
     \b
     Example:

@@ -1,4 +1,12 @@
-"""A model held against readings that it was not identified from: predicted against measured displacements."""
+"""A model held against readings that it was not identified from: predicted against measured displacements.
+
+The verdict says what the readings can tell. What share of all displacements a bound holds for, some configurations
+tell within limits: those of Clopper and Pearson (Biometrika 26, 1934) for as many independent displacements as the
+scatter between configurations makes of those measured (Korn and Graubard, Survey Methodology 24, 1998), since what a
+model does not know of a configuration, all its points show. With 95 % confidence for all levels of loads together
+(Bonferroni): a model does not hold if the upper limit is below what is promised; it holds if nearly all displacements
+are inside and the lower limit leaves most of them; else the configurations can not tell.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +28,15 @@ from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.readings import read
-from postproc.program import Bools
+from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
-_HELD = 0.9
-"""Share of readings inside the bound from which on it counts as held: 0.95 is promised, of errors that are alike."""
+_PROMISED = 0.95
+_HELD, _MOST = 0.9, 0.5
+"""Share of displacements inside from which on a bound counts as held, and what may at least be left of it by chance."""
+_DOUBT = 0.05
+_NARROW = 2.0
+"""Errors over the bound up to which it is just too narrow."""
 _SEEN = 2.0
 """Standard errors by which what is left must exceed the noise for a factor to be told; else its least value is."""
 _SAME_ANGLE = 1e-4
@@ -41,6 +53,8 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     :param noise: RMS of the noise in that [m].
     :param doubt: standard error of the mean square of what is left, by configurations [m²].
     :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
+    :param limits: between which the share of all displacements may be.
+    :param reach: what 95 % of the errors over bound and noise are below.
     :param bound: RMS of the bound [m].
     """
 
@@ -50,7 +64,19 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     noise: float
     doubt: float
     inside: float
+    limits: tuple[float, float]
+    reach: float
     bound: float
+
+    @property
+    def refuted(self) -> bool:
+        """Whether so few displacements are inside that it is no chance."""
+        return self.limits[1] < _PROMISED
+
+    @property
+    def held(self) -> bool:
+        """Whether the displacements tell that the bound was kept."""
+        return not self.refuted and self.inside >= _HELD and self.limits[0] >= _MOST
 
     @property
     def told_from_noise(self) -> bool:
@@ -80,21 +106,40 @@ class Validation(Struct, frozen=True, eq=False):
 
     @property
     def holds(self) -> bool:
-        """Whether the bound held at every level."""
-        return all(level.inside >= _HELD for level in self.levels)
+        """Whether the bound was kept at every level, as far as readings can tell that."""
+        return all(level.held for level in self.levels)
 
     @property
     def line(self) -> str:
-        """The verdict in one line."""
+        """The verdict in one line: the model holds, does not, or that can not be told."""
         if any(np.isnan(level.inside) for level in self.levels):
             return "the model states no bound: there is nothing that could hold"
-        if self.holds:
-            return f"the model holds: its bound was kept on {self.configurations} configurations"
-        worst = min(self.levels, key=lambda level: level.inside)
-        return (
-            f"THE MODEL DOES NOT HOLD: at {worst.load:.0f} N only {worst.inside:.0%} of the displacements are inside "
-            "its bound. Is it this robot, with this payload, as it was when it was identified?"
+        refuted = [level for level in self.levels if level.refuted]
+        worst = min(refuted or self.levels, key=lambda level: level.inside)
+        low, high = worst.limits
+        share = (
+            f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {self.configurations} configurations are "
+            f"inside its bound, so that of all it is {low:.0%} to {high:.0%}"
         )
+        if self.holds:
+            return f"the model holds: {share}"
+        if not refuted:
+            return (
+                f"IT CAN NOT BE TOLD whether the model holds: {share}, and {_PROMISED:.0%} are promised. The readings do "
+                "not contradict it; more configurations can tell."
+            )
+        widest = max(level.reach for level in refuted)
+        if widest < _NARROW:
+            why = (
+                f"The bound is too narrow: count on {widest:.1f} times u95, and identify the robot anew from these and "
+                "the earlier readings together."
+            )
+        else:
+            why = (
+                f"The errors reach {widest:.1f} times the bound: the robot does something that the model does not know, "
+                "or it is not this robot, with this payload and these loads."
+            )
+        return f"THE MODEL DOES NOT HOLD: {share}, and {_PROMISED:.0%} are promised. {why}"
 
 
 def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
@@ -139,9 +184,11 @@ def _levels(robot: RobotModel, data: Measurements, placement: Placement, fresh: 
     predicted, bound = _predicted(robot, data, placement)
     moved, left = norm(measured), norm(measured - predicted)
     noise = noise_of(data)
-    inside = left <= np.sqrt(bound**2 + LENGTH_95**2 * noise)
-    load = norm(data.wrench[data.loaded])
+    scaled = left / np.sqrt(bound**2 + LENGTH_95**2 * noise)
+    load, config = norm(data.wrench[data.loaded]), data.state_config[data.loaded]
     level = levels(load)
+    doubt = _DOUBT / (int(level.max()) + 1)
+    stated = robot.covariance is not None
     found = []
     for index in range(int(level.max()) + 1):
         rows = (level == index)[:, None] & seen
@@ -154,11 +201,42 @@ def _levels(robot: RobotModel, data: Measurements, placement: Placement, fresh: 
                     left=_rms(left[rows]),
                     noise=_rms(np.sqrt(noise[rows])),
                     doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
-                    inside=float(np.mean(inside[rows])) if robot.covariance is not None else float("nan"),
+                    inside=float(np.mean(scaled[rows] <= 1.0)) if stated else float("nan"),
+                    limits=limits(*_by_config(scaled <= 1.0, rows, config), doubt) if stated else (0.0, 1.0),
+                    reach=float(np.quantile(scaled[rows], _PROMISED)) if stated else float("nan"),
                     bound=_rms(bound[rows]),
                 )
             )
     return found
+
+
+def _by_config(inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
+    """Return how many displacements (L, P) of each configuration are inside, and how many there are, of some rows."""
+    there = np.bincount(config, weights=rows.sum(axis=1))
+    return np.bincount(config, weights=(inside & rows).sum(axis=1))[there > 0.0], there[there > 0.0]
+
+
+def limits(inside: Array, there: Array, doubt: float) -> tuple[float, float]:
+    """Return between which limits the share inside of all displacements is, from those of some configurations.
+
+    :param inside: (C,) how many displacements of each are inside, of `there` (C,).
+    :param doubt: probability with which the share is below the lower limit, and above the upper one.
+    """
+    from scipy.special import betaincinv, stdtrit
+
+    configs, count = len(there), float(there.sum())
+    share = float(inside.sum()) / count
+    if configs < 2:
+        return 0.0, 1.0
+    scatter = configs / (configs - 1.0) * float(np.sum((inside - share * there) ** 2)) / count**2
+    number = float(configs)  # all alike: each configuration is one displacement
+    if scatter > 0.0:
+        fewer = (stdtrit(count - 1.0, doubt) / stdtrit(configs - 1.0, doubt)) ** 2
+        number = min(count, fewer * share * (1.0 - share) / scatter)
+    good, bad = share * number, (1.0 - share) * number
+    low = betaincinv(good, bad + 1.0, doubt) if good > 0.0 else 0.0
+    high = betaincinv(good + 1.0, bad, 1.0 - doubt) if bad > 0.0 else 1.0
+    return float(low), float(high)
 
 
 def _rms(values: Array) -> float:
@@ -190,14 +268,16 @@ def table(result: Validation) -> str:
     """Return the comparison as a table for a terminal."""
     lines = [
         result.line,
-        f"{'load N':>8}{'measured mm':>13}{'left mm':>9}{'noise mm':>10}{'bound mm':>10}{'factor':>8}{'inside':>8}",
+        f"{'load N':>8}{'measured mm':>13}{'left mm':>9}{'noise mm':>10}{'bound mm':>10}{'factor':>8}{'inside':>8}{'of all':>14}",
     ]
     for level in result.levels:
         lengths = "".join(
             f"{value * MM_PER_M:{width}.3f}"
             for value, width in ((level.measured, 13), (level.left, 9), (level.noise, 10), (level.bound, 10))
         )
-        inside = "–" if np.isnan(level.inside) else f"{level.inside:.0%}"
+        inside, of_all = "–", "–"
+        if not np.isnan(level.inside):
+            inside, of_all = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
         factor = f"{'' if level.told_from_noise else '> '}{level.factor:.3g}"
-        lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}")
+        lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}{of_all:>14}")
     return "\n".join(lines)

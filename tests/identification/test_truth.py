@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from postproc.identification.linearised import Linearised
 from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
 from postproc.identification.structure import Structure
-from postproc.identification.validation import ValidatedLevel, Validation, table, validate
+from postproc.identification.validation import ValidatedLevel, Validation, limits, table, validate
 from samples.paper_study import harness, simulator
 from tests.benchmarks import truth
 from tests.dialects.gcode_reading import read as gcode_read
@@ -225,15 +226,76 @@ def test_readings_that_a_model_was_identified_from_do_not_validate_it(tmp_path):
     simulator.write(tmp_path / "new", q, f, raw, truth.SIGMA)
     alone = validated(tmp_path / "model", tmp_path / "new" / "measurements.csv", own[1])
     assert alone.exit_code == 0, alone.output
-    assert "on 6 configurations" in alone.output
+    assert "of 6 configurations" in alone.output
     # a model that comes along is known by its name, and states no bound
     named = validated("kuka_kr270", *own)
     assert named.exit_code == 3
     assert named.output.startswith("the model states no bound")
 
 
+def validated_level(inside, limits, reach=0.9):
+    return ValidatedLevel(
+        load=600.0, measured=1e-3, left=70e-6, noise=70e-6, doubt=1e-10, inside=inside, limits=limits, reach=reach,
+        bound=3e-5,
+    )  # fmt: skip
+
+
+def test_limits_of_a_share_are_those_of_independent_displacements_and_wider_where_configurations_are_alike():
+    # one displacement a configuration: Clopper and Pearson's, by sums of binomial probabilities
+    inside = np.array([1.0] * 26 + [0.0] * 4)
+    low, high = limits(inside, np.ones(30), 0.05)
+    tail = [sum(math.comb(30, n) * p**n * (1 - p) ** (30 - n) for n in ns) for p, ns in (
+        (low, range(26, 31)), (high, range(27)))]  # fmt: skip
+    assert tail == pytest.approx([0.05, 0.05], abs=0.01)
+    # three displacements a configuration that are all inside or all outside tell no more than one
+    assert limits(3 * inside, np.full(30, 3.0), 0.05) == pytest.approx((low, high), abs=0.02)
+    # and if each is by itself, as many as there are
+    mixed = np.array([3.0] * 18 + [2.0] * 12)
+    alone = limits(mixed, np.full(30, 3.0), 0.05)
+    assert alone[1] - alone[0] < 0.75 * (high - low)
+    assert limits(np.full(15, 3.0), np.full(15, 3.0), 0.05) == pytest.approx((0.05 ** (1 / 15), 1.0))
+    assert limits(np.array([3.0]), np.array([3.0]), 0.05) == (0.0, 1.0)
+
+
+def test_a_bound_that_holds_is_seldom_refuted_and_one_that_does_not_is():
+    rng = np.random.default_rng(2)
+    refuted = {}
+    for share in (0.95, 0.6):
+        # all points of a configuration together, as its own error makes them
+        found = [limits(3.0 * (rng.random(15) < share), np.full(15, 3.0), 0.05) for _ in range(1000)]
+        refuted[share] = np.mean([high < 0.95 for _, high in found])
+    assert refuted[0.95] < 0.07, "5 % are meant"
+    assert refuted[0.6] > 0.9
+
+
+def test_the_verdict_says_what_the_readings_tell():
+    told = {
+        "holds": ((0.97, (0.8, 1.0)), (1.0, (0.78, 1.0))),
+        "can not tell": ((0.97, (0.8, 1.0)), (0.87, (0.6, 0.98))),
+        "too few": ((1.0, (0.3, 1.0)),),
+        "narrow": ((0.97, (0.8, 1.0)), (0.6, (0.4, 0.8), 1.6)),
+        "wrong": ((0.1, (0.0, 0.3), 7.0),),
+    }
+    line = {}
+    for name, found in told.items():
+        result = Validation(tuple(validated_level(*each) for each in found), 15, ())
+        assert result.holds == (name == "holds")
+        line[name] = result.line
+    assert line["holds"].startswith("the model holds: at 600 N 97%")
+    for name in ("can not tell", "too few"):
+        assert line[name].startswith("IT CAN NOT BE TOLD whether the model holds")
+    assert "87% of the displacements of 15 configurations are inside its bound, so that of all it is 60% to 98%" in line[
+        "can not tell"
+    ]
+    for name in ("narrow", "wrong"):
+        assert line[name].startswith("THE MODEL DOES NOT HOLD: at 600 N")
+    assert "count on 1.6 times u95" in line["narrow"]
+    assert "payload" not in line["narrow"]
+    assert "reach 7.0 times the bound" in line["wrong"]
+
+
 def test_a_factor_is_no_division_by_noise():
-    level = ValidatedLevel(load=600.0, measured=1e-3, left=70e-6, noise=70e-6, doubt=1e-10, inside=1.0, bound=3e-5)
+    level = validated_level(1.0, (0.8, 1.0))
     assert not level.told_from_noise
     assert level.factor == pytest.approx(1e-3 / np.sqrt(2e-10))
     clear = replace(level, left=np.hypot(70e-6, 50e-6))
