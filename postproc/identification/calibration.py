@@ -374,12 +374,32 @@ def _with_geometry(
     return msgspec.structs.replace(content, geometry=geometry, transmission=transmission)
 
 
+def contradictions(result: Geometry) -> list[str]:
+    """Return what of the springs does not fit the geometry: one that is weightless loads all gears with the weights.
+
+    Lost motion alone is turned over by the load, whatever the geometry describes.
+    """
+    content = result.content
+    if not result.sag or content.gravity.in_gears:
+        return []
+    bent = [name for name, spring in content.joints.items() if spring.stiffening or spring.knees or spring.backlash]
+    if not bent:
+        return []
+    return [
+        f"the geometry is that of a weightless robot, in which gears feel the weights too; those of {', '.join(bent)} "
+        "were identified as if they felt the load alone, and are predicted differently now. Identify them from a robot "
+        'whose model.toml says [gravity] reference = "rigid", or go without the geometry.'
+    ]
+
+
 def report_data(result: Geometry) -> record.Geometry:
     """Return the geometry as `identification.json` tells it."""
     entries = {}
     for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
         unit, factor = parameter.unit
         seen = parameter.name not in result.not_observable
-        entries[parameter.name] = record.Parameter(float(value * factor), float(half * factor), unit, observable=seen)
+        entries[parameter.name] = record.Parameter(
+            float(value * factor), float(half * factor), unit, observable=seen, determined=bool(half <= abs(value))
+        )
     variants = {name: record.Variant(fit * MM_PER_M, held * MM_PER_M) for name, (fit, held) in result.rms.items()}
     return record.Geometry(entries, result.sag, result.chosen, variants, result.u95 * MM_PER_M)

@@ -5,14 +5,17 @@ predicts configurations it was not fitted to. What is taken is no single one but
 that together they predict best what they have not seen (stacking: Breiman, Machine Learning 24, 1996): a bad fold does
 not decide between two that are alike, and as the model is linear in its parameters the mean is a model of the same
 kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), noise and scatter
-between configurations; and what all of them share, the pull of ridge and bounds. With rows D, ridge R and
-A = (DᵀD + R²)⁻¹ the posterior is A = A DᵀD A + A R² A. The first is the noise that the jackknife has seen; the second,
-the mean square of the pull where values spread as the ridge says, is added. Where gears do not bend, the posterior
-tells the noise as well as the jackknife does, which thirty configurations make uncertain by a quarter: the mean of both
-is taken. Where gears bend, which fading parts and knees stand for the real ones is open too, and the whole posterior is
-added: without the first part of it the bound of simulated robots whose gears no structure describes held for 0.92 of
-the places, of the worst robot for 0.43; with it for 0.96 and 0.62. Gears that bend are taken only if without them
-configurations left out are predicted worse.
+between configurations; and the posterior (DᵀD + R²)⁻¹ with rows D and a ridge R that also says that no spring is
+negative. Its part A DᵀD A is the noise that the jackknife has seen; the other, A R² A, the pull of ridge and bounds.
+
+Noise thus counts twice, on purpose. An error of the parameters is one and the same at all places that a robot works
+at: of robots whose intervals hold in 95 % one in twenty would be outside its bound at nearly all of them. That is what
+was seen of 28 simulated robots with 25 sets of readings each: of 700, 34 were inside at less than 0.6 of the places;
+counted twice, fewer than 10. Where neither gears bend nor configurations scatter by more than noise, the posterior
+stands for the jackknife too, which is its estimate from few configurations and uncertain by a quarter: those with too
+small a bound were outside. Springs at zero then count with what may hide behind that, which a jackknife sees as they
+come and go.
+Gears that bend are taken only if without them configurations left out are predicted worse.
 """
 
 from __future__ import annotations
@@ -45,6 +48,8 @@ _MOST_USUAL = 10.0
 """Standard deviation of a spring, in usual sizes, beyond which readings that hardly tell it do not push it."""
 _LEAST_WEIGHT = 0.02
 """Structures that weigh less are left out of the mean."""
+_SIGNIFICANCE = 3.29
+"""Standard deviations of χ² beyond which what is left is more than noise (one in a thousand)."""
 _CHANCE = 2.0
 """Standard errors by which what fits better is so by chance."""
 
@@ -145,6 +150,16 @@ class _Mix(Struct, frozen=True, eq=False):
     def error(self) -> float:
         """Mean of `by_config`."""
         return float(self.by_config.mean())
+
+    @property
+    def worth(self) -> float:
+        """How many numbers the readings had to tell: effective degrees of freedom of the mean."""
+        worth = [
+            weight * self.equations.worth(member.columns, member.ridge)
+            for weight, member in zip(self.weights, self.members, strict=True)
+            if weight > 0.0
+        ]
+        return float(sum(worth))
 
     def solve(self, without: Ints | None = None) -> Array:
         """Return the scaled parameters of the mean."""
@@ -309,11 +324,7 @@ def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
         unwhiten(w, left.reshape(shape)),
         onto @ influence / scale[:, None],
         mix.bends,
-        sum(
-            weight * equations.worth(member.columns, member.ridge)
-            for weight, member in zip(mix.weights, mix.members, strict=True)
-            if weight > 0.0
-        ),
+        mix.worth,
     )
 
 
@@ -323,23 +334,39 @@ def _uncertain(mix: _Mix, without: Array) -> tuple[Array, Array]:
     :param without: (C, p) the mean when each configuration is left out.
     """
     equations, configs = mix.equations, len(without)
-    apart = without - without.mean(axis=0)
-    covariance = (1.0 if mix.bends else 0.5) * (configs - 1) / configs * apart.T @ apart
-    influence = np.zeros((without.shape[1], len(equations.target)))
+    posterior, influence = np.zeros((without.shape[1],) * 2), np.zeros((without.shape[1], len(equations.target)))
+    by_noise_alone = not (mix.bends or _scatters(mix))
     for weight, member in zip(mix.weights, mix.members, strict=True):
         if weight > 0.0:
             found = equations.solve(member.columns, member.ridge)
-            on = np.flatnonzero(found != 0.0)
-            # no spring is negative: what the readings leave open of one is no more than about its value
-            about = np.divide(1.0, found, out=np.zeros_like(found), where=(found > 0.0) & (equations.firm == 0.0))
-            pull = np.hypot(member.ridge, about)
-            inverse = np.linalg.inv(equations.normal(on, pull))
-            # what noise does: told by the jackknife, and without bends one half of it by the posterior
-            share = inverse if mix.bends else 0.5 * (inverse + (inverse * pull[on] ** 2) @ inverse)
-            covariance[np.ix_(on, on)] += weight * share
-            rows = equations.design[:, on] / equations.scale[on] * equations.weight[:, None]
-            influence[on] += weight * inverse @ rows.T
-    return covariance, influence
+            # a jackknife sees springs come and go; where there is none, what may hide behind zero counts too
+            columns = member.columns if by_noise_alone else np.flatnonzero(found != 0.0)
+            inverse = np.linalg.inv(equations.normal(columns, _pull(equations, member, found)))
+            posterior[np.ix_(columns, columns)] += weight * inverse
+            rows = equations.design[:, columns] / equations.scale[columns] * equations.weight[:, None]
+            influence[columns] += weight * inverse @ rows.T
+    if by_noise_alone:
+        return 2.0 * posterior, influence
+    apart = without - without.mean(axis=0)
+    return posterior + (configs - 1) / configs * apart.T @ apart, influence
+
+
+def _scatters(mix: _Mix) -> bool:
+    """Return whether the mean leaves more than noise does by chance once in a thousand."""
+    left = mix.equations.left(mix.solve())
+    squares, free = float(np.sum(mix.equations.weight * left**2)), np.count_nonzero(left) - mix.worth
+    return bool(squares > free + _SIGNIFICANCE * np.sqrt(2.0 * free))
+
+
+def _pull(equations: Linearised, member: _Member, found: Array) -> Array:
+    """Return the ridge (p,) with which the posterior of a structure is taken: also that no spring is negative.
+
+    What the readings leave open of a spring is then no more than about its value; of one that is zero, no more than one
+    over the slope with which they push it there: the standard deviation of an exponential distribution.
+    """
+    slope = equations.slope(found, member.ridge)
+    held = np.divide(1.0, found, out=np.maximum(slope, 0.0), where=found > 0.0)
+    return np.hypot(member.ridge, np.where(equations.firm == 0.0, held, 0.0))
 
 
 def _table(mix: _Mix) -> tuple[Candidate, ...]:

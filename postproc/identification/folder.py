@@ -21,6 +21,8 @@ from postproc.identification.readings import read
 from postproc.identification.report_data import report_data
 from postproc.robot import RobotModel
 
+_NOT_DETERMINED = "   (not determined: the interval is larger than the value)"
+
 
 class Choices(Struct, frozen=True, kw_only=True):
     """What is identified, and how.
@@ -95,7 +97,12 @@ def identify_folder(
     if choices.geometry:
         progress("geometry")
         found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
-        content, data = found.content, msgspec.structs.replace(data, geometry=calibration.report_data(found))
+        content = found.content
+        data = msgspec.structs.replace(
+            data,
+            geometry=calibration.report_data(found),
+            warnings=[*data.warnings, *calibration.contradictions(found)],
+        )
     model_folder.write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
 
@@ -132,7 +139,7 @@ def geometry_folder(
         points=describe_points(found.placement, data.points),
         unloaded_rms_mm=found.placement.rms * MM_PER_M,
         outliers=left_out,
-        warnings=[f"outlier: {name}" for name in left_out],
+        warnings=[*(f"outlier: {name}" for name in left_out), *calibration.contradictions(found)],
     )
     model_folder.write(output, found.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))
@@ -143,21 +150,17 @@ def summary(data: record.Identified) -> str:
     lines = [] if data.verdict is None else [data.verdict.line]
     for name, entry in (data.parameters or {}).items():
         half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
-        mark = "" if entry.observable else "   (prior: not observable)"
-        if entry.source == record.ABOUT_THE_PRIOR:
+        mark = _NOT_DETERMINED if entry.determined is False else ""
+        if not entry.observable:
+            mark = "   (prior: not observable)"
+        elif entry.source == record.ABOUT_THE_PRIOR:
             mark = f"   (about the prior's {entry.prior:.4g})"
-        elif entry.determined is False:
-            mark = "   (not determined: the interval is larger than the value)"
         lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
     if data.parameters:
         lines.append(f"{robots.WITH_LINKS}: the intervals are of that sum")
     if data.structure is not None:
         lines.append(data.structure.reason)
-    lines += [
-        f"on configurations left out, {level.load_N:.0f} N: {level.held_out_mm:.3f} mm RMS, of which "
-        f"{level.noise_mm:.3f} noise; 95 % of what the model does not explain below {level.u95_mm:.3f} mm"
-        for level in data.discrepancy or ()
-    ]
+    lines += [level.line for level in data.discrepancy or ()]
     if data.torque_Nm is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
         lines.append(f"the loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated")
@@ -169,7 +172,9 @@ def summary(data: record.Identified) -> str:
         )
     if data.geometry is not None:
         for name, entry in data.geometry.parameters.items():
-            mark = "" if entry.observable else "   (not narrowed by the readings)"
+            mark = _NOT_DETERMINED if entry.determined is False else ""
+            if not entry.observable:
+                mark = "   (not narrowed by the readings)"
             lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")
         for label, rms in data.geometry.variants.items():
             mark = "  <- chosen" if label == data.geometry.chosen else ""

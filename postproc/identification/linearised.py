@@ -106,6 +106,11 @@ class Linearised(Struct, frozen=True, eq=False, dict=True):
         values[columns[:free]] = np.linalg.solve(factor.T[:free, :free], left[:free] - factor.T[:free, free:] @ found)
         return values
 
+    def slope(self, values: Array, ridge: Array) -> Array:
+        """Return half the derivatives (p,) of the squares and the ridge by scaled parameters."""
+        square, right = self._whole
+        return np.asarray(square @ values - right + (ridge**2 + self.firm**2) * values)
+
     def worth(self, columns: Ints, ridge: Array) -> float:
         """Return the effective degrees of freedom of a fit: tr (DᵀD + R²)⁻¹DᵀD of the parameters that are not zero."""
         on = np.flatnonzero(self.solve(columns, ridge) != 0.0)

@@ -30,7 +30,13 @@ from postproc.identification.plausibility import check_frames, check_loads, chec
 from postproc.identification.serial import fit_serial
 from postproc.identification.stated_errors import with_stated_errors
 from postproc.identification.trust import judge
-from postproc.robot import JOINT_COMPLIANCES, RobotModel
+from postproc.robot import (
+    JOINT_COMPLIANCES,
+    CompensatorPreload,
+    CompensatorSize,
+    CompensatorStiffness,
+    RobotModel,
+)
 
 Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
@@ -151,11 +157,19 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
 
 
 def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
-    """Return what a fit with more springs leaves open: joints that no load reaches.
+    """Return what a fit with more springs leaves open: joints that no load reaches, and the compensator's spring.
 
     What the fit of joint springs alone said of other parameters, it said of a model that was given up.
     """
-    return [entry for entry in missing if entry.parameter in JOINT_COMPLIANCES and entry.parameter not in fit.given]
+    joints = [entry for entry in missing if entry.parameter in JOINT_COMPLIANCES and entry.parameter not in fit.given]
+    if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.given:
+        return joints
+    advice = "Take it from the drawing of the compensator."
+    if CompensatorSize() in fit.given:
+        reason = "what gears feel at rest tells the size of its torque, put down to K_c here"
+        return [*joints, NotObservable(CompensatorPreload(), reason, advice)]
+    reason = "beside springs of links its effect on joint 2 is too small"
+    return [*joints, NotObservable(CompensatorStiffness(), reason, advice)]
 
 
 class _Joints(Struct, frozen=True, eq=False):

@@ -80,6 +80,10 @@ class Residual(Struct, frozen=True):
     per_configuration: list[OfConfiguration]
 
 
+_LEAST_MM = 1e-3
+"""What is less is told as nothing."""
+
+
 class Unexplained(Struct, frozen=True):
     """What the model was off by on configurations left out, at a level of loads: RMS distances, and a 95 % bound."""
 
@@ -88,6 +92,16 @@ class Unexplained(Struct, frozen=True):
     noise_mm: float
     own_mm: float
     u95_mm: float
+
+    @property
+    def line(self) -> str:
+        """The level in words."""
+        beyond = f"it is off by up to {self.u95_mm:.3f} mm (95 %)" if self.u95_mm >= _LEAST_MM else "nothing is seen"
+        return (
+            f"on configurations left out, {self.load_N:.0f} N: the model misses the middle of the points by "
+            f"{self.held_out_mm:.3f} mm RMS, {self.noise_mm:.3f} of it noise and {self.own_mm:.3f} what the readings "
+            f"leave open of the springs; beyond that {beyond}"
+        )
 
 
 class Missing(Struct, frozen=True):

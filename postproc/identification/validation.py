@@ -118,15 +118,15 @@ class Validation(Struct, frozen=True, eq=False):
         worst = min(refuted or self.levels, key=lambda level: level.inside)
         low, high = worst.limits
         share = (
-            f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {self.configurations} configurations are "
-            f"inside its bound, so that of all it is {low:.0%} to {high:.0%}"
+            f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {self.configurations} configurations "
+            f"are inside its bound, so that of all it is {low:.0%} to {high:.0%}"
         )
         if self.holds:
             return f"the model holds: {share}"
         if not refuted:
             return (
-                f"IT CAN NOT BE TOLD whether the model holds: {share}, and {_PROMISED:.0%} are promised. The readings do "
-                "not contradict it; more configurations can tell."
+                f"IT CAN NOT BE TOLD whether the model holds: {share}, and {_PROMISED:.0%} are promised. The readings "
+                "do not contradict it; more configurations can tell."
             )
         widest = max(level.reach for level in refuted)
         if widest < _NARROW:
@@ -136,8 +136,8 @@ class Validation(Struct, frozen=True, eq=False):
             )
         else:
             why = (
-                f"The errors reach {widest:.1f} times the bound: the robot does something that the model does not know, "
-                "or it is not this robot, with this payload and these loads."
+                f"The errors reach {widest:.1f} times the bound: the robot does something that the model does not "
+                "know, or it is not this robot, with this payload and these loads."
             )
         return f"THE MODEL DOES NOT HOLD: {share}, and {_PROMISED:.0%} are promised. {why}"
 
@@ -212,8 +212,8 @@ def _levels(robot: RobotModel, data: Measurements, placement: Placement, fresh: 
 
 def _by_config(inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
     """Return how many displacements (L, P) of each configuration are inside, and how many there are, of some rows."""
-    there = np.bincount(config, weights=rows.sum(axis=1))
-    return np.bincount(config, weights=(inside & rows).sum(axis=1))[there > 0.0], there[there > 0.0]
+    there, good = (np.bincount(config, weights=each.sum(axis=1)) for each in (rows, inside & rows))
+    return np.asarray(good[there > 0.0], dtype=float), np.asarray(there[there > 0.0], dtype=float)
 
 
 def limits(inside: Array, there: Array, doubt: float) -> tuple[float, float]:
@@ -268,7 +268,8 @@ def table(result: Validation) -> str:
     """Return the comparison as a table for a terminal."""
     lines = [
         result.line,
-        f"{'load N':>8}{'measured mm':>13}{'left mm':>9}{'noise mm':>10}{'bound mm':>10}{'factor':>8}{'inside':>8}{'of all':>14}",
+        f"{'load N':>8}{'measured mm':>13}{'left mm':>9}{'noise mm':>10}{'bound mm':>10}{'factor':>8}"
+        f"{'inside':>8}{'of all':>14}",
     ]
     for level in result.levels:
         lengths = "".join(

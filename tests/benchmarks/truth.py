@@ -55,6 +55,7 @@ class Row:
     :param payload: on the flange [kg].
     :param at_rest: (share, share) by which the masses of the links, and the compensator, are not as the prior states.
     :param more: lines of experiment.toml.
+    :param robots: at least so many: what is asked of the worst robot and of a quantile, few can not tell.
     :param wants: least factor of all robots, median, share inside, share inside of the worst, largest u95 ratio.
     """
 
@@ -72,13 +73,14 @@ class Row:
     at_rest: tuple[float, float] = (0.0, 0.0)
     tails: bool = False
     more: str = ""
+    robots: int = 0
     wants: dict[str, float] = field(default_factory=dict)
 
 
 PAYLOAD = "\n[payload]\nmass_kg = 150\nX = -100\nY = 50\nZ = 200\n"
 LOAD_2_PERCENT = "load_error_percent = 2\n"
 ROWS = (
-    Row("hard", wants={"least": 40, "median": 120, "inside": 0.93, "worst": 0.6}),
+    Row("hard", robots=40, wants={"least": 40, "median": 120, "inside": 0.93, "worst": 0.6}),
     Row("hard, one load level", levels=(1.0,), wants={"inside": 0.93}),
     Row("hard, 15 poses", poses=15, wants={"inside": 0.93}),
     Row("knee at 8 % of the torque", knee=0.08, wants={"least": 15, "inside": 0.9}),
@@ -99,8 +101,15 @@ ROWS = (
     Row("payload of 150 kg, stated", payload=150.0, more=PAYLOAD, wants={"least": 60}),
     Row("masses off by 20 %, K_c by 10 %", at_rest=(0.2, 0.1), wants={"inside": 0.9}),
     Row("heavy tails of the noise", tails=True, wants={"least": 40, "inside": 0.93}),
-    Row("the model fits: joint springs", kinds=({},), poses=15, levels=(1.0,), wants={"inside": 0.9, "ratio": 1.6}),
-    Row("the model fits: springs of links", kinds=FITS, wants={"inside": 0.9, "ratio": 1.6}),
+    Row(
+        "the model fits: joint springs",
+        kinds=({},),
+        poses=15,
+        levels=(1.0,),
+        robots=40,
+        wants={"inside": 0.9, "ratio": 1.6},
+    ),
+    Row("the model fits: springs of links", kinds=FITS, robots=40, wants={"inside": 0.9, "ratio": 1.6}),
 )
 
 
@@ -199,7 +208,8 @@ def told(row: Row, found: list[dict[str, Any]]) -> str:
 def main(robots: int, part: str, verbose: bool) -> None:
     """Print the table."""
     print(
-        f"{robots} robots a row\n{'':34}{'factor':>7}{'':8}{'inside u95':>12}{'u95 to':>12}{'95 % of':>9}"
+        f"{robots} robots a row, 40 where the worst or a quantile is asked for\n"
+        f"{'':34}{'factor':>7}{'':8}{'inside u95':>12}{'u95 to':>12}{'95 % of':>9}"
         f"{'not to be':>10}{'failed':>6}{'CPU':>8}\n{'':34}{'least':>7}{'median':>8}{'mean':>8}{'worst':>8}{'error':>8}"
         f"{'err. µm':>9}{'trusted':>8}{'':8}{'s':>8}",
         flush=True,
@@ -207,7 +217,8 @@ def main(robots: int, part: str, verbose: bool) -> None:
     with ProcessPoolExecutor(2) as pool:
         for row in ROWS:
             if part in row.name:
-                found = list(pool.map(tried, [row] * robots, range(robots)))
+                count = max(robots, row.robots)
+                found = list(pool.map(tried, [row] * count, range(count)))
                 if verbose:
                     for one in found:
                         if "failed" in one:

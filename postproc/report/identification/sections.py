@@ -34,7 +34,7 @@ from postproc.robot.parameters import named
 _GOOD, _ROUGH, _KNOWN = 0.1, 0.5, 1.0
 """Half width of an interval as a share of the value: up to which it is well, roughly, and barely known."""
 _LEAST, _LARGE = 1e-3, 1e5
-_FLOOR_MM, _LEAST_MM = 1e-5, 1e-3
+_FLOOR_MM = 1e-5
 _SPRINGS = (
     "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
     f"{WITH_LINKS}: the intervals are of that sum. Springs of links that lie alike in the chain are determined "
@@ -52,14 +52,7 @@ def verdict(told: Identified) -> Section | None:
         part = Verdict("failed", "Not to be trusted.", f"{reason[:1].upper()}{reason[1:].rstrip('.')}.")
     else:
         part = Verdict("ok", "May be used,", "within its bound.")
-    notes = [
-        Note(
-            f"On configurations left out, {level.load_N:.0f} N: {level.held_out_mm:.3f} mm RMS, of which "
-            f"{level.noise_mm:.3f} mm noise; 95 % of what the model does not explain is below "
-            f"{max(level.u95_mm, _LEAST_MM):.3f} mm."
-        )
-        for level in told.discrepancy or ()
-    ]
+    notes = [Note(f"{level.line[:1].upper()}{level.line[1:]}.") for level in told.discrepancy or ()]
     if told.torque_Nm is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in told.torque_Nm)
         notes.append(Note(f"The loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated."))
