@@ -37,15 +37,21 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     something to do by itself, is a program of its own.
     """
     files = {path: _file(path) for path in paths}
-    by: dict[Path, list[Path]] = {
-        path: [other for other in paths if other != path and not own.gives.isdisjoint(files[other].calls)]
-        for path, own in files.items()
-    }
+    calling: dict[bytes, list[Path]] = {}
+    for path, file in files.items():
+        for name in file.calls:
+            calling.setdefault(name, []).append(path)
+    by: dict[Path, list[Path]] = {}
+    called: dict[Path, list[Path]] = {path: [] for path in paths}
+    for path, file in files.items():
+        others = {other for name in file.gives for other in calling.get(name, ())} - {path}
+        by[path] = sorted(others)
+        for other in others:
+            called[other].append(path)
     reached = {path for path in paths if not by[path]}
     waiting = list(reached)
     while waiting:
-        caller = waiting.pop()
-        found = {path for path, others in by.items() if caller in others} - reached
+        found = set(called[waiting.pop()]) - reached
         reached |= found
         waiting += found
     return {path: others for path, others in by.items() if others and path in reached}
