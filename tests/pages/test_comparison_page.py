@@ -33,6 +33,7 @@ def test_page_draws_its_plots_without_network_and_fits_the_screen(browser, compa
         lines = page.locator("#worst [data-source-line]")
         assert lines.first.get_attribute("data-source-line") == str(content["largest"][0]["nominal_line"])
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.locator("#along .xtitle").all_text_contents() == ["pair of targets, in the order of pocket.nc"] * 2
         _all_views_show_the_place_of_a_row(page)
         if width > 1000:
             _keys_and_clicks_choose_a_place(page)

@@ -258,8 +258,7 @@ def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: N
     curves = [
         Curve(order, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
     ]
-    counted_on = ", counted on over its files" if nominal.several else ""
-    x = Axis(title=f"line of {nominal.main}{counted_on}")
+    x = Axis(title=f"pair of targets, in the order of {nominal.main}")
     parts: list[Part] = [
         Plot(label="Offset in X, Y, Z along the program", traces=[*curves], x=x, y=Axis(title="offset, mm"))
     ]

@@ -92,11 +92,11 @@ const plots = (() => {
     return plot.x.logarithmic ? Math.log(at / low) / Math.log(high / low) : (at - low) / (high - low);
   }
 
-  const LINE = 15; // pixels
-  const NARROW = 560; // pixels
+  const [LINE, PAGE] = [15, 900]; // pixels
+  const NARROW = 14; // pixels for a letter of a name beside a plot
   function figure(plot, width) {
     const square = plot.traces.some(({ type }) => type === "matrix");
-    const layout = theme.layout({ showlegend: plot.traces.filter(({ name }) => name).length > 1 });
+    const layout = theme.layout({ height: theme.printing ? Math.min(plot.height, PAGE) : plot.height, showlegend: plot.traces.filter(({ name }) => name).length > 1 });
     const upright = plot.marks.filter(({ level }) => !level); // their texts stand in lines above the plot, the legend above them
     const wide = plot.traces.reduce((sum, { name }) => sum + (name ? 7 * name.length + 45 : 0), 0);
     layout.margin.t = LINE * (upright.length + layout.showlegend * 1.3 * Math.ceil(wide / width)) + 12;
@@ -131,12 +131,14 @@ const plots = (() => {
     return [data, layout];
   }
 
-  // Texts of lying bars begin where the bars do; in a narrow plot with the name of each before them, on lines of 45 letters.
+  // Texts of lying bars begin where the bars do; in a narrow plot with the name of each before them.
   function label({ y: { categories }, traces: [{ texts }] }, layout, width) {
-    const narrow = width < NARROW;
-    if (narrow) Object.assign(layout, { height: 70 * texts.length + 80, yaxis: { ...layout.yaxis, showticklabels: false } });
+    const narrow = width < NARROW * Math.max(...categories.map((name) => name.length));
+    const letters = Math.floor(width / 8);
+    const lines = Math.ceil(Math.max(...categories.map((name) => name.length)) / (letters - 12)) + 1;
+    if (narrow) Object.assign(layout, { height: LINE * (lines + 1) * texts.length + 80, yaxis: { ...layout.yaxis, showticklabels: false } });
     layout.annotations.push(...texts.map((text, i) => ({
-      text: narrow ? `${categories[i].replace(/(.{1,45})(\s|$)/g, "$1<br>")}${text}` : text, showarrow: false, font: { color: colour("ink"), size: narrow ? 11 : 12 },
+      text: narrow ? `${categories[i].replace(RegExp(`(.{1,${letters}})(\\s|$)`, "g"), "$1<br>")}${text}` : text, showarrow: false, font: { color: colour("ink"), size: narrow ? 11 : 12 },
       x: 0, xref: "paper", xanchor: "left", xshift: 4, y: i, yanchor: "middle", align: "left",
     })));
   }
@@ -183,8 +185,8 @@ const plots = (() => {
     const plot = JSON.parse(element.nextElementSibling.textContent);
     if (plot.traces.some(({ type }) => type === "lines")) { inSpace(element, plot); continue; }
     const draw = () => {
-      const [data, layout] = figure(plot, element.clientWidth);
-      element.style.height = `${layout.height ?? plot.height}px`;
+      const [data, layout] = figure(plot, theme.width(element));
+      element.style.height = `${layout.height}px`;
       return Plotly.react(element, data, layout, theme.config);
     };
     stage.add(element, () => draw().then(() => {

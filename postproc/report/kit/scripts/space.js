@@ -3,6 +3,7 @@
 // the pointer is found here: both are exact at once, where the library would have to draw its picture anew.
 const space = (() => {
   const NEAR = 10; // pixels from what is pointed at
+  const PAPER = 0.75; // height of a view on paper, of its width
   const LINES = 6; // of the box around, along its longest side
   const { projected } = camera;
 
@@ -114,7 +115,8 @@ const space = (() => {
     function prepare() {
       content = traces().filter(({ visible }) => visible !== false);
       box = camera.box(reach([...content, ...room()]));
-      size = camera.size(box, view.clientWidth, view.clientHeight);
+      const wide = theme.width(view);
+      size = camera.size(box, wide, theme.printing ? PAPER * wide : view.clientHeight);
       step = spacing(box);
     }
     const how = () => (drawn ? shownBy(view, box) : box && camera.seen(from, box, size, view.clientWidth, view.clientHeight));
@@ -152,6 +154,7 @@ const space = (() => {
     function draw() {
       prepare();
       Plotly.react(view, traces(), theme.layout({ margin: { l: 0, r: 0, t: 0, b: 0 }, hovermode: false, uirevision: 1,
+        height: theme.printing ? PAPER * theme.width(view) : undefined,
         scene: scene(box, size, step, from) }), theme.config);
       follow();
       if (theme.printing) over.expose(view);

@@ -2,6 +2,7 @@
 // Colours of the style sheet for what the plot library draws, and a way to hear that they have changed.
 const theme = (() => {
   const PAPER = 660; // width of a plot on paper, pixels: A4 and Letter with usual margins
+  const width = (element) => (printing ? PAPER : element.clientWidth);
   const heard = [];
   const light = document.styleSheets[0].cssRules[0].style; // the first rule of the style sheet
   let printing = false;
@@ -42,5 +43,5 @@ const theme = (() => {
   });
   const config = { responsive: true, displaylogo: false, displayModeBar: false,
     plotGlPixelRatio: Math.min(devicePixelRatio, 2) };
-  return { get printing() { return printing; }, colour, scales, scale, shade, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
+  return { get printing() { return printing; }, colour, width, scales, scale, shade, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
 })();
