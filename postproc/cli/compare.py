@@ -14,7 +14,11 @@ _PATH = click.Path(path_type=Path)
 @click.argument("nominal", type=_PATH)
 @click.argument("corrected", type=_PATH)
 @click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances.")
-@click.option("--forces", type=_PATH, help="File of cutting forces (CSV, or what a package adds), by lines of NOMINAL.")
+@click.option(
+    "--forces",
+    type=_PATH,
+    help="File of cutting forces (CSV, or what a package adds), by lines of NOMINAL, or process.toml.",
+)
 @click.option(
     "--keep-unresolved",
     is_flag=True,

@@ -15,6 +15,7 @@ from postproc.comparison import compare
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
+from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
 from postproc.jobs.conversion import read_program
 from postproc.jobs.job import Job
@@ -44,7 +45,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     :param nominal: the program as it should be cut: G-code, or a robot program.
     :param corrected: the robot program that is compared with it.
     :param cell: cell file.
-    :param forces: CSV file of cutting forces, by lines of the nominal program.
+    :param forces: CSV file of cutting forces, by lines of the nominal program, or process.toml they are computed from.
     :param output: folder to write into; None = a folder `corrected` beside the nominal program.
     :param keep_unresolved: read motions of KRL that only the running robot knows, and tell that they are not compared.
     :param overwrite: replace files that postproc did not write.
@@ -105,7 +106,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     protect(request.reads(), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, record))
-    source = None if request.forces is None else forces.read(request.forces)
+    source = _source(request, cell)
     found = compare(nominal, corrected, robot, cell, source)
     made = _made_from(request, cell, robot, nominal, corrected)
     content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
@@ -120,6 +121,15 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
     written = write_whole(folder, with_record(contents, record, rendered))
     return ComparisonFiles(EXCEEDED if content["verdict"]["state"] == "failed" else GOOD, content, tuple(written))
+
+
+def _source(request: CompareRequest, cell: Cell) -> ForceSource | None:
+    """Return the forces of the nominal program: from a file, or computed from a process.toml."""
+    if request.forces is None or request.forces.suffix.lower() != ".toml":
+        return None if request.forces is None else forces.read(request.forces)
+    from postproc.jobs import process_forces  # what a cutter does is imported with it
+
+    return process_forces.read(request.forces, cell)
 
 
 def _refuse_part(path: Path, program: Program) -> None:
@@ -193,7 +203,7 @@ def _written_again(
     cell = as_stated(cell, settings)
     read_as, to = (registry.of_file(path).name for path in (request.nominal, request.corrected))
     job = Job(request.nominal, read_as, request.corrected.parent, request.forces, name, to)
-    source = None if request.forces is None else forces.read(request.forces)
+    source = _source(request, cell)
     program = read_program(request.nominal, robot, cell, name=None if job.keeps_text else name)
     linearize = settings.linearize_arcs
     result = correction.process(program, robot, cell, source, settings.mode, linearize_arcs=linearize, to=job.to)

@@ -188,3 +188,13 @@ def test_the_row_between_counts_a_calibrated_geometry():
         rows = [row for row in csv.DictReader(file) if float(row["t"]) < 1.0 and row["rapid"] == "0"]
     largest = max(float(row["before_mm"]) for row in rows)
     assert content["between"]["nominal_max_mm"] > 0.999 * largest > 0.3
+
+
+def test_a_program_corrected_for_a_process_is_compared_under_its_forces():
+    nominal, process = (str(SAMPLES / name) for name in ("plate.nc", "plate.process.toml"))
+    run("convert", nominal, "--process", process, "-o", "out")
+    arguments = ("compare", nominal, "out/plate.src", "--forces", process, "-o", "found", "--json")
+    content = json.loads(run(*arguments, codes=(0,)))
+    assert content["verdict"]["state"] == "ok"
+    assert content["provenance"]["made_from_these"]["force file"] is True
+    assert content["cut"]["corrected"]["max_mm"] < 0.001 < 0.1 < content["cut"]["nominal"]["max_mm"]
