@@ -8,9 +8,8 @@ curve through corner − d·a, corner, corner + d·b).
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from msgspec import Struct
 
 from postproc import toolpath
 from postproc.cell import Cell
@@ -25,7 +24,7 @@ _PRINTED = 7
 _STEPS = np.array([1.0, 2.0, 5.0])
 
 
-class Corners(NamedTuple):
+class Corners(Struct, frozen=True):
     """The K targets of a path as corners.
 
     :ivar sharp: (K,) |b − a| = 2 sin(turn/2); 0 where nothing can be rounded: at PTP, at pieces of splines,

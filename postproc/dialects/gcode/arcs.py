@@ -12,8 +12,6 @@ An offset of zero across the plane (K0 in G17, as FreeCAD writes it), which Linu
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from msgspec import Struct
 
@@ -75,7 +73,7 @@ class ArcWords(Struct, frozen=True, eq=False):
         return np.array([PLANE_AXES[17.0], PLANE_AXES[18.0], PLANE_AXES[19.0]])[self.plane.astype(np.int64) - 17]
 
 
-class ArcFault(NamedTuple):
+class ArcFault(Struct, frozen=True):
     """What is wrong with arc n; `placed`: only if it starts where it is thought to start."""
 
     n: int

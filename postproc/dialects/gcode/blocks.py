@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.dialects.gcode.words import LIMIT, MARK
 
@@ -29,7 +30,7 @@ _CHARACTERS = {
 _O_ADVICE = "An O number stands alone in its line."
 
 
-class Fault(NamedTuple):
+class Fault(Struct, frozen=True):
     """Why a line cannot be read: its row, what is wrong there, what to do.
 
     `lost` is the block, where it is not known what it changes: positions, modes and feed may be others from there on.

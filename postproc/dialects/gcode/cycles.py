@@ -11,7 +11,8 @@ Without G98 or G99 holes return to the initial level, the higher of the two.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.dialects.gcode.blocks import BlockError
 from postproc.program import EventKind
@@ -23,7 +24,7 @@ _NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0:
 Point = tuple[float, float, float]
 
 
-class Step(NamedTuple):
+class Step(Struct, frozen=True):
     """A move of a cycle: 0 (rapid) or 1, its end in the plane and across it [mm], whether it turns round there."""
 
     code: float
@@ -31,7 +32,7 @@ class Step(NamedTuple):
     bottom: bool = False
 
 
-class CycleEvent(NamedTuple):
+class CycleEvent(Struct, frozen=True):
     """What happens in a cycle behind a number of its moves: a dwell [s], or the spindle."""
 
     behind: int

@@ -8,9 +8,10 @@ as they are, so that this costs little for a program whose subprograms are paths
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.blocks import BlockError, Fault
@@ -53,7 +54,7 @@ def executed(document: Document) -> Executed:
     return Executed(source, (document,), np.zeros(len(source), dtype=np.int64), line, line)
 
 
-class _Frame(NamedTuple):
+class _Frame(Struct, frozen=True):
     """A subprogram that is being executed: its label, whether LinuxCNC's kind, and where it was called.
 
     `again`: how often M98 calls it once more, from row `begin`.
@@ -194,7 +195,7 @@ class _Run:
         if frame.own:
             raise BlockError(f"M99 in O{frame.label} SUB", f"It ends with O{frame.label} ENDSUB.")
         if frame.again:
-            self.frames[-1] = frame._replace(again=frame.again - 1)
+            self.frames[-1] = replace(frame, again=frame.again - 1)
             self.row = frame.begin
             self.known.leave()
             self.known.enter(None)

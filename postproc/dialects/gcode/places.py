@@ -7,14 +7,15 @@ point.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.blocks import BlockError
 
 
-class Origin(NamedTuple):
+class Origin(Struct, frozen=True):
     """A change of the program frame: by G10, G52 or G92…; lengths in mm.
 
     :ivar axes: axis 0…2 → its word.
@@ -30,7 +31,7 @@ class Origin(NamedTuple):
     here: bool = False
 
 
-class Return(NamedTuple):
+class Return(Struct, frozen=True):
     """A line with G28, G30 or G53: the axes that it names, with their words [mm]."""
 
     row: int

@@ -13,7 +13,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.dialects.gcode import codes
@@ -24,7 +25,7 @@ from postproc.program import EventKind
 _SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
 
 
-class RowEvent(NamedTuple):
+class RowEvent(Struct, frozen=True):
     """An event of a line: row of the line, whether it follows the motion of that line, kind and value of `Event`."""
 
     row: int

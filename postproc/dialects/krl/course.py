@@ -16,14 +16,14 @@ from postproc.errors import ProgramError
 from postproc.program import Bools, Document
 
 
-class Lines(NamedTuple):
+class Lines(Struct, frozen=True):
     """Lines first … last of the course run one after the other."""
 
     first: int
     last: int
 
 
-class Kept(NamedTuple):
+class Kept(Struct, frozen=True):
     """A control structure on lines first … last of the course: what runs in it only the running robot knows."""
 
     first: int
@@ -41,27 +41,27 @@ class Occasion(NamedTuple):
     way: tuple[tuple[Place, int], ...]
 
 
-class Fork(NamedTuple):
+class Fork(Struct, frozen=True):
     """Behind a line branches follow of which one runs, and it is not known which."""
 
     line: int
     occasion: Occasion
 
 
-class Branch(NamedTuple):
+class Branch(Struct, frozen=True):
     """Behind a line one of the branches begins."""
 
     line: int
 
 
-class Join(NamedTuple):
+class Join(Struct, frozen=True):
     """Before the line behind this one branches meet; not `complete`: it may be that none of them runs."""
 
     line: int
     complete: bool
 
 
-class Enter(NamedTuple):
+class Enter(Struct, frozen=True):
     """The call on a line of the course: what follows, up to its `Leave`, runs in the routine."""
 
     line: int
@@ -69,7 +69,7 @@ class Enter(NamedTuple):
     routine: Routine
 
 
-class Leave(NamedTuple):
+class Leave(Struct, frozen=True):
     """The end of the routine that was entered last."""
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Source
@@ -18,7 +19,7 @@ _NEXT = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?
 _GLOBAL = re.compile(r"\bGLOBAL\b", re.IGNORECASE)
 
 
-class Declared(NamedTuple):
+class Declared(Struct, frozen=True):
     """A declared or initialised name.
 
     :ivar name: upper case.

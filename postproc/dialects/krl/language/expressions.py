@@ -7,6 +7,8 @@ import re
 from collections.abc import Callable
 from typing import NoReturn
 
+from msgspec.structs import replace
+
 from postproc.dialects.krl.language.brackets import beyond, matching, skip_blanks, split
 from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
@@ -145,7 +147,7 @@ def _in_brackets(source: Source, start: int, stop: int) -> tuple[Value, int]:
     value, end = parse(source, start + 1, close)
     if skip_blanks(source.text, end, close) < close or not isinstance(value, Number | Reference | Operation):
         return Opaque(start, close + 1), close + 1
-    return value._replace(start=start, stop=close + 1), close + 1
+    return replace(value, start=start, stop=close + 1), close + 1
 
 
 def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, int]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import NamedTuple
+
+from msgspec import Struct
 
 _TOKEN = re.compile(
     r"\"[^\"]*\"|'[BbHh][0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII
@@ -13,7 +14,7 @@ _TAG = re.compile(r"[ \t]*:")
 _OPEN = re.compile(r"[ \t]*\(")
 
 
-class Occurrence(NamedTuple):
+class Occurrence(Struct, frozen=True):
     """A name in a text.
 
     :ivar start: offset of its first character; `stop` the one behind its last.

@@ -6,7 +6,6 @@ import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from pathlib import PurePath
-from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -22,7 +21,7 @@ _PARAMETER = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*(?::[ 
 _INCOMPLETE = "Check that the file was transferred completely."
 
 
-class Parameter(NamedTuple):
+class Parameter(Struct, frozen=True):
     """A parameter of a routine; without ``:IN`` the routine may write what is given for it."""
 
     name: str

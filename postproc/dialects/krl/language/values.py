@@ -6,14 +6,13 @@ Offsets count characters from the beginning of the document.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
 
 
-class Number(NamedTuple):
+class Number(Struct, frozen=True):
     """A number.
 
     `integer` is True where it may be an INT: KRL divides two of these without a remainder.
@@ -25,7 +24,7 @@ class Number(NamedTuple):
     integer: bool = False
 
 
-class Word(NamedTuple):
+class Word(Struct, frozen=True):
     """An enumeration value (``#BASE``), a string with its quotes, TRUE or FALSE; upper case but for strings."""
 
     text: str
@@ -33,7 +32,7 @@ class Word(NamedTuple):
     stop: int
 
 
-class Reference(NamedTuple):
+class Reference(Struct, frozen=True):
     """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case.
 
     `element` is its text between the brackets and `inside` where that stands; `field` is all that follows the first
@@ -48,7 +47,7 @@ class Reference(NamedTuple):
     inside: tuple[int, int] = (0, 0)
 
 
-class Call(NamedTuple):
+class Call(Struct, frozen=True):
     """A function with the texts of its arguments' spans."""
 
     name: str
@@ -61,7 +60,7 @@ class Call(NamedTuple):
         return source.text[self.start : self.start + len(self.name)]
 
 
-class Chain(NamedTuple):
+class Chain(Struct, frozen=True):
     """Frames joined by the geometric operator ``:``."""
 
     operands: tuple[Value, ...]
@@ -69,7 +68,7 @@ class Chain(NamedTuple):
     stop: int
 
 
-class Operation(NamedTuple):
+class Operation(Struct, frozen=True):
     """Two numbers joined by ``+ - * /``; `left` is None where the operator is a sign."""
 
     operator: str
@@ -79,7 +78,7 @@ class Operation(NamedTuple):
     stop: int
 
 
-class Opaque(NamedTuple):
+class Opaque(Struct, frozen=True):
     """What is computed while the program runs: comparisons, logic, text."""
 
     start: int

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from postproc.cell import Cell
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Place
@@ -70,7 +72,7 @@ class Bas:
             return self.frames.numbered(self.frames.numbered(fresh, at, "$BASE", 0), at, "$TOOL", 1)
         if meant is None and (state.base != 0 or state.tool != 0):
             return self._no_frames(fresh, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
-        return fresh._replace(initial=frozenset(("$BASE", "$TOOL")))
+        return replace(fresh, initial=frozenset(("$BASE", "$TOOL")))
 
     def _no_frames(self, state: State, at: Place, why: str) -> State:
         return self.frames.unknown(self.frames.unknown(state, "$BASE", at, why), "$TOOL", at, why)

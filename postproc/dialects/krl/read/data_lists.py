@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Set
 
+from msgspec.structs import replace
+
 from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.known import Unread
@@ -75,7 +77,7 @@ def _declare(
     for one in names:
         if only is not None and one.name not in only:
             continue
-        name = _noted(variables, one._replace(public=one.public or shared), fill=fill)
+        name = _noted(variables, replace(one, public=one.public or shared), fill=fill)
         if one.value >= 0 and not (fill and name in variables):
             variables.initial.add(variables.scope.stored(one.name))
             variables.put(name, Unread(source, one.value, stop))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from msgspec.structs import replace
+
 from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
@@ -104,7 +106,7 @@ class MotionReader:
         :raises ProgramError: it is not understood.
         """
         state, _ = self._tail(at, LIN, start, stop)
-        return state._replace(block=word)
+        return replace(state, block=word)
 
     def stays(self, at: Place, word: str, start: int, stop: int) -> bool:
         """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import plain_lines, plain_settings
@@ -13,7 +12,7 @@ from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.program import Bools, Ints
 
 
-class Plain(NamedTuple):
+class Plain(Struct, frozen=True):
     """Plain lines of a text.
 
     :ivar motions: in parts.

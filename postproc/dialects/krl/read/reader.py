@@ -124,7 +124,7 @@ class _Reading(Struct, frozen=True, eq=False):
             raise together([*found, *more]) from None
         executed = main.executed(plain.moving)
         if not executed.all():
-            plain = plain._replace(motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])
+            plain = replace(plain, motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])
         if not executed.any() and not len(main.motions) and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."

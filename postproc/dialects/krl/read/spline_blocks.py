@@ -8,9 +8,9 @@ last one. SLIN and SCIRC are in it what they are elsewhere, the path of SPL is k
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.statements import SPLINES, word_at
@@ -24,7 +24,7 @@ from postproc.program import SPL, Bools, Motions
 _APPROXIMATED = re.compile(r"(?:C_SPL)?", re.IGNORECASE)
 
 
-class Opened(NamedTuple):
+class Opened(Struct, frozen=True):
     """A block that is open.
 
     :ivar line: of its first line.

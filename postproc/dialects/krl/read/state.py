@@ -6,7 +6,9 @@ Sources: KUKA's `BAS.SRC` (what #INITMOV, #CP_PARAMS, #FRAMES … set) and the s
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM
@@ -33,7 +35,7 @@ FIELDS = {
 """What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
 
 
-class State(NamedTuple):
+class State(Struct, frozen=True):
     """What is in force between two statements.
 
     :ivar base: row of `Frames.bases`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
@@ -63,7 +65,7 @@ class State(NamedTuple):
         """Return the state with other values, which are known."""
         initial = self.initial - {f"${name.upper()}" for name in fields}
         uncertain = tuple(one for one in self.uncertain if one[0] not in fields)
-        return self._replace(initial=initial, uncertain=uncertain, **fields)  # type: ignore[arg-type]
+        return replace(self, initial=initial, uncertain=uncertain, **fields)
 
 
 class Reasons:
@@ -81,7 +83,7 @@ class Reasons:
         if field in ("base", "tool"):
             return state.with_known(**{field: -len(self.errors)})
         known = state.with_known(**{field: getattr(state, field)})
-        return known._replace(uncertain=(*known.uncertain, (field, len(self.errors) - 1)))
+        return replace(known, uncertain=(*known.uncertain, (field, len(self.errors) - 1)))
 
     def refuse(self, state: State, fields: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state that are not known.

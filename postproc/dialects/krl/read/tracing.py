@@ -90,7 +90,7 @@ class Trace:
 
     def divide(self, step: Fork | Branch | Join) -> None:
         """Note that branches divide, begin or meet behind what was put down."""
-        self._steps.append(step._replace(line=self.count))
+        self._steps.append(replace(step, line=self.count))
 
     def mark(self) -> tuple[Any, ...]:
         """Return how far it is, for `back_to`."""

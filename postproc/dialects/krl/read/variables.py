@@ -115,10 +115,10 @@ class Variables:
     def _typed(self, name: str, number: Number) -> Known:
         kind = self.types.get(name)
         if kind == "REAL":
-            return number._replace(integer=False)
+            return replace(number, integer=False)
         if kind == "INT" and number.value != int(number.value):
             return Unknown("where it is rounded")
-        return number._replace(integer=number.value == int(number.value))
+        return replace(number, integer=number.value == int(number.value))
 
     def set_field(self, key: str, field: str, value: Known, where: str) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
@@ -318,7 +318,7 @@ class Variables:
             item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
             value = self.evaluate(source, item) if item is not None else None
             if isinstance(value, Number) and reference.field in _REAL:
-                value = value._replace(integer=False)
+                value = replace(value, integer=False)
         return value if value is not None else NOTHING
 
     def position(self, source: Source, value: Value | Known) -> Position | None:

@@ -28,7 +28,7 @@ _INDENT = re.compile(r"[ \t]*")
 _HEAD = re.compile(r"(GLOBAL[ \t]+)?(DEF[ \t]+)([A-Za-z_$][\w$]*)", re.IGNORECASE)
 
 
-class Folded(NamedTuple):
+class Folded(Struct, frozen=True):
     """The files of a program.
 
     :ivar documents: the `.src`, then changed files of routines that it calls.

@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from msgspec import Struct
+
 from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNAL
 from postproc.dialects.krl.language.source import Source
@@ -32,7 +34,7 @@ class Replacement(NamedTuple):
     text: str
 
 
-class Literal(NamedTuple):
+class Literal(Struct, frozen=True):
     """An aggregate of numbers in a text.
 
     :ivar text: the file.
