@@ -40,7 +40,8 @@ _ROWS = """typeof stage !== 'undefined' && (() => {
   return document.querySelector('#place dd')?.textContent === row.dataset.sourceLine;
 })()"""
 _PICTURE = "document.querySelector('#view3d svg.over circle') !== null"
-_TURNED = "document.querySelector('#view3d svg.over text').getAttribute('x') !== window.before"
+_MARK = "document.querySelector('#view3d svg.over circle').getAttribute('cx')"
+_TURNED = f"{_MARK} !== window.before"
 _ALL = "stage.empty && document.querySelector('#view3d .sketch') === null"
 _PATH = "selection.place !== null && selection.place !== window.before"
 
@@ -106,7 +107,7 @@ def opening(path: Path) -> dict[str, tuple[float, float]]:
                 break
         page.wait_for_function("selection.chosen !== window.before")
         reached("path")
-        page.evaluate("window.before = document.querySelector('#view3d svg.over text').getAttribute('x')")
+        page.evaluate(f"window.before = {_MARK}")
         page.mouse.down()
         page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.7 * box["height"], steps=4)
         page.mouse.up()
