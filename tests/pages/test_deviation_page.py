@@ -292,6 +292,15 @@ def test_every_picture_has_a_text_alternative(page):
     assert page.locator("table:not(:has(caption))").count() == 0
 
 
+def test_what_is_not_drawn_yet_says_so(browser, results):
+    with opened(browser, results / "pocket.report.html") as page:
+        assert not page.locator(".waiting").count()
+        assert page.evaluate(
+            "(() => { const e = document.createElement('div'); document.body.append(e); stage.add(e, () => {});"
+            "return [e.className, getComputedStyle(e, '::before').content] })()"
+        ) == ["waiting", '"is drawn in a moment"']
+
+
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_phone_shows_it_without_scrolling_sideways(browser, results, dark):
     with opened(browser, results / "pocket.report.html", width=420, height=900, dark=dark) as page:
@@ -305,11 +314,14 @@ def test_a_phone_shows_it_without_scrolling_sideways(browser, results, dark):
         )
 
 
-def test_on_paper_the_controls_are_gone_and_the_path_is_there(browser, results):
+def test_on_paper_the_path_is_there_with_what_was_chosen_for_it(browser, results):
     with opened(browser, results / "pocket.report.html", dark=True) as page:
         assert len(page.pdf(format="A4")) > 50_000
         page.emulate_media(media="print")
-        assert not page.locator("#view3d-controls").is_visible()
+        told = page.locator("#view3d-controls label").filter(visible=True).all_inner_texts()
+        assert [" ".join(text.split()) for text in told[1:]] == ["tool without correction", "commanded path", "by 20 ×"]
+        assert page.locator("#view3d-colour").input_value() == "before"
+        assert not page.locator("#view3d-controls").locator("button, input").filter(visible=True).count()
         picture = page.locator("#view3d img.only-print")
         assert picture.is_visible()
         assert picture.evaluate("(image) => image.naturalWidth") > 300

@@ -9,9 +9,9 @@
   const MOST = 8000;
   const dense = points > MOST; // overlays would hide the path
   const paths = {
-    b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before", dash: "solid" },
-    ...(places.compared && { a: { title: "tool with the program as written", colour: "after", dash: "solid" } }),
-    ...(places.compared && { c: { title: "commanded path", colour: "correction", dash: "dash" } }),
+    b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before" },
+    ...(places.compared && { a: { title: "tool with the program as written", colour: "after" } }),
+    ...(places.compared && { c: { title: "commanded path", colour: "correction" } }),
   };
   const [low, high] = space.reach([drawn]);
   const extent = Math.max(...high.map((value, r) => value - low[r]), 1e-6);
@@ -131,7 +131,7 @@
     ];
     for (const [prefix, path] of Object.entries(paths))
       out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
-        visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour), dash: path.dash } });
+        visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour) } });
     return out;
   }
 

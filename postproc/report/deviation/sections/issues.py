@@ -16,7 +16,7 @@ def section(told: Deviation) -> Section:
     """Return a table of the issues."""
     issues = told.result.issues
     if not issues:
-        return Section("issues", "Issues", (Notes((Note("None.", "good"),)),))
+        return Section("issues", "Issues", (Notes((Note("None beside what the verdict says.", "soft"),)),))
     rows = tuple(
         Row(
             (

@@ -126,7 +126,9 @@ const space = (() => {
     }
     function outline() {
       prepare();
-      sketch.draw(canvas, how(), step, content.filter(({ type }) => type === "scatter3d"));
+      const lines = content.filter(({ type }) => type === "scatter3d");
+      sketch.draw(canvas, how(), step, lines);
+      if (lines.length) view.classList.remove("waiting");
       mark();
     }
 

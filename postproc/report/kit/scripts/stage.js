@@ -23,6 +23,7 @@ const stage = (() => {
   function show(element) {
     const draw = waiting.get(element);
     waiting.delete(element);
+    element.classList.remove("waiting");
     watch.unobserve(element);
     draw();
   }
@@ -53,6 +54,7 @@ const stage = (() => {
     // Has an element drawn once, when its turn comes.
     add(element, draw) {
       waiting.set(element, draw);
+      element.classList.add("waiting"); // which says so; a sketch takes it away
       watch.observe(element);
     },
     load,
