@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -165,3 +166,44 @@ def test_a_file_that_came_meanwhile_is_not_replaced_unless_it_is_the_same(tmp_pa
     (tmp_path / "sub.src").unlink()
     write_whole(tmp_path, {"one.src": contents(b"1"), "sub.src": b"other"}, shared={"sub.src": None})
     assert (tmp_path / "one.src").read_bytes() == b"1"
+
+
+@pytest.mark.parametrize("force", [";FORCE FX=200 FY=0 FZ=0\n", ""])
+def test_a_routine_of_another_file_that_cannot_be_followed_is_refused_under_force(force):
+    program("one", 0)
+    if not force:
+        program("one", 200)
+    Path("sub.src").write_text(f"DEF sub()\n{force}LIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\nLIN $POS_ACT:{{X 9}}\nEND\n")
+    told = run("convert", "one.src", "-o", "out", code=1).stderr
+    assert f"sub.src:{3 + bool(force)}: " in told
+    assert "sub(), called in one.src, line 7, would stay uncorrected under force" in told
+    assert "--keep-unresolved" in told
+    kept = run("convert", "one.src", "-o", "out", "--keep-unresolved").stdout
+    assert f"sub.src, line {3 + bool(force)}: stays as it is" in " ".join(kept.split())
+
+
+@pytest.mark.parametrize("motion", ["LIN $POS_ACT:{X 9}", "sub()"])
+def test_without_force_it_stays_with_a_warning_that_comes_first_and_names_the_cause(motion):
+    Path("jobs").mkdir()
+    text = Path("one.src").read_text().replace("sub()", ";FORCE OFF\nsub()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}")
+    Path("jobs/one.src").write_text(text)
+    Path("jobs/sub.src").write_text(f"DEF sub()\nLIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\n{motion}\nEND\n")
+    done = run("convert", "jobs", "-o", "out")
+    assert "jobs/sub.src: called by one.src: not written with them" in done.stderr
+    reasons = json.loads(Path("out/one.report.json").read_text())["verdict"]["reasons"]
+    assert "its motions are not corrected here, because of sub.src, line 3: " in reasons[0]
+    assert ("calls itself" in reasons[0]) is (motion == "sub()")
+
+
+def test_motions_that_carry_no_force_are_not_refused_under_one():
+    text = Path("one.src").read_text().replace("LIN {X 50", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nLIN {X 50")
+    Path("one.src").write_text(text)
+    Path("sub.src").write_text("DEF sub()\nPTP {A1 9,A2 -70,A3 110,A4 0,A5 50,A6 0}\nPTP XUNKNOWN\nEND\n")
+    run("convert", "one.src", "-o", "out")
+
+
+def test_what_fails_leaves_the_file_of_its_name_that_another_program_calls():
+    run("convert", "one.src", "-o", "out")
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    assert "there before" not in run("convert", "sub.src", "-o", "out", code=1).stderr.lower()
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before

@@ -34,7 +34,7 @@ def work(
         for outcome in _with_progress(convert_all(jobs, settings, workers=workers, cluster=cluster), len(jobs)):
             known[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
-        earlier = left([job for job in jobs if str(job.program) not in known], settings.mode)
+        earlier = left([job for job in jobs if not job.callers and str(job.program) not in known], settings.mode)
         if isinstance(cause, PostprocError):
             if earlier:
                 click.echo(earlier, err=True)

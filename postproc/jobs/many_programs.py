@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc import interrupts
@@ -41,19 +42,27 @@ def convert_all(
             cell, robot = load_setup(settings)
         for folder in {job.output for job in own}:
             remove_leftovers(folder)
-        done = [_with_callers(job) for job in jobs if job.callers]
-        yield from done
+        done: list[Outcome] = []
         for outcome in _outcomes(own, settings, workers, cluster, lambda job: convert_one(job, settings, cell, robot)):
             done.append(outcome)
             yield outcome
+        if len(done) == len(own):
+            called = [_with_callers(job, done, settings) for job in jobs if job.callers]
+            done += called
+            yield from called
         if len(done) == len(jobs):
             overview.write(jobs, done, settings.mode)
 
 
-def _with_callers(job: Job) -> Outcome:
-    """Return the outcome of a program that is corrected with those that call it."""
+def _with_callers(job: Job, done: Sequence[Outcome], settings: Settings) -> Outcome:
+    """Return the outcome of a program that others call: it is corrected with those that it is written with."""
     callers = ", ".join(path.name for path in job.callers)
-    message = f"{job.program}: called by {callers}: corrected with it. Name the file to convert it alone."
+    file = str(job.output / job.program.name)
+    by = ", ".join(sorted(Path(outcome.program).name for outcome in done if file in outcome.written))
+    told = "corrected with it" if by == callers else f"corrected with {by}" if by else "not written with them"
+    if settings.mode == "predict":
+        told = "read with them"
+    message = f"{job.program}: called by {callers}: {told}. Name the file to convert it alone."
     return Outcome(str(job.program), GOOD, message=message)
 
 

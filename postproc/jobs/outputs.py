@@ -150,10 +150,12 @@ def set_aside(job: Job, mode: Mode) -> str:
     :returns: a sentence for the user; empty if there was nothing.
     """
     there = _there(job, _of_run(job, mode))
-    shared = _of_others(job, _not_own(job, there), mode)
+    shared = _of_others(job, there, mode)  # also one of this program's name: it may be a subprogram of another
     there = [name for name in there if name not in shared]
     inputs = {_key(path) for path in job.reads()}
-    if not there or _foreign(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
+    if not there:
+        return ""
+    if _foreign(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
         return left([job], mode)
     try:
         for path in (job.output / name for name in there):

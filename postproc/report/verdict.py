@@ -26,6 +26,8 @@ WORDS: dict[tuple[bool, State], str] = {
 }
 """The verdict in a word: (is there a program to run, state)."""
 _PLACES = 9
+_FOREMOST = ("motions-elsewhere",)
+"""Kinds of warnings that are told before all others: motions that nobody has looked at."""
 SOLID = "link masses"
 """An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
 
@@ -55,10 +57,12 @@ def verdict(result: Result, content: Summary) -> Verdict:
     if content["targets"]:
         more, held = _limits(content)
         doubtful, holds = doubtful + _expected(content) + more, holds + held
-    doubtful += _model(result.robot)
-    doubtful += [
-        _told(issue.message, issue.source_line, issue.count) for issue in result.issues if issue.level == "warning"
-    ]
+    warnings = [issue for issue in result.issues if issue.level == "warning"]
+    foremost, others = (
+        [_told(i.message, i.source_line, i.count) for i in warnings if (i.kind in _FOREMOST) is first]
+        for first in (True, False)
+    )
+    doubtful = [*foremost, *doubtful, *_model(result.robot), *others]
     if content["mode"] != "predict" and result.documents:
         holds.append("the program was read back as it is written, and simulated with its rounded numbers")
     state: State = "failed" if failed else "warning" if doubtful else "ok"

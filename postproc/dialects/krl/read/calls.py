@@ -16,7 +16,7 @@ from postproc.dialects.krl.language.values import Aggregate, Call, Reference
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
-from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run
+from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT
 from postproc.errors import Issue, ProgramError
 
@@ -65,7 +65,7 @@ class Calls:
             return unknown if ours else Unknown(f"{at}: {call.spelt(at.source)}() is in no file of the program")
         effects = self.run.analysis.of(*found)
         self.notice(at, call.name, effects)
-        self._check_motion(at, call, effects)
+        self._check_motion(at, call, *found, effects)
         if found[0] is self.run.library.program:
             self.run.reached |= {found[1]}
         if certain and not effects.jumps and not self.run.resumable:
@@ -127,7 +127,7 @@ class Calls:
             else:
                 self.run.variables.forget(written, str(place))
 
-    def _check_motion(self, at: Place, call: Call, effects: Effects) -> None:
+    def _check_motion(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Refuse motions in routines of the program itself; behind those of another file the robot is elsewhere."""
         if effects.force is not None and self.run.in_main:
             self.run.unforced[self.run.line] = f"{call.name} is called, which holds a force comment ({effects.force})"
@@ -143,10 +143,13 @@ class Calls:
         advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
         if self.run.level.open:
             raise at.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
-        self.run.moved.append(
-            (self.run.line, at.error(f"{problem}: where the next motion begins is not known", advice))
-        )
-        message = f"{call.name}() moves the robot ({place}): its motions are not corrected here."
+        name = call.spelt(at.source)
+        unseen = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
+        cause = self.run.elsewhere.get(routine, unseen)
+        reason = at.error(f"{problem}: where the next motion begins is not known", advice)
+        self.run.moved.append(Apart(self.run.line, reason, name, module, routine, cause))
+        why = f"{cause.file}, line {cause.line}: {cause.problem}"
+        message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {why}."
         self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
 
     def moving(self, call: Call) -> tuple[Module, Routine] | None:
@@ -173,7 +176,8 @@ class Calls:
         if not effects.jumps and not self.run.resumable:
             bound = self._bound(at, call, module, routine, effects)
         if bound is None:
-            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed"
+            why = ": it calls itself" if routine in self.run.stack else ""
+            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed{why}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
         self.entered.append(bound)
         self._begin(bound, traced=True)

@@ -33,6 +33,7 @@ from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import ProgramError
 
+_RAPID = ("PTP", "SPTP")
 ACTION = re.compile(r"\bDO\b[ \t]*", re.I)
 """Behind it stands what an INTERRUPT or a TRIGGER does."""
 CYCLIC = re.compile(r"(?:(?:ANIN|DIGIN)[ \t]+ON|SIGNAL)[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
@@ -137,6 +138,16 @@ class Analysis:
                 self._names[where[1]] = frozenset(scope.stored(word) for word in own)
             found |= self._names[where[1]]
         return frozenset(found)
+
+    def cuts(self, module: Module, routine: Routine) -> bool:
+        """Return whether a routine, or what it calls, moves otherwise than by PTP, which carries no force."""
+        for _, reached in self._reached([(module, routine)]):
+            text, span = reached.source.text, reached.source.code_span
+            for line in (*reached.plain, *reached.lines):
+                word = word_at(text, *span(line))
+                if (word in MOTION_WORDS or word in SPLINES) and not word.startswith(_RAPID):
+                    return True
+        return False
 
     def noted(self, source: Source) -> tuple[int, ...]:
         """Return the lines of a file with force comments."""

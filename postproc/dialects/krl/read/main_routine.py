@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -37,12 +37,16 @@ _INSTRUCTIONS = MOTION_WORDS | RESERVED | {"BAS"}
 
 
 def course_of(
-    library: Library, main: Routine, settings: Settings, reader: MotionReader, elsewhere: frozenset[Routine | Occasion]
+    library: Library,
+    main: Routine,
+    settings: Settings,
+    reader: MotionReader,
+    elsewhere: Mapping[Routine | Occasion, ProgramError],
 ) -> Course:
     """Return the lines of a program in the order in which they run.
 
     :param settings: as they are before it; they are changed.
-    :param elsewhere: routines whose motions are not those of the program.
+    :param elsewhere: see `Run.elsewhere`.
     :raises ProgramError: that order is not known before the program runs, or a control structure is none.
     """
     run = Run(library, main, settings)

@@ -7,7 +7,7 @@ taken as the origin of `$WORLD`. C_VEL and C_ORI have no distance: their motions
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -19,6 +19,7 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.read.apart import refuse_loaded, refuse_noted
 from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.folder_files import FolderFiles
@@ -71,15 +72,15 @@ def read_program(
     others = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), others))
     reading = _Reading(documents, cell, forward, name, library, entry, faults)
-    elsewhere: frozenset[Routine | Occasion] = frozenset()
+    elsewhere: dict[Routine | Occasion, ProgramError] = {}
     while True:
         try:
             return reading.program(plain, elsewhere, bulk=_bulk)
         except ProgramError as cause:
-            apart = _apart(cause, library, keep=cell.krl.keep_unresolved) - elsewhere
+            apart = _apart(cause, library, keep=cell.krl.keep_unresolved) - elsewhere.keys()
             if not apart:
                 raise
-            elsewhere |= apart
+            elsewhere |= {each: _about(cause, each) for each in apart}
 
 
 class _Reading(Struct, frozen=True, eq=False):
@@ -93,11 +94,11 @@ class _Reading(Struct, frozen=True, eq=False):
     entry: Routine
     faults: list[ProgramError]
 
-    def program(self, plain: Plain, elsewhere: frozenset[Routine | Occasion], *, bulk: bool) -> Program:
+    def program(self, plain: Plain, elsewhere: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> Program:
         """Follow the program, and read what moves.
 
         :param plain: plain lines of the `.src`.
-        :param elsewhere: routines of other files whose motions are not those of the program.
+        :param elsewhere: see `Run.elsewhere`.
         """
         library, entry, cell = self.library, self.entry, self.cell
         start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
@@ -122,6 +123,8 @@ class _Reading(Struct, frozen=True, eq=False):
             if not more:
                 raise
             raise together([*found, *more]) from None
+        if not cell.krl.keep_unresolved:
+            refuse_noted(main.run)
         executed = main.executed(plain.moving)
         if not executed.all():
             plain = replace(plain, motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])
@@ -135,6 +138,8 @@ class _Reading(Struct, frozen=True, eq=False):
         resolved = without_unresolved(main, ordered)
         ordered = resolved.ordered
         notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced)
+        if not cell.krl.keep_unresolved:
+            refuse_loaded(main.run, notes)
         lost = [line for line, _ in main.run.unresolved]
         after, meetings = branching(course, ordered, resolved.after, lost)
         _check_size(source, ordered.rows)
@@ -210,6 +215,13 @@ def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Ro
     )
 
 
+def _about(cause: ProgramError, apart: Routine | Occasion) -> ProgramError:
+    """Return which of the errors that came together is about a routine."""
+    found = [error for error in (cause, *cause.others) if isinstance(error, ProgramError)]
+    own = [e for e in found if isinstance(apart, Routine) and e.file == apart.source.document.name]
+    return own[0] if own else cause
+
+
 def _config(cell: Cell, path: str) -> Source:
     file = Path(cell.folder) / path
     try:
@@ -253,10 +265,10 @@ def _check_size(source: Source, rows: MotionColumns) -> None:
 
 def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
     """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
-    for line, reason in () if main.run.keep else main.run.moved:
-        row = int(np.searchsorted(ordered.rows.line, line))
+    for call in () if main.run.keep else main.run.moved:
+        row = int(np.searchsorted(ordered.rows.line, call.line))
         if row < len(ordered.rows):
             move = ordered.moves.get(row)
             position = move.end.position if move is not None and not move.relative else None
             if position is None or not position.axis or not position.complete:
-                raise reason
+                raise call.reason

@@ -51,6 +51,23 @@ class Level(Struct, eq=False):
         return bool(self.returned or self.left or self.jump)
 
 
+class Apart(Struct, frozen=True, eq=False):
+    """A call of a routine of another file whose motions are not those of the program.
+
+    :param line: of the course; behind it it is not known where the robot stands.
+    :param reason: why a motion must not begin there.
+    :param name: of the routine, as it is spelled; `routine` itself, in `module`.
+    :param cause: why it is not followed.
+    """
+
+    line: int
+    reason: ProgramError
+    name: str
+    module: Module
+    routine: Routine
+    cause: ProgramError
+
+
 class _Fork(Struct, eq=False):
     """Where branches divide.
 
@@ -77,7 +94,7 @@ class Run:
     :ivar resumable: True where RESUME may break off what is running.
     :ivar resumed: RESUME that goes back to the program, or to where it is not known; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
-    :ivar moved: (line, reason): behind such a line it is not known where the robot stands.
+    :ivar moved: calls behind which it is not known where the robot stands.
     :ivar unforced: line → reason: behind such a line it is not known which force acts.
     :ivar understood: offsets of names in the main routine whose use is followed.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
@@ -85,7 +102,7 @@ class Run:
     :ivar issues: what the user should know.
     :ivar unresolved: (line, reason): motions of the course that stay as they are, where `keep`s that.
     :ivar elsewhere: routines of other files whose motions are not those of the program, and occasions on which branches
-        are not followed.
+        are not followed; and why.
     """
 
     def __init__(self, library: Library, routine: Routine, settings: Settings, source: Source | None = None) -> None:
@@ -100,7 +117,7 @@ class Run:
         self.resumable = False
         self.resumed: Place | None = None
         self.triggers: list[int] = []
-        self.moved: list[tuple[int, ProgramError]] = []
+        self.moved: list[Apart] = []
         self.unforced: dict[int, str] = {}
         self.understood: set[int] = set()
         self.absent: list[tuple[str, int]] = []
@@ -108,7 +125,7 @@ class Run:
         self.issues: list[Issue] = []
         self.keep = settings.cell.krl.keep_unresolved
         self.unresolved: list[tuple[int, ProgramError]] = []
-        self.elsewhere: frozenset[Routine | Occasion] = frozenset()
+        self.elsewhere: Mapping[Routine | Occasion, ProgramError] = {}
         self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 

@@ -57,7 +57,7 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> Separated:
     if not lost and not run.moved:
         return Separated(ordered)
     open_: set[int] = set()
-    for line in sorted({*lost, *(line for line, _ in run.moved)}):
+    for line in sorted({*lost, *(call.line for call in run.moved)}):
         row = int(np.searchsorted(rows.line, line, side="right"))
         while row < len(rows) and (dropped[row] or needs_start(ordered, row)):
             if not dropped[row]:
@@ -121,11 +121,13 @@ def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unres
         origin = main.run.source.origin(line)
         if str(origin) in found:
             continue
-        shown = int(main.run.source.shown(np.array([line]))[0])
+        shown: int | None = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
         shifted = _SHIFTED if _depends(text) else ""
-        message = f"stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
+        elsewhere = origin.source is not main.run.routine.source
+        where, shown = (f"{origin}: ", None) if elsewhere else ("", shown)
+        message = f"{where}stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
         issues.append(Issue("warning", "unresolved", message, shown, subject=str(origin)))
     return tuple(found.values()), issues
 
@@ -138,6 +140,12 @@ def _depends(text: str) -> bool:
 
 
 def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
-    if begins:
-        lines = np.unique(main.run.source.shown(ordered.rows.line[begins])).tolist()
+    source = main.run.source
+    origins = {line: source.origin(line) for line in ordered.rows.line[begins].tolist()}
+    own = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
+    for name in {str(origin): None for line, origin in origins.items() if line not in own}:
+        yield Issue("warning", "start-unknown", f"{name}: {_OPEN}", subject=name)
+    if own:
+        lines = np.unique(source.shown(np.array(own))).tolist()
+        begins = own
         yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(begins), lines=tuple(lines))
