@@ -8,7 +8,7 @@ from msgspec import Struct
 from postproc.comparison.curves import Curves
 from postproc.errors import Level
 from postproc.frames import Array, norm
-from postproc.program import PTP, Bools, Ints, Program
+from postproc.program import SPL, Bools, Ints, Program
 
 
 class Cuts(Struct, frozen=True, eq=False):
@@ -133,7 +133,7 @@ class Comparison(Struct, frozen=True, eq=False):
         return np.asarray(np.abs(one - other) > 1e-3 * np.abs(one) + 1e-6)
 
     @property
-    def kind_differs(self) -> Bools:
-        """(P,) True where one is a PTP and the other a LIN or CIRC."""
+    def spline(self) -> Bools:
+        """(P,) True where the way to the target is a piece of a spline in both, which is not compared."""
         one, other = self.nominal.motions.kind[self.pair[:, 0]], self.corrected.motions.kind[self.pair[:, 1]]
-        return np.asarray((one == PTP) != (other == PTP))
+        return np.asarray((one == SPL) & (other == SPL))

@@ -11,7 +11,7 @@ from postproc.comparison.entries import at_pairs, at_rows, here, of_line
 from postproc.comparison.result import Comparison, Difference
 from postproc.comparison.side import Side
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
-from postproc.program import FORCE_FRAMES, Ints, Program
+from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
 
 _SAME_LENGTH = 1e-5
 """Places of the axis that carries the robot, and approximation distances, that differ by less [m] are the same."""
@@ -23,6 +23,8 @@ _SAME_FORCE, _SAME_SHARE = 0.05, (1e-3, 0.05)
 """Forces that differ by less [N, N·m] are the same, or by a smaller share of themselves: texts round them. The second
 share is for TOOL and FEED axes, which the correction turns a little."""
 
+_WAYS = {LIN: "a line (LIN)", CIRC: "an arc (CIRC)", PTP: "point to point (PTP)", SPL: "a spline (SPL)"}
+
 
 def values(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
     """Tell values that hold for pairs and differ: speed, kind of motion, approximation, axes, frames, forces."""
@@ -30,14 +32,26 @@ def values(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
     if len(where):
         was, now = found.speeds[where[0]] * MM_PER_M
         yield at_pairs(found, "speed", f"the speed is {now:.4g} mm/s instead of {was:.4g} mm/s.", where)
-    where = np.flatnonzero(found.kind_differs)
-    if len(where):
-        message = "one program moves point to point (PTP) where the other follows a line or an arc."
-        yield at_pairs(found, "kind", message, where)
+    yield from _kind(found)
     yield from _approximation(found)
     yield from _external_axes(found)
     yield from _posture(found, one, other)
     yield from bases_and_tools(found)
+
+
+def _kind(found: Comparison) -> Iterator[Difference]:
+    """Tell targets, inserted ones too, to which the second program moves in another way than the nominal one.
+
+    An arc may have become lines (``--linearize-arcs``): where they leave it, that is told by how far.
+    """
+    rows = np.union1d(found.pair[:, 1], found.inserted)
+    motion = found.pair[np.searchsorted(found.pair[:, 1], rows), 0]
+    was, now = found.nominal.motions.kind[motion], found.corrected.motions.kind[rows]
+    where = np.flatnonzero((was != now) & ~((was == CIRC) & (now == LIN)))
+    if len(where):
+        first = where[0]
+        message = f"the way to this target is {_WAYS[int(now[first])]} instead of {_WAYS[int(was[first])]}."
+        yield at_rows(found, "kind", message, (int(motion[first]), int(rows[first])), len(where))
 
 
 def _approximation(found: Comparison) -> Iterator[Difference]:
@@ -138,7 +152,8 @@ def forces(found: Comparison, other: Side, *, in_file: bool) -> Iterator[Differe
     load, two = other.forces(None), found.pair[:, 1]
     theirs, mine = _in_base(found, other.wrench(load, two)), found.cuts.wrench
     share = np.where(load.frame[two] == FORCE_FRAMES.index("BASE"), *_SAME_SHARE)
-    where = np.flatnonzero((norm(theirs - mine) > _SAME_FORCE + share * norm(mine)) & ~found.rapid)
+    cutting = ~found.rapid & ~found.corrected.motions.rapid[two]  # rapid motions carry no force
+    where = np.flatnonzero((norm(theirs - mine) > _SAME_FORCE + share * norm(mine)) & cutting)
     if len(where):
         now, was = (" ".join(f"{value:.4g}" for value in wrench[where[0], :3]) for wrench in (theirs, mine))
         message = f"its comments say the force {now} N instead of {was} N ($BASE): it was corrected for another one."

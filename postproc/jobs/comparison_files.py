@@ -100,6 +100,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         )
     for path, program in ((request.nominal, nominal), (request.corrected, corrected)):
         _refuse_part(path, program)
+    _refuse_corrected(request.nominal, nominal)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
     names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
@@ -139,6 +140,25 @@ def _refuse_part(path: Path, program: Program) -> None:
         raise InputError(
             f"this file is a part of {whole}, which calls it", file=str(path), advice=f"Name {whole} instead."
         )
+
+
+def _refuse_corrected(path: Path, program: Program) -> None:
+    """Raise for a nominal program that postproc corrected, or that calls one: its targets are commands already."""
+    writer = registry.by_name(program.dialect).writer
+    if writer is None:
+        return
+    for file, said in (
+        (str(path), writer.origin(program.documents)),
+        *((document.name, writer.origin([document])) for document in program.documents[1:]),
+    ):
+        if said.mode == "corrected":
+            raise InputError(
+                f"this program, which is to be the nominal one, was corrected by postproc {said.version}: its targets "
+                "are commands, and not those of the part",
+                file=file,
+                line=said.line,
+                advice="Give the program that it was made from as NOMINAL, and this one as CORRECTED.",
+            )
 
 
 def _said_by(program: Program) -> provenance.Provenance:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 import msgspec
@@ -12,7 +13,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Ints
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.comparison.summary import ComparisonSummary, where_of
-from postproc.report.comparison.text import WORDS, counted
+from postproc.report.comparison.text import WORDS, counted, of_splines
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -45,6 +46,8 @@ _CHORD = np.radians(10.0)
 _WORST = 20
 _BINS = 40
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
+_PLACE = re.compile(r"\S+:\d+")
+"""What a text begins with that names a file and a line: its letters stay as they are."""
 _ROWS = (("Maximum", "max_mm"), ("RMS", "rms_mm"), ("Mean", "mean_mm"), ("95th percentile", "p95_mm"))
 
 
@@ -90,7 +93,8 @@ def _verdict(content: ComparisonSummary) -> Section:
     judged = content["verdict"]
     names = (content["nominal"], content["corrected"])
     first, *others = (
-        (text if text.startswith(names) else text[:1].upper() + text[1:]) + "." for text in judged["reasons"]
+        (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
+        for text in judged["reasons"]
     )
     parts: list[Part] = [Verdict(judged["state"], WORDS[judged["state"]], first)]
     if others:
@@ -120,7 +124,11 @@ def _numbers(content: ComparisonSummary) -> Section:
     if between is not None:
         told = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
         rows += (Row(("Maximum between targets, from the path", "-", *told)),)
-    return Section("numbers", "Offsets and deviations, mm", (Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")))
+    parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
+    if content["splines"]:
+        words = of_splines(content)
+        parts.append(Notes((Note(f"{words[:1].upper()}{words[1:]}."),)))
+    return Section("numbers", "Offsets and deviations, mm", tuple(parts))
 
 
 def _shown(found: Comparison) -> Ints:

@@ -66,8 +66,20 @@ class PairEntry(Lines):
     deg: float
 
 
-class Cut(TypedDict):
-    """Distances of the loaded tip from nominal, over cutting targets, by each program."""
+class Worst(TypedDict):
+    """Where the pair of the largest value stands; None where there is none."""
+
+    nominal_file: str | None
+    nominal_line: int | None
+    corrected_file: str | None
+    corrected_line: int | None
+
+
+_NOWHERE: Worst = {"nominal_file": None, "nominal_line": None, "corrected_file": None, "corrected_line": None}
+
+
+class Cut(Worst):
+    """Distances of the loaded tip from nominal, over cutting targets, by each program; where the second is worst."""
 
     nominal: Distances
     corrected: Distances
@@ -82,14 +94,10 @@ class Between(TypedDict):
     corrected_line: int
 
 
-class Apart(TypedDict):
+class Apart(Worst):
     """How far the two paths are apart at most on the way from one pair to the next, and where; 0 and None of no way."""
 
     max_mm: float
-    nominal_file: str | None
-    nominal_line: int | None
-    corrected_file: str | None
-    corrected_line: int | None
 
 
 class OperationEntry(TypedDict):
@@ -143,6 +151,7 @@ class ComparisonSummary(TypedDict):
     robot: str
     pairs: int
     inserted: int
+    splines: int
     only_nominal: int
     only_corrected: int
     offset: Distances
@@ -180,6 +189,7 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         robot=found.robot,
         pairs=len(found.pair),
         inserted=len(found.inserted),
+        splines=int(np.count_nonzero(found.spline)),
         only_nominal=len(found.only_nominal),
         only_corrected=len(found.only_corrected),
         offset=_distances(distance, rapid),
@@ -187,7 +197,7 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         between_targets=_apart(found, names),
         largest=_largest(found, names),
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
-        cut=_cut(found, slice(None)),
+        cut=_cut(found, names, slice(0, len(found.pair))),
         between=_between(found, corrected),
         tolerance_mm=tolerance * MM_PER_M,
         operations=[*_operations(found, names)],
@@ -246,8 +256,8 @@ def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> It
         yield f"{content['corrected']} was changed since postproc wrote it: {where}"
     if cut is not None and not cut["corrected"]["max_mm"] <= tolerance:
         yield (
-            f"{content['corrected']} leaves {above(cut['corrected']['max_mm'], tolerance, 4)} mm at a target under the "
-            f"forces given (tolerance {tolerance:g} mm)"
+            f"{_where(cut)}: the corrected program leaves {above(cut['corrected']['max_mm'], tolerance, 4)} mm at this "
+            f"target under the forces given (tolerance {tolerance:g} mm)"
         )
     between = content["between"]
     if between is not None and not between["corrected_max_mm"] <= tolerance:
@@ -258,10 +268,16 @@ def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> It
         )
     if not content["offset"]["max_mm"] <= limit_mm:
         told = above(content["offset"]["max_mm"], limit_mm)
-        yield f"a target is {told} mm off: more than max_correction_mm = {limit_mm:g}"
+        where = _where(content["largest"][0])
+        yield f"{where}: this target is {told} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content["pairs"]:
         yield "no target of one program belongs to one of the other"
     yield from (_told(issue) for issue in content["issues"] if issue["level"] == "error")
+
+
+def _where(pair: Lines | Worst) -> str:
+    """Return where a pair stands, in both programs."""
+    return f"{pair['nominal_file']}:{pair['nominal_line']} and {pair['corrected_file']}:{pair['corrected_line']}"
 
 
 def _listed(edited: list[EditedLine], missing: int, names: Names) -> str:
@@ -283,8 +299,8 @@ def _doubtful(content: ComparisonSummary) -> Iterator[str]:
         and not content["differences"]["base"]
     ):
         yield (
-            f"a target is {content['offset']['max_mm']:.4f} mm off, and no forces are known that would call for it: "
-            "give --forces"
+            f"{_where(content['largest'][0])}: this target is {content['offset']['max_mm']:.4f} mm off, and no forces "
+            "are known that would call for it: give --forces"
         )
     yield from (_told(issue) for issue in content["issues"] if issue["level"] == "warning")
 
@@ -305,25 +321,24 @@ def _distances(values: Array, rapid: Bools) -> Distances:
     }
 
 
-def _cut(found: Comparison, rows: slice) -> Cut | None:
+def _cut(found: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
     if found.cuts is None:
         return None
     rapid = found.rapid[rows]
-    one, other = (_distances(norm(off[rows]), rapid) for off in (found.cuts.nominal, found.cuts.corrected))
-    return {"nominal": one, "corrected": other}
+    one, other = (norm(off[rows]) for off in (found.cuts.nominal, found.cuts.corrected))
+    worst = rows.start + int(np.argmax(np.where(rapid, -1.0, other))) if not rapid.all() else None
+    return {
+        **(_NOWHERE if worst is None else _lines(found, names, worst)),
+        "nominal": _distances(one, rapid),
+        "corrected": _distances(other, rapid),
+    }
 
 
 def _apart(found: Comparison, names: Sequence[Names]) -> Apart:
     size = np.where(found.rapid | np.isnan(found.between), -1.0, found.between)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
-        return {
-            "max_mm": 0.0,
-            "nominal_file": None,
-            "nominal_line": None,
-            "corrected_file": None,
-            "corrected_line": None,
-        }
+        return {"max_mm": 0.0, **_NOWHERE}
     return {"max_mm": float(size[worst]) * MM_PER_M, **_lines(found, names, worst)}
 
 
@@ -386,5 +401,5 @@ def _operations(found: Comparison, names: Sequence[Names]) -> Iterator[Operation
             "nominal_line": lines["nominal_line"],
             "pairs": cutting,
             "offset": _distances(found.distance[rows], found.rapid[rows]),
-            "cut": _cut(found, rows),
+            "cut": _cut(found, names, rows),
         }

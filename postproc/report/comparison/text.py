@@ -44,6 +44,8 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
             f"  on the way between targets: {millimetres(apart['max_mm'])} mm at most, before "
             f"{apart['nominal_file']}:{apart['nominal_line']} and {apart['corrected_file']}:{apart['corrected_line']}"
         )
+    if content["splines"]:
+        lines.append(f"  {of_splines(content)}")
     for pair in content["largest"][:_SHOWN]:
         if pair["mm"] > 0.0:
             where = (
@@ -57,6 +59,12 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
         told = "unchanged since" if origin["state"] == "intact" else "changed since"
         lines.append(f"  {content['corrected']} was written by postproc {origin['version']} ({origin['mode']}), {told}")
     return "\n".join(lines)
+
+
+def of_splines(content: ComparisonSummary) -> str:
+    """Return what is not compared of splines."""
+    count = content["splines"]
+    return f"of splines ({count} SPL) the targets are compared, the way between them is not"
 
 
 def counted(content: ComparisonSummary) -> str:
