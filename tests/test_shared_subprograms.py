@@ -207,3 +207,27 @@ def test_what_fails_leaves_the_file_of_its_name_that_another_program_calls():
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     assert "there before" not in run("convert", "sub.src", "-o", "out", code=1).stderr.lower()
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_subprogram_that_was_changed_is_replaced_with_all_programs_of_the_run_that_call_it(jobs):
+    run("convert", "one.src", "three.src", "-o", "out")
+    Path("sub.src").write_text(Path("sub.src").read_text().replace("X 20", "X 23"))
+    told = run("convert", "one.src", "-o", "out", code=1).stderr
+    assert "this file was written for three" in told  # which is not in this run
+    before = Path("out/sub.src").read_bytes()
+    run("convert", "one.src", "three.src", "-o", "out", "--jobs", jobs)
+    assert Path("out/sub.src").read_bytes() != before
+    assert {path.name for path in Path("out").glob("*.src")} == {"one.src", "three.src", "sub.src"}
+    for name in ("one", "three"):
+        assert "unchanged since" in run("predict", f"out/{name}.src", "-o", "told").output
+
+
+def test_what_stood_with_a_file_that_was_replaced_is_gone_where_it_fails_now():
+    run("convert", "one.src", "three.src", "-o", "out")
+    Path("sub.src").write_text(Path("sub.src").read_text().replace("X 20", "X 23"))
+    Path("three.src").write_text(Path("three.src").read_text().replace("X 50", "X 1e9"))
+    run("convert", "one.src", "three.src", "-o", "out", code=1)
+    assert {path.name for path in Path("out").glob("*.src")} == {"one.src", "sub.src"}
+    assert Path("out/three.src.old").exists()
+    assert "unchanged since" in run("predict", "out/one.src", "-o", "told").output

@@ -42,7 +42,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
             program = read_program(job.program, robot, cell, job.dialect, name)
             result, process = _result(job, settings, cell, robot, program)
             if not result.failed:
-                content, contents, shared = _contents(job, settings, cell, result, process)
+                content, contents, shared, replaced = _contents(job, settings, cell, result, process)
                 old = outputs.obsolete(job, [*contents], settings.mode, overwrite=settings.overwrite)
     except Exception as cause:
         if isinstance(cause, SubprogramError) and not job.named:
@@ -52,6 +52,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
     if result.failed:
         return Outcome(file, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
     try:
+        outputs.retire(job, replaced, settings.mode)
         written = files.write_whole(job.output, contents, old, shared)
     except Exception as cause:
         return replace(failure(job, cause), earlier=outputs.left([job], settings.mode))
@@ -120,8 +121,8 @@ def _with_file_beside(issue: Issue, job: Job) -> Issue:
 
 def _contents(
     job: Job, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None
-) -> tuple[Summary, dict[str, bytes | Iterable[bytes]], dict[str, bytes | None]]:
-    """Return the summary, what to write: file name → content, and what stands there of subprograms."""
+) -> tuple[Summary, dict[str, bytes | Iterable[bytes]], dict[str, bytes | None], list[str]]:
+    """Return the summary, what to write (name → content), what stands there of subprograms, and what changes."""
     stated = settings.mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     content = report.summary(result, tolerance)
@@ -156,7 +157,8 @@ def _contents(
         content["files"] = entries
         return report.to_json(content)
 
-    return content, files.with_record(contents, name, rendered), shared
+    replaced = [file for file, there in shared.items() if there is not None and file not in same]
+    return content, files.with_record(contents, name, rendered), shared, replaced
 
 
 def failure(job: Job, cause: Exception) -> Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from msgspec import Struct
@@ -25,6 +26,7 @@ class Job(Struct, frozen=True):
     :param named: whether the user named the file, and not only its folder or a pattern.
     :param callers: programs of the same run that call it, which is then corrected with them and not by itself.
     :param others: what the programs are called that are written into the same folder in the same run, lower case.
+    :param earlier: reports of programs of this run that stood in that folder before it, and when each was written [ns].
     """
 
     program: Path
@@ -36,6 +38,7 @@ class Job(Struct, frozen=True):
     named: bool = True
     callers: tuple[Path, ...] = ()
     others: frozenset[str] = frozenset()
+    earlier: Mapping[str, int] = {}
 
     @property
     def keeps_text(self) -> bool:

@@ -40,6 +40,7 @@ def convert_all(
             own = [job for job in jobs if not job.callers]
             outputs.check(own, settings.cell, settings.mode, overwrite=settings.overwrite)
             cell, robot = load_setup(settings)
+        own = outputs.with_earlier(own, settings.mode)
         for folder in {job.output for job in own}:
             remove_leftovers(folder)
         done: list[Outcome] = []

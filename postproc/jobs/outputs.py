@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
+import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from postproc.correction import Mode
 from postproc.dialects import registry
@@ -63,7 +68,9 @@ def check_more(job: Job, names: Sequence[str], mode: Mode, *, overwrite: bool, s
                 advice="Rename one, or convert them one by one with different -o folders.",
             )
     if not overwrite:
-        refuse(_foreign(job, [name for name in more if name not in same], mode))
+        found = _foreign(job, [name for name in more if name not in same], mode)
+        stale = _stale(job) if found else []
+        refuse([path for path in found if all(foreign(job.output, [path.name], record) for record in stale)])
 
 
 def check_shared(job: Job, contents: Mapping[str, bytes], called: Sequence[str], mode: Mode) -> dict[str, bytes | None]:
@@ -84,7 +91,8 @@ def check_shared(job: Job, contents: Mapping[str, bytes], called: Sequence[str],
     there = {name: path.read_bytes() for name in contents if (path := job.output / name).exists()}
     own = recorded(job.output / job.report(mode)) if there else {}
     differ = [name for name, content in there.items() if content != contents[name]]
-    others = _of_others(job, [name for name in differ if name in called or name not in own], mode)
+    asked = [name for name in differ if name in called or name not in own]
+    others = _of_others(job, asked, mode, but=_stale(job) if asked else ())
     for name, other in others.items():
         raise InputError(
             f"this file was written for {other}, which calls it too, and is corrected otherwise for {job.stem}",
@@ -95,11 +103,61 @@ def check_shared(job: Job, contents: Mapping[str, bytes], called: Sequence[str],
     return {name: there.get(name) for name in called}
 
 
-def _of_others(job: Job, names: Collection[str], mode: Mode) -> dict[str, str]:
-    """Return which of some files were written for other programs too, and for which."""
+def with_earlier(jobs: Sequence[Job], mode: Mode) -> list[Job]:
+    """Return jobs that know which reports of programs of their run stand in their folders before it."""
+    found: dict[Path, dict[str, int]] = {}
+    for job in jobs if len(jobs) > 1 else ():
+        written = _written_at(job.output / job.report(mode))
+        if written is not None:
+            found.setdefault(job.output, {})[job.report(mode)] = written
+    return [replace(job, earlier=found.get(job.output, {})) for job in jobs]
+
+
+def retire(job: Job, names: Collection[str], mode: Mode) -> None:
+    """Rename programs of this run that stand from before it with files that are replaced now: they come anew.
+
+    :param names: of the files that are replaced.
+    """
+    for name in _stale(job) if names else ():
+        record = job.output / name
+        known = recorded(record)
+        if name == job.report(mode) or known.keys().isdisjoint(names):
+            continue
+        stem, end = name.removesuffix(".report.json"), job.writer.extension
+        for path in (job.output / main for main in (f"{stem}{end}", f"{stem}Main{end}") if main in known):
+            with contextlib.suppress(OSError):
+                old = path.rename(_unused(path))
+                if _written_at(record) != job.earlier[name] and not path.exists():
+                    old.rename(path)  # another process has written it anew in this moment
+
+
+def _stale(job: Job) -> list[str]:
+    """Return the reports in its folder that programs of this run have yet to write anew."""
+    return [name for name, written in job.earlier.items() if _written_at(job.output / name) == written]
+
+
+def _written_at(path: Path) -> int | None:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return None
+
+
+def _retired(job: Job, known: Mapping[str, str], mode: Mode) -> list[str]:
+    """Return the names of its own programs that `retire` has renamed."""
+    return [
+        path.name
+        for name in _programs(job, mode)
+        for path in (job.output.glob(f"{glob.escape(name)}.old*") if name in known and job.earlier else ())
+        if hashlib.sha256(path.read_bytes()).hexdigest() == known[name]
+    ]
+
+
+def _of_others(job: Job, names: Collection[str], mode: Mode, but: Collection[str] = ()) -> dict[str, str]:
+    """Return which of some files were written for other programs too, and for which; `but` some reports tell."""
     found: dict[str, str] = {}
     for record in sorted(job.output.glob("*.report.json")) if names else ():
-        if record.name != job.report(mode):
+        if record.name != job.report(mode) and record.name not in but:
             program = record.name.removesuffix(".report.json")
             found |= dict.fromkeys(recorded(record).keys() & set(names) - found.keys(), program)
     return found
@@ -126,7 +184,7 @@ def obsolete(job: Job, names: Iterable[str], mode: Mode, *, overwrite: bool) -> 
     left = [name for name in left if name not in shared]
     if not overwrite:
         refuse(foreign(job.output, left, job.report(mode)))
-    return left
+    return [*left, *_retired(job, known, mode)]
 
 
 def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
