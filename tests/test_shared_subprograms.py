@@ -231,3 +231,20 @@ def test_what_stood_with_a_file_that_was_replaced_is_gone_where_it_fails_now():
     assert {path.name for path in Path("out").glob("*.src")} == {"one.src", "sub.src"}
     assert Path("out/three.src.old").exists()
     assert "unchanged since" in run("predict", "out/one.src", "-o", "told").output
+
+
+def test_a_called_file_that_is_missing_beside_one_of_two_programs_is_told():
+    Path("jobs").mkdir()
+    Path("frames.src").write_text("DEF frames()\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nEND\n")
+    text = Path("one.src").read_text().replace("sub()\n", "").replace(";FORCE", "frames()\n;FORCE")
+    for path in (Path("one.src"), Path("jobs/one.src")):
+        path.write_text(text)
+    told = " ".join(run("compare", "one.src", "jobs/one.src", "-o", "told", code=3).stdout.split())
+    assert "the file of FRAMES() is beside the other program, and not beside this one" in told
+    assert "called by this program alone" not in told
+    run("predict", "jobs/one.src", "-o", "told")
+    reasons = json.loads(Path("told/one.predict.report.json").read_text())["verdict"]["reasons"]
+    assert "frames()" in reasons[0]
+    Path("one.src").write_text(text.replace("frames()", ";frames()"))
+    told = " ".join(run("compare", "one.src", "jobs/one.src", "-o", "told", code=3).stdout.split())
+    assert "called by this program alone" in told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,7 +13,7 @@ from postproc.comparison.result import Comparison, Difference
 from postproc.comparison.side import Side
 from postproc.comparison.values import axis_targets, bases_and_tools, forces, values
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm
-from postproc.program import CIRC, PTP, Ints
+from postproc.program import CIRC, PTP, Ints, Program
 
 BESIDE = 3.0
 """How far from the path a target may stand to be one inserted on it, in offsets of its neighbours."""
@@ -93,7 +94,18 @@ def _calls(found: Comparison) -> Iterator[Difference]:
         program = (found.nominal, found.corrected)[side]
         place = of_line(program, calls[side][name].source_line)
         message = f"{name}(), which is in no file, is called by this program alone: what it does is not compared."
+        if _is_called(name, (found.nominal, found.corrected)[1 - side]):
+            message = (
+                f"the file of {name}() is beside the other program, and not beside this one: what it sets is not known "
+                "here. Copy it there."
+            )
         yield here("not-compared", message, *((None, place) if side else (place, None)))
+
+
+def _is_called(name: str, program: Program) -> bool:
+    """Return whether a program calls a routine, comments left aside."""
+    call = re.compile(rf"^[^;\r\n]*\b{re.escape(name)}[ \t]*\(", re.IGNORECASE | re.MULTILINE)
+    return any(call.search(document.text) for document in program.documents)
 
 
 def _squeezed(text: str) -> str:

@@ -26,8 +26,13 @@ WORDS: dict[tuple[bool, State], str] = {
 }
 """The verdict in a word: (is there a program to run, state)."""
 _PLACES = 9
-_FOREMOST = ("motions-elsewhere",)
-"""Kinds of warnings that are told before all others: motions that nobody has looked at."""
+_FOREMOST = {
+    "convert": ("motions-elsewhere",),
+    "nominal": ("motions-elsewhere",),
+    "predict": ("motions-elsewhere", "external-call"),
+}
+"""Kinds of warnings that are told before all others: motions that nobody has looked at, and called files that are
+missing: they may set the frames of a program that is told as it stands."""
 SOLID = "link masses"
 """An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
 
@@ -59,7 +64,7 @@ def verdict(result: Result, content: Summary) -> Verdict:
         doubtful, holds = doubtful + _expected(content) + more, holds + held
     warnings = [issue for issue in result.issues if issue.level == "warning"]
     foremost, others = (
-        [_told(i.message, i.source_line, i.count) for i in warnings if (i.kind in _FOREMOST) is first]
+        [_told(i.message, i.source_line, i.count) for i in warnings if (i.kind in _FOREMOST[result.mode]) is first]
         for first in (True, False)
     )
     doubtful = [*foremost, *doubtful, *_model(result.robot), *others]
