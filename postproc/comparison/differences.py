@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import islice, takewhile
 
 import numpy as np
 
@@ -27,6 +28,12 @@ _BACK = 1e-3
 """So far [m] a program does not go back on its path, but where it is wrong."""
 LEVER = 0.1
 """Length of tool [m] along which the tolerance must hold where it is turned."""
+
+_ENDS = re.compile(
+    r"(?:S?(?:PTP|LIN|CIRC)(?:_REL)?|SPL)(?:\s*\{|\s+[\w$])|END(?:FOR|IF|LOOP|SWITCH|WHILE)?\b|UNTIL\b", re.IGNORECASE
+)
+"""A motion, or the end of a block: loops that are known are written out."""
+_NO_STATEMENT = re.compile(r"\$|&|(?:GLOBAL\s+)?(?:DEF|DEFFCT|DECL|EXT|EXTFCT|INI|BAS)\b", re.IGNORECASE)
 
 
 def differences(found: Comparison, one: Side, other: Side, *, in_file: bool) -> tuple[Difference, ...]:
@@ -63,6 +70,8 @@ def _unresolved(found: Comparison) -> Iterator[Difference]:
         yield Difference(
             "error", "unresolved-differs", message, places[0], places[1], abs(len(both[0]) - len(both[1])) or 1
         )
+    elif len(found.nominal.documents) == len(found.corrected.documents):
+        yield from _fed(found)
     for k in range(max(map(len, both))):
         sides = [side[k] if k < len(side) else None for side in both]
         each = sides[0] or sides[1]
@@ -70,6 +79,35 @@ def _unresolved(found: Comparison) -> Iterator[Difference]:
         message = f"not compared, because only the running robot knows it: {each.text!r} ({each.why})."
         places = [None if side is None else (side.file, side.line) for side in sides]
         yield Difference("warning", "not-compared", message, places[0], places[1], 1)
+
+
+def _fed(found: Comparison) -> Iterator[Difference]:
+    """Tell statements before motions that only the running robot knows that differ: what they go to, or whether.
+
+    Those behind the motion, or the end of a block, before it are looked at; of divided programs none.
+    """
+    both = (found.nominal, found.corrected)
+    if not all(program.keeps_text for program in both):
+        return
+    texts = [{each.name: each.text.splitlines() for each in program.documents} for program in both]
+    for one, other in zip(found.nominal.unresolved, found.corrected.unresolved, strict=True):
+        if one.file not in texts[0] or other.file not in texts[1]:
+            continue
+        mine = list(takewhile(bool, _statements(texts[0][one.file], one.line)))
+        theirs = list(islice(filter(None, _statements(texts[1][other.file], other.line)), len(mine)))
+        if theirs != mine:
+            message = "the statements before this motion differ: nobody can say where it leads, or whether it runs."
+            yield Difference("error", "unresolved-differs", message, (one.file, one.line), (other.file, other.line), 1)
+
+
+def _statements(lines: Sequence[str], line: int) -> Iterator[str]:
+    """Yield the statements before a line, backwards, but for settings and declarations; empty for what ends them."""
+    for number in range(line - 2, -1, -1):
+        text = lines[number].partition(";")[0].strip()
+        if _ENDS.match(text):
+            yield ""
+        elif text and not _NO_STATEMENT.match(text):
+            yield _squeezed(text)
 
 
 def _open(found: Comparison) -> Iterator[Difference]:

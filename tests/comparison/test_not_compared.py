@@ -112,3 +112,29 @@ def test_a_call_of_a_program_that_is_nowhere_is_told_where_one_program_alone_mak
     Path("corrected/job.src").write_text(JOB[: JOB.index("LIN $POS")] + "END\n")
     (issue,) = compared(code=3)["issues"]
     assert (issue["kind"], issue["source_line"], issue["corrected_line"]) == ("not-compared", 10, None)
+
+
+FED = JOB.replace("DEF job( )\n", "DEF job( )\nDECL E6POS q\nDECL INT i\n").replace(
+    "LIN $POS_ACT:{Z 5}\n", "FOR i=1 TO 2\nLIN_REL {Y 5}\nENDFOR\nq=$POS_ACT\nq.Z=q.Z+5\nLIN q\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "motion"),
+    [
+        ("", "", None),
+        ("Z+5", "Z+50", "LIN q"),
+        ("q.Z=q.Z+5\n", "", "LIN q"),
+        ("LIN q", "q.X=q.X-5\nLIN q", "LIN q"),
+        ("WHILE $IN[3]", "WHILE NOT $IN[3]", "LIN {X 80"),
+    ],
+)
+def test_statements_that_feed_or_guard_one_must_be_the_same(before, after, motion):
+    Path("nominal/job.src").write_text(FED)
+    run("convert", "nominal/job.src", "-o", "corrected", "--keep-unresolved")
+    path = Path("corrected/job.src")
+    lines = [line for line in path.read_text().splitlines(keepends=True) if "POSTPROC" not in line]
+    path.write_text("".join(lines).replace(before, after, 1))
+    content = compared("--keep-unresolved", code=0 if motion is None else 3)
+    told = [issue for issue in content["issues"] if issue["kind"] == "unresolved-differs"]
+    assert [issue["corrected_line"] for issue in told] == ([] if motion is None else [line_of(path, motion)])
