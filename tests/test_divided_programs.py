@@ -95,10 +95,10 @@ def test_a_part_that_cannot_be_read_alone_is_told_as_a_part(marked):
     assert "--keep-unresolved" not in told
 
 
-def subprograms(declared: str = "", inside: str = "") -> None:
+def subprograms(declared: str = "", inside: str = "", force: str = "") -> None:
     head = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n;FORCE FX=100 FY=-150 FZ=80\n"
     lines = "".join(f"LIN {{X {n},Y 0,Z 0,A 0,B 0,C 180}}\n" for n in range(30))
-    Path("job.src").write_text(f"DEF job( )\n{declared}{head}{lines}cut( )\nEND\n")
+    Path("job.src").write_text(f"DEF job( )\n{declared}{head}{lines}{force}cut( )\nEND\n")
     Path("cut.src").write_text(f"DEF cut( )\n{inside}{lines}END\n")
     Path("stopped.src").write_text("DEF stopped( )\nBRAKE\nback( )\nEND\nDEF back( )\nRESUME\nEND\n")
 
@@ -113,7 +113,7 @@ def subprograms(declared: str = "", inside: str = "") -> None:
     ],
 )
 def test_resume_in_another_file_is_seen_where_it_goes_back_to_the_program(declared, inside, resumes):
-    subprograms(declared, inside)
+    subprograms(declared, inside, ";FORCE OFF\n")
     told = run("convert", "job.src", "-o", "out", code=int(resumes)).stderr
     if resumes:
         assert "cannot be divided into files: RESUME would break off" in told
@@ -123,6 +123,10 @@ def test_resume_in_another_file_is_seen_where_it_goes_back_to_the_program(declar
         assert "stopped.src" not in told
     cell(200)
     run("convert", "job.src", "-o", "whole")
+    subprograms(declared, inside)
+    broken_off = "stopped" in declared + inside
+    told = run("convert", "job.src", "-o", "forced", code=int(broken_off)).stderr
+    assert ("RESUME of an interrupt may break it off; cut(), called in job.src" in told) is broken_off
 
 
 def test_the_file_of_a_subprogram_that_is_longer_than_files_may_be_is_told():

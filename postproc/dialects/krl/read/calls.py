@@ -176,7 +176,8 @@ class Calls:
         if not effects.jumps and not self.run.resumable:
             bound = self._bound(at, call, module, routine, effects)
         if bound is None:
-            why = ": it calls itself" if routine in self.run.stack else ""
+            broken = ": RESUME of an interrupt may break it off" if self.run.resumable else ""
+            why = ": it calls itself" if routine in self.run.stack else broken
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed{why}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
         self.entered.append(bound)
