@@ -223,6 +223,18 @@ def test_a_subprogram_that_was_changed_is_replaced_with_all_programs_of_the_run_
         assert "unchanged since" in run("predict", f"out/{name}.src", "-o", "told").output
 
 
+def test_a_file_that_another_program_calls_stays_when_that_of_its_name_is_divided():
+    Path("one.src").write_text(f"DEF one( )\n{START}sub()\nEND\n")
+    lines = "".join(f"LIN {{X {20 + k},Y 20,Z 0,A 0,B 0,C 180}}\n" for k in range(8))
+    Path("sub.src").write_text(f"DEF sub( )\n{lines}END\n")
+    run("convert", "one.src", "-o", "out")
+    run("convert", "sub.src", "-o", "out", "--overwrite")
+    before = Path("out/sub.src").read_bytes()
+    run("convert", "sub.src", "-o", "out", "--lines-per-file", "5")
+    assert Path("out/subMain.src").exists()
+    assert Path("out/sub.src").read_bytes() == before
+
+
 def test_what_stood_with_a_file_that_was_replaced_is_gone_where_it_fails_now():
     run("convert", "one.src", "three.src", "-o", "out")
     Path("sub.src").write_text(Path("sub.src").read_text().replace("X 20", "X 23"))

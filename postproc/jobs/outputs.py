@@ -154,7 +154,10 @@ def _retired(job: Job, known: Mapping[str, str], mode: Mode) -> list[str]:
 
 
 def _of_others(job: Job, names: Collection[str], mode: Mode, but: Collection[str] = ()) -> dict[str, str]:
-    """Return which of some files were written for other programs too, and for which; `but` some reports tell."""
+    """Return which of some files were written for other programs too, and for which; `but` some reports tell.
+
+    One of the program's own name may be: it is a subprogram of the other.
+    """
     found: dict[str, str] = {}
     for record in sorted(job.output.glob("*.report.json")) if names else ():
         if record.name != job.report(mode) and record.name not in but:
@@ -180,7 +183,7 @@ def obsolete(job: Job, names: Iterable[str], mode: Mode, *, overwrite: bool) -> 
         for name in _there(job, known)
         if name.lower() not in kept and name.lower().endswith(endings) and _key(job.output / name) not in inputs
     ]
-    shared = _of_others(job, _not_own(job, left), mode)
+    shared = _of_others(job, left, mode)
     left = [name for name in left if name not in shared]
     if not overwrite:
         refuse(foreign(job.output, left, job.report(mode)))
@@ -208,7 +211,7 @@ def set_aside(job: Job, mode: Mode) -> str:
     :returns: a sentence for the user; empty if there was nothing.
     """
     there = _there(job, _of_run(job, mode))
-    shared = _of_others(job, there, mode)  # also one of this program's name: it may be a subprogram of another
+    shared = _of_others(job, there, mode)
     there = [name for name in there if name not in shared]
     inputs = {_key(path) for path in job.reads()}
     if not there:
@@ -228,11 +231,6 @@ def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs that stand in the output folders and are not of this run; empty if none do."""
     there = [job.output / name for job in jobs for name in _there(job, _programs(job, mode))]
     return f"There before, not of this run: {listed(there)}." if there else ""
-
-
-def _not_own(job: Job, names: Iterable[str]) -> list[str]:
-    """Return the names of files that are not called like the program: those of subprograms."""
-    return [name for name in names if not name.lower().startswith(job.stem.lower())]
 
 
 def _of_one_family(name: str, other: str) -> bool:
