@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import forces, kinematics, toolpath
+from postproc.comparison.entries import place_of
 from postproc.comparison.pairing import Track
 from postproc.errors import ProgramError
 from postproc.forces import ForceSource, PathForces
@@ -82,7 +83,7 @@ class Side(Struct, frozen=True, eq=False):
 
 def at(program: Program, row: int) -> tuple[str, int]:
     """Return the file, with its folder, and the line where a motion stands."""
-    file, line = program.places(np.array([row])).of(0)
+    file, line = place_of(program, row)
     return str(Path(program.documents[0].folder) / file), line
 
 

@@ -17,17 +17,10 @@ from postproc import correction, jobs
 from postproc import robot as robots
 from postproc.cli import main
 from postproc.comparison import compare
+from tests.attack.compared import HEAD, TURNED
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = (SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
-TURNED = "A 180,B 0,C 180"
-HEAD = """DEF part( )
-$VEL.CP=0.05
-$APO.CDIS=0.5
-$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}
-$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}
-PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
-"""
 PROGRAM = (
     HEAD
     + f"""; FORCE FX=-150 FY=100 FZ=120
