@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import io
+import os
 import sys
 import traceback
 import warnings
@@ -63,6 +64,7 @@ class LazyGroup(click.Group):
             from postproc import interrupts
 
             interrupts.leave_at_once()
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more would wait in a loop, for matrices of 6 × 6
         with warnings.catch_warnings():
             if _DEBUG not in (sys.argv if args is None else args):
                 warnings.showwarning = _not_shown

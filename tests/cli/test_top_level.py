@@ -162,3 +162,19 @@ def test_what_an_exception_carries_is_what_was_given():
 def test_the_command_and_the_module_are_the_same():
     done = subprocess.run([*COMMAND, "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("postproc ")
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads as Linux lists them")
+@pytest.mark.parametrize(("wanted", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, min(2, os.cpu_count() or 1))])
+def test_one_program_is_one_thread_unless_the_user_wants_more(wanted, threads):
+    count = "atexit.register(lambda: print(len(os.listdir('/proc/self/task')), file=sys.stderr))"
+    script = f"import atexit, os, sys; from postproc.cli import main; {count}; main()"
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", script, "robots", "kuka_kr270"],
+        env=free | wanted,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr.split() == [str(threads)]
