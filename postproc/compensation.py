@@ -52,28 +52,24 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     :raises NotConvergedError: some target cannot be held; `rows` says which.
     """
-    tools = kinematics.components(tool)
-    x = elastostatics.spread(robot, q_nominal.T)
-    q, theta = _solve(robot, kinematics.components(target), x, tools, np.ascontiguousarray(wrench.T))
-    return Compensation(q.T, kinematics.matrices(kinematics.posture(robot.nominal, q, tools).pose), theta.T)
-
-
-def _solve(robot: RobotModel, target: Array, x: Array, tool: Array, wrench: Array) -> tuple[Array, Array]:
-    """Return joint angles (6, n) and deflections (nv, n); coordinates x (nv, n) to start from, poses (3, 4, n)."""
+    tools, goal, wrench = kinematics.components(tool), kinematics.components(target), np.ascontiguousarray(wrench.T)
     joints, passive = np.array(robot.actuated), np.array(robot.passive, dtype=np.int64)
+    x = elastostatics.spread(robot, q_nominal.T)
     for _ in range(_MAX_ITERATIONS):
-        state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
+        state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
         jacobian = state.jacobian()
         load = np.einsum("ikn,in->kn", jacobian, wrench)
         theta = elastostatics.springs_at(robot, x, load, elastostatics.asked(robot, x, state))
-        missed = kinematics.twist_between(state.pose, target)
+        missed = kinematics.twist_between(state.pose, goal)
         between = np.zeros_like(missed)
         if len(passive):
             between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
         left = np.abs(missed) + np.abs(between)
         bad = ~((left[:3].max(axis=0) <= POSITION_TOLERANCE) & (left[3:].max(axis=0) <= ROTATION_TOLERANCE))
         if not bad.any():
-            return elastostatics.commanded(robot, x - theta), theta
+            q = elastostatics.commanded(robot, x - theta)
+            pose = kinematics.posture(robot.nominal, q, tools).pose
+            return Compensation(q.T, kinematics.matrices(pose), theta.T)
         rows = np.flatnonzero(bad)
         step = _newton(jacobian[:, joints][..., rows], (missed - between)[:, rows])
         x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)

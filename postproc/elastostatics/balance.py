@@ -14,7 +14,7 @@ from postproc import kinematics
 from postproc.elastostatics.springs import A2, given_way
 from postproc.frames import Array
 from postproc.kinematics import Posture
-from postproc.robot import RobotModel
+from postproc.robot import Chain, RobotModel
 
 
 class Balance(Struct, frozen=True, eq=False):
@@ -25,13 +25,10 @@ class Balance(Struct, frozen=True, eq=False):
     :param pose: (3, 4, n) of the tool [m].
     :param jacobian: (6, nv, n) of the tool.
     :param wrench: (6, n) at the TCP, root axes [N, N·m].
+    :param held: (nv, n) or (nv, 1) torque that is balanced at rest, see `held`.
     :param torque: (nv, n) τ [N·m, N].
-    :param at_rest: (nv, n) or (nv, 1) torque at θ = 0 that gears which stiffen feel besides τ.
-    :param by_load: (nv, n) τ less what weights of the links and compensator ask for: what turns lost motion over.
     :param theta: (nv, n) c(τ): what the springs give way under it. Equal to x − q where the torques are balanced.
     :param slope: (nv, n) c′(τ), the tangent compliance.
-    :param loose: (nv, n) or (nv, 1) what of it weights and compensator do not move: that of lost motion, where τ is not
-        the load's alone.
     """
 
     robot: RobotModel
@@ -39,27 +36,41 @@ class Balance(Struct, frozen=True, eq=False):
     pose: Array
     jacobian: Array
     wrench: Array
+    held: Array
     torque: Array
-    at_rest: Array
-    by_load: Array
     theta: Array
     slope: Array
-    loose: Array
 
     @classmethod
     def at(cls, robot: RobotModel, x: Array, held: Array, tool: Array, wrench: Array) -> Balance:
-        """Return the balance at coordinates x (nv, n) of a robot that holds torques `held` (see there) at rest.
-
-        :param tool: (3, 4, n) or (3, 4, 1) in the flange frame.
-        :param wrench: (6, n).
-        """
+        """Return the balance at coordinates x; `tool` (3, 4, n) or (3, 4, 1) in the flange frame."""
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
         torque = np.einsum("ikn,in->kn", jacobian, wrench) - asked(robot, x, state) + held
-        at_rest, by_load = felt(robot, held), load_alone(robot, x, torque)
-        found = given_way(robot, torque, at_rest, by_load)
-        loose = np.zeros((len(x), 1)) if by_load is torque else _of_lost_motion(robot, by_load)
-        return cls(robot, x, state.pose, jacobian, wrench, torque, at_rest, by_load, *found, loose)
+        found = given_way(robot, torque, felt(robot, held), load_alone(robot, x, torque))
+        return cls(robot, x, state.pose, jacobian, wrench, held, torque, *found)
+
+    @property
+    def at_rest(self) -> Array:
+        """(nv, n) or (nv, 1) torque at θ = 0 that gears which stiffen feel besides τ."""
+        return felt(self.robot, self.held)
+
+    @property
+    def by_load(self) -> Array:
+        """(nv, n) τ less what weights of the links and compensator ask for: what turns lost motion over."""
+        return load_alone(self.robot, self.x, self.torque)
+
+    @property
+    def loose(self) -> Array:
+        """(nv, n) what of the tangent compliance weights and compensator do not move: that of lost motion, where τ is
+        not the load's alone.
+        """
+        out, by_load = np.zeros_like(self.x), self.by_load
+        for parameter, value in () if by_load is self.torque else self.robot.terms:
+            if not parameter.feels_rest:
+                row = parameter.row(self.robot)
+                out[row] += value * parameter.effect(by_load[row], np.zeros_like(by_load[row]))[1]
+        return out
 
     def moved(self, change: Array) -> Array:
         """Return the twist (6, n) of the tool when the coordinates change by (nv, n)."""
@@ -71,23 +82,20 @@ class Balance(Struct, frozen=True, eq=False):
         C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0) need no special case, as they
         would in K − H.
         """
-        hessian = kinematics.load_stiffness(np.moveaxis(self.jacobian, -1, 0), self.wrench.T)
-        if self.robot.has_weight:
-            hessian -= kinematics.gravity_stiffness(self.robot.loaded, self.x.T)
-        if self.robot.compensator is not None:
-            row = self.robot.actuated[A2]
-            hessian[:, row, row] -= self.robot.compensator.stiffness_about_joint(self.x[row])
+        loose, hessian = self.loose, kinematics.load_stiffness(np.moveaxis(self.jacobian, -1, 0), self.wrench.T)
+        hessian -= self._asked_more(self.robot.loaded)
         tangent = np.eye(len(self.x)) - self.slope.T[:, :, None] * hessian
-        return tangent if self.by_load is self.torque else tangent - self.loose.T[:, :, None] * self._asked_more()
+        return tangent - loose.T[:, :, None] * self._asked_more(self.robot.actual) if loose.any() else tangent
 
-    def _asked_more(self) -> Array:
-        """Return ∂²U_g/∂x² + U_c″ (n, nv, nv) without payload."""
+    def _asked_more(self, chain: Chain) -> Array:
+        """Return ∂²U_g/∂x² + U_c″ (n, nv, nv)."""
         robot, x = self.robot, self.x
-        hessian = kinematics.gravity_stiffness(robot.actual, x.T)
+        weighs = robot.has_weight
+        out = kinematics.gravity_stiffness(chain, x.T) if weighs else np.zeros((x.shape[1], len(x), len(x)))
         if robot.compensator is not None:
             row = robot.actuated[A2]
-            hessian[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
-        return hessian
+            out[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
+        return out
 
     def reach(self) -> Array:
         """Return J (I − C·H)⁻¹ (n, 6, nv): how the tool moves in all when one spring gives way by itself."""
@@ -95,8 +103,13 @@ class Balance(Struct, frozen=True, eq=False):
         return np.swapaxes(np.linalg.solve(np.swapaxes(self.tangent(), 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
 
 
-def asked(robot: RobotModel, x: Array, state: Posture) -> Array:
-    """Return ∇U_g + U_c′ (nv, n): what weights and compensator ask of the springs at coordinates x (nv, n)."""
+def asked(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:
+    """Return ∇U_g + U_c′ (nv, n): what weights and compensator ask of the springs at coordinates x (nv, n).
+
+    :param state: of the robot there, with its weights; that without payload by default.
+    """
+    if state is None:
+        state = kinematics.posture(robot.actual, x, weigh=robot.has_weight)
     torque = state.weight() if robot.has_weight else np.zeros_like(x)
     if robot.compensator is not None:
         row = robot.actuated[A2]
@@ -108,9 +121,7 @@ def held(robot: RobotModel, q: Array) -> Array:
     """Return the torque (nv, n) that is balanced at rest at coordinates q (nv, n); 0 if the geometry is a weightless
     robot's. The payload is a load, and not part of it.
     """
-    if not robot.subtract_reference:
-        return np.zeros((len(q), 1))
-    return asked(robot, q, kinematics.posture(robot.actual, q, weigh=robot.has_weight))
+    return asked(robot, q) if robot.subtract_reference else np.zeros((len(q), 1))
 
 
 def felt(robot: RobotModel, held: Array) -> Array:
@@ -126,17 +137,7 @@ def load_alone(robot: RobotModel, x: Array, torque: Array) -> Array:
     """
     if robot.subtract_reference or all(parameter.feels_rest for parameter, _ in robot.terms):
         return torque
-    return torque + asked(robot, x, kinematics.posture(robot.actual, x, weigh=robot.has_weight))
-
-
-def _of_lost_motion(robot: RobotModel, by_load: Array) -> Array:
-    """Return the tangent compliance (nv, n) of what the load alone turns over."""
-    out = np.zeros_like(by_load)
-    for parameter, value in robot.terms:
-        if not parameter.feels_rest:
-            row = parameter.row(robot)
-            out[row] += value * parameter.effect(by_load[row], np.zeros_like(by_load[row]))[1]
-    return out
+    return torque + asked(robot, x)
 
 
 def beside(robot: RobotModel, x: Array, slope: Array) -> Array:

@@ -9,12 +9,12 @@ import numpy as np
 from postproc import kinematics
 from postproc.chunks import in_chunks
 from postproc.elastostatics.balance import asked, beside
-from postproc.elastostatics.by_parameter import more_at_rest, weight_of
+from postproc.elastostatics.by_parameter import asked_by, more_at_rest
 from postproc.elastostatics.springs import A2, coordinates, spring_deflection
 from postproc.elastostatics.stiffness import tangent_compliance
 from postproc.errors import ModelError
 from postproc.frames import Array
-from postproc.robot import CompensatorTorque, LinkMass, Parameter, RobotModel, Spring, file_slopes
+from postproc.robot import CompensatorTorque, Parameter, RobotModel, Spring, file_slopes
 
 _QUANTILE_95 = 1.6448536
 """Of the normal distribution, one-sided."""
@@ -106,7 +106,7 @@ def _linear_sensitivity(
     second = robot.actuated[A2]
     at_rest = np.zeros_like(torque)
     if robot.terms and (robot.carries_weight or not robot.subtract_reference):
-        at_rest = -asked(robot, x.T, kinematics.posture(robot.actual, x.T, weigh=robot.has_weight)).T
+        at_rest = -asked(robot, x.T).T
     _, slope = spring_deflection(robot, torque, at_rest)
     share = beside(robot, x.T, slope.T)
     torque[:, second] /= share  # what is left for the gear
@@ -116,16 +116,13 @@ def _linear_sensitivity(
     pressed = more_at_rest(robot, torque.T, at_rest.T).T
     columns = []
     for parameter in parameters:
-        if isinstance(parameter, LinkMass):
-            columns.append(np.einsum("nik,nk->ni", reach, -pressed * weight_of(robot, parameter, x.T).T))
-            continue
-        row = parameter.row(robot)
         if isinstance(parameter, Spring):
-            bent, _ = parameter.effect(torque[:, row], at_rest[:, row])
-        elif isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
-            at_q2, about_q2 = parameter.effect(robot.compensator, x[:, row])
-            bent = -slope[:, row] * theta[:, row] * about_q2 - pressed[:, row] * at_q2
-        else:
-            raise ModelError(f"{parameter.name} belongs to no spring of {robot.name}")
-        columns.append(reach[:, :, row] * bent[:, None])
+            row = parameter.row(robot)
+            columns.append(reach[:, :, row] * parameter.effect(torque[:, row], at_rest[:, row])[0][:, None])
+            continue
+        bent = -pressed * asked_by(robot, parameter, x.T).T
+        if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
+            stiffer = parameter.effect(robot.compensator, x[:, second])[1]
+            bent[:, second] -= slope[:, second] * theta[:, second] * stiffer
+        columns.append(np.einsum("nik,nk->ni", reach, bent))
     return np.stack(columns, axis=2)

@@ -195,9 +195,5 @@ def _wrapped(angle: Array) -> Array:
 
 
 def status_of(robot: RobotModel, q: Array) -> Ints:
-    """Return KUKA S (N,) of configurations (N, 6).
-
-    Bit 0: wrist centre behind A1; bit 1: A3 at or beyond the stretched position; bit 2: A5 < 0.
-    """
-    form = closed_form(robot)
-    return np.asarray((form.reach(q) < 0.0) * 1 + (form.elbow(q) >= 0.0) * 2 + (q[:, 4] < 0.0) * 4, dtype=np.int64)
+    """Return KUKA S (N,) of configurations (N, 6): their branch, but that bit 2 is the sign of A5 to the last digit."""
+    return np.asarray(closed_form(robot).branch_of(q) & 3 | (q[:, 4] < 0.0) * 4)

@@ -46,13 +46,12 @@ def combination(columns: Sequence[Array], factors: Array) -> Array:
     return np.zeros((len(columns[0]), 1)) if out is None else out
 
 
-def product(one: Array, other: Array) -> Array:
-    """Return the poses one·other, each (3, 4, n) or (3, 4, 1)."""
-    out = np.empty(np.broadcast_shapes(one.shape, other.shape))
-    columns = [one[:, k] for k in range(3)]
+def product(columns: Sequence[Array], pose: Array) -> Array:
+    """Return the poses frame·pose (3, 4, n); columns X, Y, Z and origin of the frame (3, n) or (3, 1) each."""
+    out = np.empty(np.broadcast_shapes(pose.shape, *(column.shape[-1:] for column in columns)))
     for column in range(4):
-        out[:, column] = combination(columns, other[:, column])
-    out[:, 3] += one[:, 3]
+        out[:, column] = combination(columns[:3], pose[:, column])
+    out[:, 3] += columns[3]
     return out
 
 

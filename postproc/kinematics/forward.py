@@ -2,10 +2,7 @@
 
 The chain is walked once for all samples, each component of a vector an array with the sample index LAST (`components`).
 Between two joints stands what Denavit and Hartenberg (1955) found to be enough: an offset, a tilt about X and a turn
-about Z, which adds to the angle of the joint; made from the model once.
-
-Jacobians are those of (TCP position, rotation) in root axes. The tests hold them against
-Pinocchio, which is not needed here.
+about Z, which adds to the angle of the joint; made from the model once. The tests hold it against Pinocchio.
 """
 
 from __future__ import annotations
@@ -14,7 +11,6 @@ from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 
 from postproc.frames import Array, sine_and_cosine
 from postproc.kinematics.components import combination, components, cross, matrices, product
@@ -99,27 +95,24 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
     :param weigh: with the moments of the masses.
     """
     first, steps, end = _steps(chain)
-    end = end if tool is None else product(end, tool)
+    end = end if tool is None else product([*np.moveaxis(end, 1, 0)], tool)
     frame, at = [*np.moveaxis(first, 1, 0)], np.zeros((3, 1))
-    out = Posture([], [], [step.turns for step in steps], end, [step.mass for step in steps], [])
+    axes, origins, moments = [], [], []
     for step, value in zip(steps, q, strict=True):
         at = at + combination(frame, step.offset)
         x, y, z = frame
         y, z = (combination((y, z), factors) for factors in step.tilt)
-        out.axis.append(z)
-        out.origin.append(at)
+        axes.append(z)
+        origins.append(at)
         angle = value + step.turn if step.turns else np.full(1, step.turn)
         if not step.turns:
             at = at + z * value
         sine, cosine = sine_and_cosine(angle)
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
-            out.moment.append(step.mass * (at[:2] + combination([level[:2] for level in frame], step.centre)))
-    pose = np.empty((3, 4, q.shape[-1]))
-    for column in range(4):
-        pose[:, column] = combination(frame, end[:, column])
-    pose[:, 3] += at
-    return replace(out, pose=pose)
+            moments.append(step.mass * (at[:2] + combination([level[:2] for level in frame], step.centre)))
+    turns, mass = [step.turns for step in steps], [step.mass for step in steps]
+    return Posture(axes, origins, turns, product([*frame, at], end), mass, moments)
 
 
 def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:

@@ -108,11 +108,10 @@ def _continuous(start: Array, q: Array, held: Ints) -> Array:
     if not turns.any():
         return q
     turns[held] = 0.0
-    total = np.cumsum(turns, axis=0)
-    since = np.zeros(len(q), dtype=np.int64)
+    total = np.append(np.cumsum(turns, axis=0), np.zeros((1, 6)), axis=0)  # its last row: before all
+    since = np.full(len(q), -1)
     since[held] = held
-    before = np.where(np.arange(len(q)) >= (held[0] if len(held) else len(q)), 1.0, 0.0)[:, None]
-    return q - _TURN * (total - before * total[np.maximum.accumulate(since)])
+    return q - _TURN * (total[:-1] - total[np.maximum.accumulate(since)])
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Array:
