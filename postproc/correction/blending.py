@@ -94,13 +94,15 @@ def of_motions(program: Program, path: Segments, motion: Ints) -> Corners:
 
 
 def programmed(program: Program, path: Segments, motion: Ints) -> Array:
-    """Return how far a KRL program itself rounds its path at its targets (K,) [m]; 0 at inserted ones.
+    """Return how far a program itself rounds its path at its targets (K,) [m]; 0 at inserted ones, and in G-code.
 
     :param motion: (K,) motion of each target, never decreasing.
     """
+    out = np.zeros(len(motion))
+    if not program.keeps_text:
+        return out
     last = np.append(np.diff(motion) != 0, True)[: len(motion)]
     own = motion[last]
-    out = np.zeros(len(motion))
     out[last] = of_motions(program, path, own).rounding(program.motions.blend[own])
     return out
 

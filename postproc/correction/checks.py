@@ -57,15 +57,11 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
         low, high = robot.lower[axis], robot.upper[axis]
         beyond = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
         first = int(np.argmax(beyond))
-        yield from _first(
-            program,
-            sample.motion,
-            beyond,
-            f"joint-limit-{JOINTS[axis]}",
-            f"{JOINTS[axis]} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits "
-            f"{low * DEG_PER_RAD:g}…{high * DEG_PER_RAD:g}°. "
-            f"Move the part, {_turn_the_tool(program)} or start elsewhere.",
+        message = (
+            f"{JOINTS[axis]} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits {low * DEG_PER_RAD:g}…"
+            f"{high * DEG_PER_RAD:g}°. Move the part, {_turn_the_tool(program)} or start elsewhere."
         )
+        yield from _first(program, sample.motion, beyond, f"joint-limit-{JOINTS[axis]}", message)
 
 
 def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Array, apart: Ints) -> Iterator[Issue]:
@@ -75,24 +71,10 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
     :param apart: motions whose samples are so far apart that a large turn between them is no jump.
     """
     form = kinematics.closed_form(robot)
-    advice = f"Move the part or {_turn_the_tool(program)}."
     linear = program.motions.kind[sample.motion] != PTP
     wrist = linear & (np.abs(q[:, 4]) < _WRIST)
-    yield from _first(
-        program, sample.motion, wrist, "wrist-singularity", f"wrist singularity: A5 passes through 0°. {advice}"
-    )
     elbow = linear & (np.abs(form.elbow(q)) < _ELBOW)
-    yield from _first(
-        program, sample.motion, elbow, "elbow-singularity", f"elbow singularity: the arm is stretched out. {advice}"
-    )
     shoulder = linear & (np.abs(form.reach(q)) < SHOULDER)
-    yield from _first(
-        program,
-        sample.motion,
-        shoulder,
-        "shoulder-singularity",
-        f"shoulder singularity: the wrist stands above the A1 axis. {advice}",
-    )
     jump = np.zeros(len(q), dtype=np.bool_)
     jump[1:] = largest(np.diff(q, axis=0)) > _JUMP
     jump &= linear & (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
@@ -100,20 +82,16 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
         jump &= ~np.isin(sample.motion, apart)
     rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
     flip[rows] = np.isin(np.argmax(np.abs(q[rows] - q[rows - 1]), axis=1), (3, 5))
-    yield from _first(
-        program,
-        sample.motion,
-        jump & flip,
-        "wrist-singularity",
-        f"wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once. {advice}",
-    )
-    yield from _first(
-        program,
-        sample.motion,
-        jump & ~flip,
-        "joint-jump",
-        f"singularity: a joint turns by more than 45° on a short piece of path. {advice}",
-    )
+    advice = f"Move the part or {_turn_the_tool(program)}."
+    flipped = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
+    for bad, kind, what in (
+        (wrist, "wrist-singularity", "wrist singularity: A5 passes through 0°"),
+        (elbow, "elbow-singularity", "elbow singularity: the arm is stretched out"),
+        (shoulder, "shoulder-singularity", "shoulder singularity: the wrist stands above the A1 axis"),
+        (jump & flip, "wrist-singularity", flipped),
+        (jump & ~flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
+    ):
+        yield from _first(program, sample.motion, bad, kind, f"{what}. {advice}")
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
@@ -217,17 +195,11 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
             (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
         ):
             fast = rows & (speed[:, axis] > robot.speed[axis])
-            if fast.any():
-                most = speed[fast, axis].max() * DEG_PER_RAD
-                yield from _first(
-                    program,
-                    sample.motion,
-                    fast,
-                    f"joint-speed-{name}",
-                    f"{name} would turn at {most:.0f}°/s at {at} (limit {robot.speed[axis] * DEG_PER_RAD:.0f}°/s). "
-                    f"{advice} or turn the tool about its axis.",
-                    level,
-                )
+            message = (
+                f"{name} would turn at {speed[fast, axis].max(initial=0.0) * DEG_PER_RAD:.0f}°/s at {at} (limit "
+                f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
+            )
+            yield from _first(program, sample.motion, fast, f"joint-speed-{name}", message, level)
 
 
 def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> Iterator[Issue]:
@@ -259,16 +231,11 @@ def _force(wrench: Array) -> str:
 
 def correction_size(program: Program, motion: Ints, correction: Array, allowed: float) -> Iterator[Issue]:
     """No commanded position may be further from nominal than allowed; distances (N,) [m]."""
-    bad = ~(correction <= allowed)
-    if bad.any():
-        yield from _first(
-            program,
-            motion,
-            bad,
-            "correction-size",
-            f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
-            f"{allowed * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell.",
-        )
+    message = (
+        f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
+        f"{allowed * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell."
+    )
+    yield from _first(program, motion, ~(correction <= allowed), "correction-size", message)
 
 
 def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> Iterator[Issue]:
@@ -276,15 +243,11 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
 
     :param more: (K,) by how much the written path is rounded more at each target than the programmed one [m].
     """
-    yield from _first(
-        program,
-        motion,
-        more > tolerance,
-        "blending",
+    message = (
         "approximation (C_DIS) rounds the path at corrected targets by more than the tolerance beyond what it does at "
-        "nominal ones. Use a smaller approximation distance where this matters.",
-        level="warning",
+        "nominal ones. Use a smaller approximation distance where this matters."
     )
+    yield from _first(program, motion, more > tolerance, "blending", message, "warning")
 
 
 def beyond_measured(

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.compensation import Compensation
-from postproc.correction import blending, checks, commanded, inspection
+from postproc.correction import checks, commanded, inspection
 from postproc.correction.read_back import ReadBack, UnusableTextError, read_back
 from postproc.correction.result import Mode, Result
 from postproc.correction.targets import Chosen
@@ -17,9 +17,9 @@ from postproc.dialects.dialect import Writer
 from postproc.errors import Issue, group_issues
 from postproc.forces import Axes, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
-from postproc.program import Program, TargetForces, TargetJoints, Written
+from postproc.program import TargetForces, TargetJoints
 from postproc.robot import RobotModel
-from postproc.under_load import PathUnderLoad, RobotInCell
+from postproc.under_load import PathUnderLoad
 
 _NO_BOUND = (
     "the forces have standard deviations, but the robot model has no covariance: there is no bound (u95_mm) to which "
@@ -40,20 +40,13 @@ class Task(Struct, frozen=True, eq=False):
     :param told: what there is to say before anything is computed.
     """
 
-    program: Program
     robot: RobotModel
-    setting: RobotInCell
     mode: Mode
     linearize_arcs: bool
     writer: Writer
     comments: bool
     in_file: bool
     told: tuple[Issue, ...]
-
-    def issues(self, path: PathUnderLoad, command: Compensation) -> tuple[Issue, ...]:
-        """Return what is told of the program, its forces and its path as commanded."""
-        of_path = inspection.of_path(path, command)
-        return (*self.told, *self.program.issues, *path.motions.forces.issues, *of_path)
 
 
 class Draft(Struct, frozen=True, eq=False):
@@ -64,9 +57,7 @@ class Draft(Struct, frozen=True, eq=False):
     :param theta: (N, nv) deflections of the springs there [rad, m].
     :param chosen: the targets.
     :param issues: what there is to tell.
-    :param text: the program as text; None as long as it is not written.
-    :param back: the text read back; None as long as it is not, or cannot be.
-    :param simulated: what the program as written does; None as long as it is not simulated.
+    :param simulated: what the program as written does; None as long as it is not written, or if it cannot be used.
     """
 
     path: PathUnderLoad
@@ -74,9 +65,13 @@ class Draft(Struct, frozen=True, eq=False):
     theta: Array
     chosen: Chosen
     issues: tuple[Issue, ...]
-    text: Written | None = None
-    back: ReadBack | None = None
     simulated: Simulated | None = None
+
+    @classmethod
+    def of(cls, task: Task, path: PathUnderLoad, command: Compensation, chosen: Chosen) -> Draft:
+        """Return the draft with all that there is to tell of the program, its forces and its path as commanded."""
+        told = (*task.told, *path.program.issues, *path.motions.forces.issues, *inspection.of_path(path, command))
+        return cls(path, command.q, command.theta, chosen, told)
 
     @property
     def failed(self) -> bool:
@@ -89,56 +84,48 @@ class Draft(Struct, frozen=True, eq=False):
         return forces.of_targets(self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench[chosen.row])
 
     def written(self, task: Task) -> Draft:
-        """Return the draft with its text.
+        """Return the draft written, read back and simulated, as far as that can be done.
 
         :raises ProgramError: it cannot be written.
         """
-        chosen = self.chosen
+        path, chosen, q = self.path, self.chosen, self.q[self.chosen.row]
         comments = self.forces_at_targets() if task.comments else None
-        q = self.q[chosen.row]
-        joints = TargetJoints(q, kinematics.status_of(task.setting.robot, q))
-        text = task.writer.write(task.program, chosen.targets, joints, task.setting.cell, comments)
-        return replace(self, text=text, issues=(*self.issues, *text.issues))
-
-    def simulated_by(self, task: Task) -> Draft:
-        """Return the draft with its text read back and simulated, if that can be done."""
-        if self.text is None:
-            return self
+        joints = TargetJoints(q, kinematics.status_of(task.robot, q))
+        text = task.writer.write(path.program, chosen.targets, joints, path.setting.cell, comments)
+        draft = replace(self, issues=(*self.issues, *text.issues))
+        if draft.failed:
+            return draft
         try:
-            back = read_back(self.path, self.chosen, self.text)
-            corrected = task.mode != "nominal"
-            simulated = simulate(self.path, self.chosen, self.theta, back, corrected=corrected)
+            back = read_back(path, chosen, text)
+            simulated = simulate(path, chosen, self.theta, back, corrected=task.mode != "nominal")
         except UnusableTextError as cause:
-            return replace(self, issues=(*self.issues, cause.issue))
-        return replace(self, back=back, simulated=simulated, issues=(*self.issues, *simulated.issues))
+            return replace(draft, issues=(*draft.issues, cause.issue))
+        return replace(draft, simulated=simulated, issues=(*draft.issues, *simulated.issues))
 
 
 def result_of(task: Task, draft: Draft) -> Result:
     """Make the result of a draft; what is not written is predicted as it stands."""
-    path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, task.program
+    path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
     rows = np.arange(len(path)) if task.mode == "predict" else row
     without = commanded.uncorrected(path, rows, draft.theta)
     between = float(norm(without.deviation).max(initial=0.0))
     if task.mode == "predict":
         without = without.take(row)
-    programmed = np.zeros(len(row))
-    if program.keeps_text:
-        programmed = blending.programmed(program, path.motions.segments, targets.motion)
     bound, untold = _bound(draft)
     result = Result(
         program=program,
         robot=task.robot,
-        axis=task.setting.spindle,
+        axis=path.setting.spindle,
         mode=task.mode,
         documents=(),
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose[row],
-        printed=_numbers(task, draft) if draft.back is None else draft.back.numbers,
+        printed=_numbers(task, draft),
         wrench=path.wrench[row],
         deflection=without.deflection,
-        deflection_by_tool=None if task.setting.tool_spring is None else without.by_tool,
+        deflection_by_tool=None if path.setting.tool_spring is None else without.by_tool,
         deviation_before=without.deviation,
         deviation_after=without.deviation,
         bound=bound,
@@ -146,32 +133,34 @@ def result_of(task: Task, draft: Draft) -> Result:
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
         between=between,
-        rounding=programmed,
-        programmed=programmed,
+        rounding=draft.chosen.programmed,
+        programmed=draft.chosen.programmed,
         carried=None,
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
         issues=group_issues([*draft.issues, *untold]),
     )
-    if draft.text is None or draft.simulated is None or draft.back is None:
+    if (written := draft.simulated) is None:
         return result
     return replace(
         result,
-        documents=() if draft.failed else draft.text.documents,
-        output_line=draft.text.output_line,
-        deviation_after=draft.simulated.deviation,
-        between=draft.simulated.between,
-        rounding=draft.simulated.rounding,
-        carried=None if draft.failed or not task.in_file else _carried(draft, draft.back),
+        documents=() if draft.failed else written.back.text.documents,
+        output_line=written.back.text.output_line,
+        deviation_after=written.deviation,
+        between=written.between,
+        rounding=written.rounding,
+        carried=None if draft.failed or not task.in_file else _carried(draft, written.back),
     )
 
 
 def _numbers(task: Task, draft: Draft) -> Array:
-    """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg]; where the text of the program stays, as it has them."""
-    targets = draft.chosen.targets
+    """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as the text has them that is written, or stays."""
+    if draft.simulated is not None:
+        return draft.simulated.back.numbers
+    targets, program = draft.chosen.targets, draft.path.program
     numbers = xyzabc_from_pose(targets.pose)
-    if task.mode == "predict" and task.program.keeps_text:
+    if task.mode == "predict" and program.keeps_text:
         ends = targets.t == 1.0
-        numbers[ends] = task.program.numbers_as_written()[targets.motion[ends]]
+        numbers[ends] = program.numbers_as_written()[targets.motion[ends]]
     return numbers
 
 

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.compensation import Compensation
-from postproc.correction import commanded, inspection, targets, verify
+from postproc.correction import commanded, inspection, select, targets, verify
 from postproc.correction.drafts import Draft, Task, result_of
 from postproc.correction.result import Mode, Result
 from postproc.dialects import registry
@@ -71,9 +71,7 @@ def process(
     if mode != "predict":
         _check_language(program.documents[0].name, robot, language)
     task = Task(
-        program=program,
         robot=robot,
-        setting=RobotInCell.of(robot, cell),
         mode=mode,
         linearize_arcs=linearize_arcs,
         writer=writer,
@@ -85,7 +83,7 @@ def process(
         if issue.level == "error":
             return Result.without_targets(program, robot, cell.tool.axis, mode, issue)
     try:
-        draft = _settled(task, MotionsUnderLoad.of(program, task.setting, source))
+        draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
         return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
     except ImpossiblePathError as cause:
         return Result.without_targets(program, robot, cell.tool.axis, mode, cause.issue)
@@ -109,7 +107,7 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> Draft:
         missed = None if draft.simulated is None or task.mode == "nominal" else draft.simulated.missed
         if missed is None or len(missed.motion) == 0:
             break
-        pieces, also = _closer(task, draft.path.arcs, missed, also)
+        pieces, also = _closer(task, draft.path, missed, also)
     return draft
 
 
@@ -118,18 +116,18 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
     pieces = motions.pieces(linearize_arcs=task.linearize_arcs)
     if pieces.uncertain.any():
         path = PathUnderLoad.of(motions, pieces)
-        pieces = targets.pieces_needed(path, _commands(task, path))
+        pieces = select.pieces_needed(select.CommandedPath.of(path, _commands(task, path)))
     return pieces
 
 
 def _closer(
-    task: Task, arcs: Pieces, missed: verify.Missed, also: tuple[Ints, Array] | None
+    task: Task, path: PathUnderLoad, missed: verify.Missed, also: tuple[Ints, Array] | None
 ) -> tuple[Pieces, tuple[Ints, Array]]:
     """Return pieces of arcs, and places of straight motions, that look closer where the path was missed."""
-    on_arc = (task.program.motions.kind[missed.motion] == CIRC) & (not task.linearize_arcs)
-    parts = np.sqrt(missed.distance[on_arc] / (SHARE_OF_TOLERANCE * task.setting.tolerance))
+    on_arc = (path.program.motions.kind[missed.motion] == CIRC) & (not task.linearize_arcs)
+    parts = np.sqrt(missed.distance[on_arc] / (SHARE_OF_TOLERANCE * path.setting.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
-    pieces = arcs.finer(missed.motion[on_arc], missed.t[on_arc], parts)
+    pieces = path.arcs.finer(missed.motion[on_arc], missed.t[on_arc], parts)
     motion, t = missed.motion[~on_arc], missed.t[~on_arc]
     return pieces, (motion, t) if also is None else (np.append(also[0], motion), np.append(also[1], t))
 
@@ -149,26 +147,23 @@ def _commands(task: Task, path: PathUnderLoad) -> Compensation:
 def _drafted(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples; write it and read it back unless there is an error."""
     draft = _chosen(task, path)
-    if draft.failed:
-        return draft
     try:
-        draft = draft.written(task)
+        return draft if draft.failed else draft.written(task)
     except ProgramError:
         if task.mode == "predict":
             return draft
         raise
-    return draft if draft.failed else draft.simulated_by(task)
 
 
 def _chosen(task: Task, path: PathUnderLoad) -> Draft:
-    """Draft the program with targets at some of the samples, and tell what is wrong with the path as commanded."""
+    """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
     chosen = targets.chosen(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
-    return Draft(path, command.q, command.theta, chosen, task.issues(path, command))
+    return Draft.of(task, path, command, chosen)
 
 
 def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft as the program read: it was corrected only to find the places."""
-    path, command = draft.path, commanded.as_it_stands(draft.path)
-    chosen = replace(draft.chosen, targets=replace(draft.chosen.targets, pose=path.sample.pose[draft.chosen.row]))
-    return Draft(path, command.q, command.theta, chosen, task.issues(path, command))
+    path, chosen = draft.path, draft.chosen
+    chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose[chosen.row]))
+    return Draft.of(task, path, commanded.as_it_stands(path), chosen)

@@ -32,12 +32,14 @@ class UnusableTextError(PostprocError):
 class ReadBack(Struct, frozen=True, eq=False):
     """A written program of K targets as its text says.
 
-    :param program: without its text, which fills much memory.
+    :param text: as written.
+    :param program: as read, without its text.
     :param segments: the geometry of its motions.
     :param row: (K,) motion that ends at each target.
     :param numbers: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
     """
 
+    text: Written
     program: Program
     segments: Segments
     row: Ints
@@ -65,7 +67,7 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
         raise UnusableTextError(mismatch)
     numbers = written.numbers_as_written()[row]
     written = replace(written, documents=(), layout=None)
-    return ReadBack(written, toolpath.segments(written, setting.start_flange), row, numbers)
+    return ReadBack(text, written, toolpath.segments(written, setting.start_flange), row, numbers)
 
 
 def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:

@@ -10,9 +10,12 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from postproc import toolpath
+from postproc.compensation import Compensation
 from postproc.frames import Array, norm
 from postproc.program import CIRC, LIN, Bools, Ints
 from postproc.toolpath import Pieces, Toolpath, circle_through
+from postproc.under_load import SHARE_OF_TOLERANCE, PathUnderLoad
 
 _FLAT = 1e-6
 """Sagitta [m] below which a piece of an arc is written as a line."""
@@ -25,59 +28,55 @@ class CommandedPath(Struct, frozen=True, eq=False):
     :param arcs: the pieces of its arcs.
     :param position: (N, 3) commanded positions at the places, `$BASE` [m].
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
+    :param limit: what may be missed between targets [m].
     """
 
     sample: Toolpath
     arcs: Pieces
     position: Array
     start: Array
+    limit: float
 
-
-class Selection(Struct, frozen=True, eq=False):
-    """Rows of the samples that become targets, in order.
-
-    :param row: (K,) row of the samples.
-    :param kind: (K,) `LIN`, `CIRC` or `PTP`.
-    :param via: (K,) row of the sample that is the auxiliary point of a CIRC; −1 elsewhere.
-    """
-
-    row: Ints
-    kind: Ints
-    via: Ints
+    @classmethod
+    def of(cls, path: PathUnderLoad, command: Compensation) -> CommandedPath:
+        """Return the path of commands, in `$BASE`."""
+        ends = np.flatnonzero(path.sample.ends)
+        starts = toolpath.starts(path.program, lambda motion: command.pose[ends[motion]], path.setting.start_flange)
+        position = command.pose[:, :3, 3]
+        start = np.roll(position[ends], 1, axis=0)
+        start[starts.changed] = starts.pose[:, :3, 3]
+        return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.setting.tolerance)
 
 
 def choose(
-    path: CommandedPath, kind: Ints, whole: Bools, every: Bools, limit: float, least_arc: tuple[float, float]
-) -> Selection:
-    """Choose targets.
+    path: CommandedPath, kind: Ints, whole: Bools, every: Bools, least_arc: tuple[float, float]
+) -> tuple[Ints, Ints, Ints]:
+    """Choose which samples become targets.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
     :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
     :param every: (M,) motions of which every sample becomes a target.
-    :param limit: what may be missed [m].
     :param least_arc: see `dialects.dialect.Writer`; a piece of an arc that is less becomes a line.
+    :returns: (K,) rows of the samples, in order; (K,) `LIN`, `CIRC`, `PTP` or `SPL`; (K,) row of the sample that is the
+        auxiliary point of a CIRC, −1 elsewhere.
     """
     sample, arcs = path.sample, path.arcs
     chosen, kinds, via = sample.ends | every[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
     lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
     if len(lines):
-        nodes = _Nodes.of(lines, path)
-        chosen[nodes.row[_divided(nodes, limit)]] = True
+        chosen[_divided(path, lines)] = True
     circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
     if len(circles):
         before, middle, end = _ends(path, circles)
         curved = ~_is_flat(before, path.position[middle], path.position[end], *least_arc)
         chosen[end], kinds[end], via[end] = True, np.where(curved, CIRC, LIN), np.where(curved, middle, -1)
     row = np.flatnonzero(chosen)
-    return Selection(row, kinds[row], via[row])
+    return row, kinds[row], via[row]
 
 
-def pieces_needed(path: CommandedPath, limit: float) -> Pieces:
-    """Return how many pieces of arcs are needed, by what circles through twice as large ones miss.
-
-    :param limit: what may be missed [m].
-    """
+def pieces_needed(path: CommandedPath) -> Pieces:
+    """Return how many pieces of arcs are needed, by what circles through twice as large ones miss."""
     arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
     begin, middle_row, end_row = _ends(path, stretch)
@@ -92,7 +91,7 @@ def pieces_needed(path: CommandedPath, limit: float) -> Pieces:
     pairs = arcs.number[stretch] // 2
     number = arcs.number.copy()
     worst = np.maximum.reduceat(missed, np.cumsum(pairs) - pairs)
-    number[stretch] = np.ceil(pairs * np.sqrt(worst / limit)).astype(np.int64)
+    number[stretch] = np.ceil(pairs * np.sqrt(worst / path.limit)).astype(np.int64)
     return arcs.settled(number)
 
 
@@ -110,48 +109,32 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
     return before, row + each // 2 - 1, row + each - 1
 
 
-class _Nodes(Struct, frozen=True, eq=False):
-    """Samples of some motions with the start of each motion put before them (`row` −1 there).
-
-    :param first: (n,) the first node of each motion.
-    """
-
-    row: Ints
-    t: Array
-    position: Array
-    first: Ints
-
-    @classmethod
-    def of(cls, motions: Ints, path: CommandedPath) -> _Nodes:
-        count = np.bincount(path.sample.motion, minlength=len(path.start))
-        size = count[motions] + 1
-        first = np.cumsum(size) - size
-        row = np.arange(size.sum()) + np.repeat((np.cumsum(count) - count)[motions] - first - 1, size)
-        t, position = path.sample.t[row], path.position[row]
-        row[first], t[first], position[first] = -1, 0.0, path.start[motions]
-        return cls(row, t, position, first)
-
-
-def _divided(nodes: _Nodes, limit: float) -> Ints:
-    """Divide each motion where it is missed most until every line fits; return the nodes at the ends of the lines."""
-    left, right = nodes.first, np.append(nodes.first[1:], len(nodes.row)) - 1
+def _divided(path: CommandedPath, motions: Ints) -> Ints:
+    """Divide lines where they are missed most until every piece fits; return the samples (n,) where pieces end."""
+    count = np.bincount(path.sample.motion, minlength=len(path.start))
+    size = count[motions] + 1  # the start of each motion is put before its samples
+    first = np.cumsum(size) - size
+    row = np.arange(size.sum()) + np.repeat((np.cumsum(count) - count)[motions] - first - 1, size)
+    t, position = path.sample.t[row], path.position[row]
+    t[first], position[first] = 0.0, path.start[motions]
+    left, right = first, first + size - 1
     done: list[Ints] = []
     while len(left):
         count = right - left - 1
         piece = np.repeat(np.arange(len(left)), count)
         node = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count - left - 1, count)
-        share = (nodes.t[node] - nodes.t[left][piece]) / (nodes.t[right] - nodes.t[left])[piece]
-        a, b = nodes.position[left], nodes.position[right]
-        miss = norm(nodes.position[node] - a[piece] - share[:, None] * (b - a)[piece])
+        share = (t[node] - t[left][piece]) / (t[right] - t[left])[piece]
+        a, b = position[left], position[right]
+        miss = norm(position[node] - a[piece] - share[:, None] * (b - a)[piece])
         order = np.lexsort((miss, piece))
         last = order[np.cumsum(count[count > 0]) - 1]
         worst, cut = np.zeros(len(left)), np.full(len(left), -1)
         worst[piece[last]], cut[piece[last]] = miss[last], node[last]
-        again = worst > limit
+        again = worst > path.limit
         done.append(right[~again])
         cut = cut[again]
         left, right = np.concatenate([left[again], cut]), np.concatenate([cut, right[again]])
-    return np.concatenate(done)
+    return np.asarray(row[np.concatenate(done)])
 
 
 def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:

@@ -9,11 +9,11 @@ from msgspec.structs import replace
 from postproc import kinematics, toolpath
 from postproc.compensation import Compensation
 from postproc.correction import blending, select
+from postproc.correction.select import CommandedPath
 from postproc.frames import Array, largest, twist_between
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Targets
 from postproc.robot import RobotModel
-from postproc.toolpath import Pieces
-from postproc.under_load import SHARE_OF_TOLERANCE, PathUnderLoad
+from postproc.under_load import PathUnderLoad
 
 _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a target is left to the byte where the program keeps it."""
@@ -25,17 +25,13 @@ class Chosen(Struct, frozen=True, eq=False):
     :param targets: what is to be written.
     :param row: (K,) which sample each is.
     :param arrive: (K, 3) direction of travel at the end of the piece to each, `$BASE`.
+    :param programmed: (K,) how far the program as read rounds its path there [m], see `Result`.
     """
 
     targets: Targets
     row: Ints
     arrive: Array
-
-
-def pieces_needed(path: PathUnderLoad, command: Compensation) -> Pieces:
-    """Return how many pieces of arcs are needed, by what larger ones miss."""
-    limit = SHARE_OF_TOLERANCE * path.setting.tolerance
-    return select.pieces_needed(_commanded(path, command), limit)
+    programmed: Array
 
 
 def chosen(
@@ -49,13 +45,12 @@ def chosen(
     """
     program, sample, m = path.program, path.sample, path.program.motions
     whole, kept = _unchanged(path, command)
-    commanded = _commanded(path, command)
+    commanded = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    limit = SHARE_OF_TOLERANCE * path.setting.tolerance
     every = toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1
-    selected = select.choose(commanded, kind, whole, every, limit, least_arc)
-    movable = np.isnan(m.joints[sample.motion[selected.row], 0])
-    row, target_kind, via_row = selected.row[movable], selected.kind[movable], selected.via[movable]
+    selected = select.choose(commanded, kind, whole, every, least_arc)
+    movable = np.isnan(m.joints[sample.motion[selected[0]], 0])
+    row, target_kind, via_row = (each[movable] for each in selected)
     motion = sample.motion[row]
     via, arcs = np.broadcast_to(np.nan, (len(row), 3)), via_row >= 0
     if arcs.any():
@@ -66,7 +61,8 @@ def chosen(
     targets = Targets(motion, sample.t[row], target_kind, command.pose[row], via, keep, status, turn, m.blend[motion])
     corners, arrive = blending.of_targets(program, targets, commanded.start)
     blend = blending.distances(program, targets, corners, path.setting.cell)
-    return Chosen(replace(targets, blend=blend), row, arrive)
+    programmed = blending.programmed(program, path.motions.segments, motion)
+    return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 
 
 def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools]:
@@ -91,19 +87,6 @@ def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools
     return np.where(m.kind == LIN, ~any_moved, kept), kept
 
 
-def _commanded(path: PathUnderLoad, command: Compensation) -> select.CommandedPath:
-    return select.CommandedPath(path.sample, path.arcs, command.pose[:, :3, 3], _starts(path, command))
-
-
-def _starts(path: PathUnderLoad, command: Compensation) -> Array:
-    """Return the commanded positions (M, 3) where the motions start, in their `$BASE` [m]."""
-    ends = np.flatnonzero(path.sample.ends)
-    starts = toolpath.starts(path.program, lambda motion: command.pose[ends[motion]], path.setting.start_flange)
-    start = np.roll(command.pose[ends, :3, 3], 1, axis=0)
-    start[starts.changed] = starts.pose[:, :3, 3]
-    return start
-
-
 def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
     """Return S and T of PTP targets (K,): of a program that keeps its text where it gives them, else always.
 
@@ -112,12 +95,8 @@ def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array
     m = program.motions
     status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     ptp = np.flatnonzero(m.kind[motion] == PTP)
-    if len(ptp):
-        new_status, new_turn = kinematics.status_of(robot, q[ptp]), kinematics.turn_of(q[ptp])
-        if not program.keeps_text:
-            status[ptp], turn[ptp] = new_status, new_turn
-        else:
-            given, given_turn = m.status[motion[ptp]], m.turn[motion[ptp]]
-            status[ptp] = np.where(given >= 0, given & ~7 | new_status, -1)
-            turn[ptp] = np.where(given_turn >= 0, given_turn & ~63 | new_turn, -1)
+    status[ptp], turn[ptp] = kinematics.status_of(robot, q[ptp]), kinematics.turn_of(q[ptp])
+    if program.keeps_text:
+        for new, given, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):
+            new[:] = np.where(given >= 0, given & ~bits | new, -1)
     return status, turn

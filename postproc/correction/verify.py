@@ -58,6 +58,7 @@ class Missed(Struct, frozen=True, eq=False):
 class Simulated(Struct, frozen=True, eq=False):
     """What the written program would do.
 
+    :param back: the program, as its text says.
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param rounding: (K,) how far approximate positioning passes each target [m].
@@ -65,6 +66,7 @@ class Simulated(Struct, frozen=True, eq=False):
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
+    back: ReadBack
     deviation: Array
     between: float
     rounding: Array
@@ -118,10 +120,11 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
         issues += _jumps(path, probes.motion, distance, settled & jump)
         issues += _not_held(path, chosen, probes, distance, settled & ~jump)
         if path.program.keeps_text:
-            more = rounding - blending.programmed(path.program, path.motions.segments, chosen.targets.motion)
+            more = rounding - chosen.programmed
             issues += checks.blending(path.program, chosen.targets.motion, more, path.setting.tolerance)
     bad = settled & probes.inside & ~(distance <= _SAFE * path.setting.tolerance) & ~jump
     return Simulated(
+        back,
         off[~probes.inside],
         float(distance[settled].max(initial=0.0)),
         rounding,
