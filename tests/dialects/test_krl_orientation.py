@@ -1,5 +1,8 @@
 """Orientation under `$ORI_TYPE` and `$CIRC_TYPE`, against a controller that shares no code with the package."""
 
+import re
+
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,7 +12,7 @@ from postproc import correction, robot, toolpath
 from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
-from postproc.program import CIRC
+from postproc.program import CIRC, LIN
 from tests.correction.test_end_to_end import SAMPLES, check_targets, rows_of, simulator
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, read, targets
 from tests.dialects.test_krl_rewriting import keep_unmoved, up
@@ -119,6 +122,101 @@ def test_scirc_goes_by_the_auxiliary_point_which_way_the_tool_turns(word, short,
         arc = f"scirc {point % far if data is None else point},{text[2].split('},')[1]}"
         with pytest.raises(ProgramError, match="closer to the longer way round"):
             read(body(*text[:2], arc), data and data % numbers)
+
+
+HALF = "{X 50,Y -50,Z 0,A %g,B 0,C 180},{X 100,Y 0,Z 0,A %g,B 0,C 180}"
+MODE = "$CIRC_MODE.AUX_PT.ORI"
+LEADING = [  # the circle turns by 100°, half of it up to the auxiliary point
+    (f"WITH {MODE}=#INTERPOLATE", 50, None),
+    (f"WITH {MODE}=#INTERPOLATE", 50.005, None),
+    (f"WITH {MODE}=#INTERPOLATE", 51, "not on the way"),
+    (f"with {MODE.lower()} = #interpolate c_spl", 51, "not on the way"),
+    ("WITH $CIRC_MODE={AUX_PT {ORI #INTERPOLATE},TARGET_PT {ORI #EXTRAPOLATE}}", 51, "not on the way"),
+    ("WITH $CIRC_MODE.AUX_PT={ORI #INTERPOLATE,E1 #IGNORE}", 51, "not on the way"),
+    ("WITH $CIRC_MODE=SCIRC_M(LTHROUGH)", 51, "not on the way"),
+    ("WITH $CIRC_MODE=SCIRC_M(LUSUAL)", 51, None),
+    ("WITH $CIRC_MODE=SCIRC_M(LUSUAL)", 231, "closer to the longer way"),
+    ("WITH $CIRC_MODE=SCIRC_M(LBARE)", 51, None),
+    ("WITH $CIRC_MODE=SCIRC_M(LNONE)", 51, f"{MODE} is not known: LNONE has no value"),
+    ("WITH $CIRC_MODE=SCIRC_M(LNONE)", 50, None),
+    (f"WITH {MODE}=WAY", 51, f"{MODE} is not known: WAY has no value"),
+    (f"WITH {MODE}=#EXTRAPOLATE", 51, f"{MODE} is not known: there is no #EXTRAPOLATE"),
+    (f"WITH {MODE}=#IGNORE", 51, None),
+    (f"WITH {MODE}=#IGNORE", 231, None),
+    (f"WITH {MODE}=#INTERPOLATE, {MODE}=#IGNORE", 231, None),
+    ("WITH $CIRC_MODE.TARGET_PT.ORI=#INTERPOLATE", 51, None),
+    ("WITH $CIRC_MODE.TARGET_PT.ORI=#INTERPOLATE", 231, "closer to the longer way"),
+    ("", 51, None),
+]
+
+
+@pytest.mark.parametrize(("behind", "auxiliary", "refused"), LEADING)
+@pytest.mark.parametrize("where", ["in the line", "in the data"])
+def test_scirc_heeds_the_auxiliary_point_as_circ_mode_says(behind, auxiliary, refused, where):
+    data = """DEFDAT part
+DECL LDAT LTHROUGH={VEL 2.0,ORI_TYP #VAR,CB {AUX_PT {ORI #INTERPOLATE,E1 #CONSIDER},TARGET_PT {ORI #INTERPOLATE}}}
+DECL LDAT LUSUAL={VEL 2.0,ORI_TYP #VAR,CB {AUX_PT {ORI #CONSIDER,E1 #CONSIDER},TARGET_PT {ORI #INTERPOLATE}}}
+DECL LDAT LBARE={VEL 2.0,ORI_TYP #VAR}
+FRAME XM={X 50,Y -50,Z 0,A %g,B 0,C 180}
+ENDDAT
+"""
+    points = HALF % (auxiliary, 100) if where == "in the line" else f"XM,{(HALF % (0, 100)).split('},')[1]}"
+    lines = "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}", f"SCIRC {points} {behind}"
+    if refused is None:
+        path = path_of(read(body(*lines), data % auxiliary), (0.5,))[1, 0, :3, :3]
+        np.testing.assert_allclose(path, abc(0, 0, 0, 50, 0, 180)[:3, :3], atol=1e-12)
+    else:
+        with pytest.raises(ProgramError, match=re.escape(refused)) as told:
+            read(body(*lines), data % auxiliary)
+        assert told.value.line == 5
+
+
+def test_circ_disregards_the_auxiliary_orientation_and_ignore_does_too():
+    start, through = "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}", f"WITH {MODE}=#INTERPOLATE"
+    assert len(read(body(start, f"CIRC {HALF % (200, 100)}")).motions) == 2
+    assert len(read(body(start, "$ORI_TYPE=#IGNORE", f"SCIRC {HALF % (200, 0)} {through}")).motions) == 2
+    with pytest.raises(ProgramError, match="not on the way"):
+        read(body(start, f"SCIRC {HALF % (30, 0)} {through}"))
+    with pytest.raises(ProgramError, match="not on the way"):  # A, B, C that are missing are those of the start
+        read(body(start, f"SCIRC {{X 50,Y -50,Z 0}},{{X 100,Y 0,Z 0,A 100,B 0,C 180}} {through}"))
+    read(body(start, f"SCIRC {{X 50,Y -50,Z 0}},{{X 100,Y 0,Z 0}} {through}"))
+
+
+def test_e1_that_carries_the_robot_is_not_led_through_the_auxiliary_point():
+    lines = "PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0,E1 0}", FULL, "SCIRC {X 50,Y -50,Z 0},{X 100,Y 0,Z 0}"
+    rail = msgspec.structs.replace(CELL, external_axes={"E1": cells.ExternalAxis((0.0, 1.0, 0.0))})
+    mode = "WITH $CIRC_MODE.AUX_PT.E1=%s"
+    assert len(read(body(*lines[:2], f"{lines[2]} {mode % '#CONSIDER'}"), cell=rail).motions) == 3
+    read(body(*lines[:2], f"{lines[2]} {mode % '#INTERPOLATE'}"))
+    with pytest.raises(ProgramError, match="E1, which carries the robot, is led through"):
+        read(body(*lines[:2], f"{lines[2]} {mode % '#INTERPOLATE'}"), cell=rail)
+
+
+@pytest.mark.parametrize(("turn", "word", "refused"), [(5, "SLIN", True), (0.4, "SLIN", False), (5, "LIN", False)])
+@pytest.mark.parametrize("mode", ["#ON", "#OFF", "CHOSEN"])
+def test_the_controller_must_not_choose_to_lead_the_orientation_by_the_wrist(turn, word, refused, mode):
+    end = f"{word} {{X 30,A {10 + turn},B 20,C 170}}"
+    programs = [
+        (FULL, f"$SPL_ORI_JOINT_AUTO={mode}", end),
+        ("DECL SW_ONOFF CHOSEN", FULL, "$spl_ori_joint_auto = #ON", end),
+    ]
+    if word == "SLIN":
+        programs.append((FULL, f"{end} WITH $SPL_ORI_JOINT_AUTO={mode}"))
+    for lines in programs:
+        if refused and "#OFF" not in "".join(lines):
+            with pytest.raises(ProgramError, match="SPL_ORI_JOINT_AUTO"):
+                read(body(*lines))
+        else:
+            assert len(read(body(*lines)).motions) == 2
+
+
+@pytest.mark.parametrize("name", ["$TECH[1]", "$tech_c[2]", "$SPL_TECH[1]"])
+def test_a_motion_that_is_superposed_on_the_path_is_refused(name):
+    read(body(FULL, f"{name}.MODE=#OFF", f"{name}.CLASS=#PATH"))
+    with pytest.raises(ProgramError, match="superposes a motion on the path"):
+        read(body(FULL, f"{name}.MODE=#CYCLE"))
+    with pytest.raises(ProgramError, match="in WITH is not understood"):
+        read(body(FULL, f"SLIN {{X 30}} WITH {name}.MODE=#CYCLE"))
 
 
 # --- writing -----------------------------------------------------------------------------------------------------
@@ -250,3 +348,53 @@ def test_corrected_programs_hold_the_tool_where_it_was_in_the_cell(kind, circle)
     nominal = np.array([abc(*(row[name] for name in "XYZABC"))[:3, :3] for row in rows_of(result)])
     off = np.degrees(Rotation.from_matrix(nominal.transpose(0, 2, 1) @ again.motions.target[:, :3, :3]).magnitude())
     assert 0.001 < off.max() < 0.2  # the correction of the orientation
+
+
+BEFORE = "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}"
+ROUND = "SCIRC {X 50,Y -50,Z 0%s},{X 100,Y 0,Z 0,A %g,B 0,C 180}"
+IGNORED = f"{MODE}=#IGNORE"
+
+
+@pytest.mark.parametrize(
+    ("auxiliary", "end", "behind", "written"),
+    [
+        (",A 0,B 0,C 180", 0, f" WITH {MODE}=#INTERPOLATE", f" WITH {IGNORED}"),
+        (",A 0,B 0,C 180", 0, " WITH $CIRC_MODE=SCIRC_M(L) C_SPL", f" WITH $CIRC_MODE=SCIRC_M(L), {IGNORED} C_SPL"),
+        ("", 0, f" WITH $VEL.CP=0.1, {MODE}=#INTERPOLATE ;x", f" WITH $VEL.CP=0.1, {IGNORED} ;x"),
+        (",A 100,B 0,C 180", 0, " c_spl", f" WITH {IGNORED} c_spl"),
+        (",A 17,B 0,C 180", 170, "", f" WITH {IGNORED}"),
+        (",A 70,B 0,C 180", 75, " C_SPL", " C_SPL"),
+        (",A 100,B 0,C 180", 0, f" WITH {IGNORED}", f" WITH {IGNORED}"),
+        ("", 100, " C_SPL", " C_SPL"),
+    ],
+)
+@pytest.mark.parametrize("pieces", [None, {1: [0.3, 0.6, 0.9]}])
+def test_an_auxiliary_orientation_does_not_lead_a_corrected_circle_elsewhere(auxiliary, end, behind, written, pieces):
+    data = "DEFDAT part\nDECL LDAT L={VEL 2.0,CB {AUX_PT {ORI #INTERPOLATE}}}\nENDDAT\n"
+    src, _ = corrected((BEFORE, ROUND % (auxiliary, end) + behind), turned=(1,), raised=(1,), data=data, pieces=pieces)
+    arcs = [line for line in src if line.startswith("SCIRC")]
+    assert len(arcs) == (1 if pieces is None else 4)
+    tails = [line.partition("},{")[2].partition("}")[2] for line in arcs]
+    assert tails[-1] == written
+    assert {re.sub("(?i) c_spl$", "", tail) for tail in tails[:-1]} <= {re.sub("(?i) c_spl$| ;x$", "", written)}
+
+
+def test_a_circle_whose_start_is_corrected_does_not_heed_its_auxiliary_orientation():
+    (src,) = corrected((BEFORE, ROUND % (",A 100,B 0,C 180", 0)), turned=(0,))
+    assert src[4].endswith(f"}} WITH {IGNORED}")
+    (src,) = corrected((BEFORE, "LIN {X 5}", "LIN {X 0}", ROUND % (",A 100,B 0,C 180", 0)), turned=(1,))
+    assert src[6] == ROUND % (",A 100,B 0,C 180", 0)
+
+
+@pytest.mark.parametrize("behind", ["$CIRC_TYPE=#BASE", "$CIRC_MODE=SCIRC_M(L)", f"{MODE}=#IGNORE,$CIRC_TYPE=#BASE"])
+def test_lines_in_place_of_a_scirc_set_nothing_that_only_circles_have(behind):
+    data = "DEFDAT part\nDECL LDAT L={VEL 2.0,CB {AUX_PT {ORI #INTERPOLATE}}}\nENDDAT\n"
+    for before, left in (("", ""), ("$VEL.CP=0.1,", " WITH $VEL.CP=0.1")):
+        program = read(body(BEFORE, f"{ROUND % ('', 0)} WITH {before}{behind} C_SPL ;x"), data)
+        lines = targets(program, up(program, 1, by=1.0), np.zeros(2), pieces={1: [0.1, 0.5]})
+        arc = lines.motion == 1
+        lines = msgspec.structs.replace(lines, kind=np.where(arc, LIN, lines.kind), via=np.full_like(lines.via, np.nan))
+        src = krl.rewrite(program, lines).documents[0].text.splitlines()
+        assert [line.partition("}")[2] for line in src if line.startswith("SLIN")] == [f"{left} C_SPL"] * 2 + [
+            f"{left} C_SPL ;x"
+        ]

@@ -1,24 +1,30 @@
-"""Orientations of the auxiliary points of SCIRC: which way round the tool turns.
+"""Orientations of the auxiliary points of SCIRC: by which way the tool turns.
 
 KUKA, KSS 8.x, `$CIRC_MODE.AUX_PT.ORI`: under #CONSIDER, the default, the tool turns from the start to the end by the
-shorter or the longer rotation, whichever comes closer to the orientation of the auxiliary point. CIRC disregards it.
+shorter or the longer rotation, whichever comes closer to the orientation of the auxiliary point. Under #INTERPOLATE it
+takes on that orientation there; how it turns on both sides is not published. Under #IGNORE, and under
+`$ORI_TYPE=#IGNORE`, it turns by the shorter rotation. CIRC disregards auxiliary orientations.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.language.circles import same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.layout import IGNORE
 from postproc.dialects.krl.read.end_poses import Led
 from postproc.dialects.krl.read.motion_columns import MotionColumns
+from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.state import State
 from postproc.frames import (
+    RAD_PER_DEG,
     Array,
     angle_between,
+    norm,
     pose_from_xyzabc,
     rotation_from_vector,
     rotation_vector,
@@ -26,12 +32,26 @@ from postproc.frames import (
 )
 from postproc.program import Bools, Ints
 
-_ANGLES = [re.compile(rf"\b{name}[ \t]+([-+.0-9eE]+)", re.IGNORECASE) for name in "ABC"]
+_ANGLE = re.compile(r"\b([ABC])[ \t]+([-+.0-9eE]+)", re.IGNORECASE)
+_LONGER = "the orientation of the auxiliary point is closer to the longer way round: SCIRC turns the tool that way"
+_THROUGH = (
+    "SCIRC turns the tool through the orientation of its auxiliary point ($CIRC_MODE.AUX_PT.ORI #INTERPOLATE), which "
+    "is not on the way from start to end by one rotation: how it turns on both sides is not published"
+)
+_ADVICE = (
+    "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC.",
+    "Use #CONSIDER or #IGNORE, or divide the circle at its auxiliary point into two.",
+)
 _CLOSER = 1e-6
 """Angle [rad] by which the longer way must come closer: less is rounding."""
+_ON_THE_WAY = 0.01 * RAD_PER_DEG
+"""An orientation closer than this [rad] to where the tool turns anyway is on its way."""
+_NEAR = 80.0 * RAD_PER_DEG
+"""An auxiliary orientation closer than this [rad] to start and end asks for the shorter way on all pieces of the
+circle, also when it is corrected: where two rotations are within 90° of a third, so is all that is between them."""
 
 
-def turned_the_longer_way(
+def left_out(
     source: Source,
     rows: MotionColumns,
     circular: Ints,
@@ -39,48 +59,69 @@ def turned_the_longer_way(
     ends: tuple[Array, Array],
     arcs: tuple[Array, Array, Array, Array],
     led: Led,
+    settings: Settings,
+    in_force: tuple[Sequence[State], Ints],
 ) -> Bools:
-    """Return which circles (n,) are SCIRC whose auxiliary orientation is closer to the longer rotation.
+    """Return on which circles (n,) the auxiliary orientation must not count any more once they are corrected.
 
     :param circular: (n,) rows of the circles.
     :param moves: row → statement, of those that are not plain.
     :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
     :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
     :param led: how the orientation is led.
+    :param in_force: states, and which of them (n,) holds for each circle.
+    :raises ProgramError: the tool does not turn by the shorter rotation, or it is not known whether it does.
     """
     out = np.zeros(len(circular), dtype=np.bool_)
-    (start, end), (centre, axis, points, angle) = ends, arcs
-    with_path = led.with_path[circular]
-    for i in np.flatnonzero(~same_orientation(start[:, :3, :3], end[:, :3, :3]) | with_path).tolist():
-        row = int(circular[i])
-        if source.text[int(rows.keyword[row])] not in "sS":
-            continue
-        given = _orientation(source, rows, row, moves)
-        if np.isnan(given).all():
-            continue
-        numbers = xyzabc_from_pose(start[i])
-        numbers[3:] = np.where(np.isnan(given), numbers[3:], given)
-        via, last = pose_from_xyzabc(numbers)[:3, :3], end[i, :3, :3]
-        one, other = start[i, :3, 3] - centre[i], points[i] - centre[i]
-        half = float(np.arctan2(axis[i] @ np.cross(one, other), one @ other) % (2.0 * np.pi))
-        if with_path[i]:
-            via, last = rotation_from_vector(-half * axis[i]) @ via, rotation_from_vector(-angle[i] * axis[i]) @ last
-        first = start[i, :3, :3]
-        short = rotation_vector(last @ first.T)
-        size = float(np.linalg.norm(short))
-        if size < _CLOSER:
-            continue
-        ways = half / angle[i] * np.array([1.0, 1.0 - 2.0 * np.pi / size])[:, None] * short
-        shorter, longer = angle_between(rotation_from_vector(ways) @ first, np.stack([via, via]))
-        out[i] = longer < shorter - _CLOSER
+    given = np.full((len(circular), 3), np.nan)
+    states, state = in_force
+    strict = np.array([s.auxiliary == "#INTERPOLATE" or _unknown(s) for s in states])[state]
+    free = np.array([s.orientation == IGNORE or (s.auxiliary == "#IGNORE" and not _unknown(s)) for s in states])[state]
+    for i in np.flatnonzero(~free).tolist():
+        if source.text[int(rows.keyword[circular[i]])] in "sS":
+            given[i] = _orientation(source, rows, int(circular[i]), moves)
+        else:
+            strict[i] = False
+    own = np.flatnonzero(~free & (strict | ~np.isnan(given).all(axis=1)))
+    if not len(own):
+        return out
+    start, end = (pose[own] for pose in ends)
+    centre, axis, points, angle = (column[own] for column in arcs)
+    numbers = xyzabc_from_pose(start)
+    numbers[:, 3:] = np.where(np.isnan(given[own]), numbers[:, 3:], given[own])
+    first, via, last = start[:, :3, :3], pose_from_xyzabc(numbers)[:, :3, :3], end[:, :3, :3]
+    one, other = start[:, :3, 3] - centre, points - centre
+    half = np.arctan2(np.einsum("ij,ij->i", axis, np.cross(one, other)), np.einsum("ij,ij->i", one, other))
+    half %= 2.0 * np.pi
+    with_path = led.with_path[circular[own]]
+    back = np.where(with_path, -1.0, 0.0)[:, None] * axis  # as seen from the path, where that turns the tool
+    via, last = rotation_from_vector(half[:, None] * back) @ via, rotation_from_vector(angle[:, None] * back) @ last
+    short = rotation_vector(last @ np.swapaxes(first, 1, 2))
+    size = norm(short)
+    beyond = 1.0 - 2.0 * np.pi / np.maximum(size, _CLOSER)
+    shorter, longer = (
+        angle_between(rotation_from_vector((part * half / angle)[:, None] * short) @ first, via)
+        for part in (np.ones(len(own)), beyond)
+    )
+    turns = (longer < shorter - _CLOSER) & (size >= _CLOSER)
+    for i in np.flatnonzero(np.where(strict[own], shorter > _ON_THE_WAY, turns)).tolist():
+        settings.refuse_uncertain(states[state[own[i]]], ["auxiliary"])
+        line, through = int(rows.line[circular[own[i]]]), bool(strict[own[i]])
+        raise source.line_error(_THROUGH if through else _LONGER, line, _ADVICE[through])
+    out[own] = strict[own] | (np.maximum(angle_between(first, via), angle_between(last, via)) > _NEAR)
     return out
 
 
-def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> Array:
-    """Return A, B, C (3,) [deg] of an auxiliary point, NaN where missing."""
+def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
+    """Return A, B, C [deg] of an auxiliary point, NaN where missing."""
     if row in moves:
         via = moves[row].via
-        return np.full(3, np.nan) if via is None else np.array(via.position.values[3:6])
-    begin, stop = rows.via_target[row].tolist()
-    found = [pattern.search(source.text, begin, stop) for pattern in _ANGLES]
-    return np.array([np.nan if match is None else float(match[1]) for match in found])
+        return [np.nan] * 3 if via is None else list(via.position.values[3:6])
+    found = {
+        name.upper(): float(number) for name, number in _ANGLE.findall(source.text, *rows.via_target[row].tolist())
+    }
+    return [found.get(name, np.nan) for name in "ABC"]
+
+
+def _unknown(state: State) -> bool:
+    return any(field == "auxiliary" for field, _ in state.uncertain)

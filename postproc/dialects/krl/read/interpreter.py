@@ -24,7 +24,7 @@ from postproc.dialects.krl.language.statements import (
     word_at,
 )
 from postproc.dialects.krl.language.structures import LOOPS
-from postproc.dialects.krl.language.values import Call, Reference, Value
+from postproc.dialects.krl.language.values import Call, Reference, Value, Word
 from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED
@@ -35,6 +35,8 @@ from postproc.dialects.krl.read.state import RELEVANT, State
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
+_SUPERPOSED = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
+"""Function generators, which swing the tool about its path (KUKA, System Variables)."""
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
 _FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
 _LABEL = re.compile(r"[ \t]*:[ \t]*$")
@@ -224,6 +226,10 @@ class Interpreter:
             self._set_to(at, target, start, stop)
             return
         value = self.calls.value(at, start, stop)
+        if name in _SUPERPOSED and target.field == "MODE" and not (isinstance(value, Word) and value.text == "#OFF"):
+            raise at.error(
+                f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
+            )
         if name.startswith("$") and name != "$H_POS":
             return
         if target.field is None and self.run.in_main:

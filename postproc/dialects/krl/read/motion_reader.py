@@ -29,7 +29,7 @@ _REFERENCE_FRAME = re.compile(r"[ \t]*(#BASE|#TOOL)\b", re.IGNORECASE)
 _REFERENCE_FRAME_BEHIND = re.compile(r"\bC_\w+[ \t]*((#BASE|#TOOL)[ \t]*)$", re.IGNORECASE)
 _WITH = re.compile(r"[ \t]*WITH\b", re.IGNORECASE)
 _NO_EFFECT = re.compile(
-    r"\$(?:LOAD|ACC|VEL_AXIS|VEL_EXTAX|JERK|GEAR_JERK|COLLMON|TORQMON|CIRC_MODE|SPL_)", re.IGNORECASE
+    r"\$(?:LOAD|ACC|VEL_AXIS|VEL_EXTAX|JERK|GEAR_JERK|ECO_LEVEL|COLLMON|TORQMON|SPL_VEL_)", re.IGNORECASE
 )
 _HERE = frozenset({"$POS_ACT", "$POS_ACT_MES", "$AXIS_ACT", "$AXIS_ACT_MEAS"})
 _HOME = frozenset({"XHOME", "HOME", "$H_POS"})

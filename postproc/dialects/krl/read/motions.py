@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.triggers import Trigger, triggers
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Layout
-from postproc.dialects.krl.read.auxiliary_points import turned_the_longer_way
+from postproc.dialects.krl.read.auxiliary_points import left_out
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
@@ -24,11 +24,14 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
 _BY_ROTATION = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
+_LITTLE = 0.5 * RAD_PER_DEG
+"""By less than this [rad] the wrist turns the tool as one rotation does, to 0.001° away from singular poses: the square
+of half of it."""
 _AT_THE_END = 1e-6
 """A circle with CA that ends this close [rad] to its end point ends there."""
 _BY_SPEED = re.compile(r"\bC_(?:VEL|ORI)\b", re.IGNORECASE)
@@ -111,7 +114,8 @@ def motions_and_layout(
     led = _led(source, rows, states, state)
     ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
     _check_orientation(source, rows, states, state, ends)
-    centre, normal, sweep = _arcs(source, rows, ends, moves, led)
+    _check_by_wrist(source, rows, states, state, ends, settings)
+    centre, normal, sweep, unheeded = _arcs(source, rows, ends, moves, led, settings, (states, state))
 
     speed, cdis = numbers.T
     motions = Motions(
@@ -149,6 +153,7 @@ def motions_and_layout(
         orientation=np.where(rows.kind == PTP, 0, _column(states, state, lambda s: ORIENTATIONS.index(s.orientation))),
         ignored=ends.ignored,
         with_path=led.with_path,
+        unheeded=unheeded,
         distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
         passed=block != "",
         statements=moves,
@@ -266,14 +271,39 @@ def _check_orientation(source: Source, rows: MotionColumns, states: list[State],
     raise source.line_error(problem, int(rows.line[own[first]]), advice)
 
 
+def _check_by_wrist(
+    source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses, settings: Settings
+) -> None:
+    """Refuse spline motions on which the controller may lead the orientation by the wrist axes (KUKA, KSS 8.x,
+    `$SPL_ORI_JOINT_AUTO` #ON: it decides so itself, of each motion under `$ORI_TYPE=#VAR`).
+    """
+    at_will = [s.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in s.uncertain) for s in states]
+    if not any(at_will):
+        return
+    own = _column(states, state, lambda s: s.orientation == FREE) & np.array(at_will)[state] & (rows.kind != PTP)
+    found = np.array([row for row in np.flatnonzero(own).tolist() if source.text[rows.keyword[row]] in "sS"], dtype=int)
+    turn = angle_between(ends.start.at(found)[:, :3, :3], ends.pose[found, :3, :3])
+    for row in found[turn > _LITTLE].tolist():
+        settings.refuse_uncertain(states[state[row]], ["by_wrist"])
+        problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
+        raise source.line_error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
+
+
 def _arcs(
-    source: Source, rows: MotionColumns, ends: EndPoses, moves: Mapping[int, MotionStatement], led: Led
-) -> tuple[Array, Array, Array]:
-    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere."""
+    source: Source,
+    rows: MotionColumns,
+    ends: EndPoses,
+    moves: Mapping[int, MotionStatement],
+    led: Led,
+    settings: Settings,
+    in_force: tuple[list[State], Ints],
+) -> tuple[Array, Array, Array, Bools]:
+    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and `Layout.unheeded` (M,)."""
+    unheeded = np.zeros(len(rows), dtype=np.bool_)
     nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
     circular = np.flatnonzero(rows.kind == CIRC)
     if not len(circular):
-        return nothing, nothing, nothing[:, 0]
+        return nothing, nothing, nothing[:, 0], unheeded
     centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
     line, start = rows.line[circular], ends.start.at(circular)
     given = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
@@ -296,16 +326,12 @@ def _arcs(
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
         )
     tools = start, ends.pose[circular]
-    longer = turned_the_longer_way(source, rows, circular, moves, tools, (centre[circular], axis, via, angle), led)
-    if longer.any():
-        raise source.line_error(
-            "the orientation of the auxiliary point is closer to the longer way round: SCIRC turns the tool that way",
-            int(line[longer][0]),
-            "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC.",
-        )
+    arcs = centre[circular], axis, via, angle
+    states, state = in_force
+    unheeded[circular] = left_out(source, rows, circular, moves, tools, arcs, led, settings, (states, state[circular]))
     normal[circular] = np.where(angled, np.sign(own), 1.0)[:, None] * axis
     sweep[circular] = np.where(angled, np.abs(own), angle)
-    return centre, normal, sweep
+    return centre, normal, sweep, unheeded
 
 
 def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:

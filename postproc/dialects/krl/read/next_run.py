@@ -97,14 +97,14 @@ def _same(one: Position, other: Position) -> bool:
 
 
 def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
-    """Return (S, 34) what motions depend on in each state, but for numbers; NaN for what is not known."""
+    """Return (S, 36) what motions depend on in each state, but for numbers; NaN for what is not known."""
     return np.array(
         [
             np.concatenate(
                 [
                     _frame(settings.frames.bases, state.base),
                     _frame(settings.frames.tools, state.tool),
-                    [hash(state.orientation), hash(state.circle)],
+                    [hash(mode) for mode in (state.orientation, state.circle, state.auxiliary, state.by_wrist)],
                 ]
             )
             for state in ordered.states

@@ -1,4 +1,4 @@
-"""How the path is driven: `$VEL`, `$APO`, `$ORI_TYPE`, `$CIRC_TYPE`, `$IPO_MODE`."""
+"""How the path is driven: `$VEL`, `$APO`, and the modes of orientation and interpolation."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NOTHING, Known
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
+from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM
 
 FASTEST = 100.0
 """A speed above this [m/s] is a slip of the unit."""
 _IN_A_FILE = "have the .dat that declares it beside the program, in [krl] search or as config_dat of the cell"
 _RUN_TIME = f"Write it as a number, or {_IN_A_FILE}."
-_MODES = {
+MODES = {
     "$ORI_TYPE": ORIENTATIONS,
     "$CIRC_TYPE": ("#BASE", "#PATH"),
+    "$SPL_ORI_JOINT_AUTO": ("#OFF", "#ON"),
     "$IPO_MODE": ("#BASE", "#TCP"),
 }
 """Modes and their values (KUKA, System Variables); the first where a structure that gives them has none."""
+_AUXILIARY = ("#CONSIDER", "#IGNORE", "#INTERPOLATE")
+"""Values of `$CIRC_MODE.AUX_PT.ORI` and `.E1`, likewise."""
 _MODE_OF = {
     "SIPO_MODE": "IPO_FRAME",
     "SORI_TYP": "ORI_TYP",
@@ -37,8 +41,8 @@ _OF_PTP = frozenset({"SAPO_PTP"})
 class PathSettings:
     """Follows what is assigned to these variables."""
 
-    def __init__(self, variables: Variables, reasons: Reasons) -> None:
-        self.variables, self.reasons = variables, reasons
+    def __init__(self, variables: Variables, reasons: Reasons, *, carried: bool) -> None:
+        self.variables, self.reasons, self.carried = variables, reasons, carried
 
     def speed(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
         """Return the state behind ``$VEL.CP = value``, or ``$VEL = {…}`` without a field; other fields do not matter.
@@ -75,28 +79,72 @@ class PathSettings:
         return state.with_known(cdis=number * M_PER_MM)
 
     def mode(self, state: State, at: Place, name: str, value: Value | Known) -> State:
-        """Return the state behind ``$ORI_TYPE = value``, and so on.
+        """Return the state behind ``$ORI_TYPE = value``, and so on for the `MODES`.
 
         :raises ProgramError: the robot moves the workpiece then.
         """
         given: Value | Known | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
             given = self.variables.argument(at, value, _MODE_OF[value.name])
-        known = None if given is None else self.variables.evaluate(at.source, given)
-        word = _MODES[name][0] if known is None else known.text if isinstance(known, Word) else ""
-        if word not in _MODES[name]:
-            why = f"there is no {word}" if word else why_unknown(self.variables, at.source, given or NOTHING)
-            advice = f"Write its value, one of {', '.join(_MODES[name])}{'.' if word else f', or {_IN_A_FILE}.'}"
-            problem = at.error(f"{name} is not known: {why}", advice)
+        word = self._word(at, name, given, MODES[name])
+        if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
-                raise problem
-            return self.reasons.unknown(state, FIELDS[name], problem)
+                raise word
+            return self.reasons.unknown(state, FIELDS[name], word)
         if name == "$IPO_MODE":
             if word != "#BASE":
                 moved = f"$IPO_MODE {word}: the workpiece is moved by the robot"
                 raise at.error(moved, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
             return state
         return state.with_known(**{FIELDS[name]: word})
+
+    def auxiliary(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
+        """Return the state behind ``$CIRC_MODE = value``, or a component of it: what SCIRC makes of auxiliary points.
+
+        What it makes of end points (TARGET_PT) matters for circles with CA only, see `motions`.
+
+        :raises ProgramError: the axis that carries the robot is led through that of an auxiliary point.
+        """
+        given: Value | Known | None = value
+        if isinstance(value, Call) and value.name == "SCIRC_M":
+            given = self.variables.argument(at, value, "CB")
+        word = self._word(at, "$CIRC_MODE.AUX_PT.E1", self._of_auxiliary(at, field, given, "E1"), _AUXILIARY)
+        if self.carried and word == "#INTERPOLATE":
+            problem = (
+                "$CIRC_MODE.AUX_PT.E1 #INTERPOLATE: E1, which carries the robot, is led through the auxiliary point"
+            )
+            raise at.error(problem, "Only circles on which E1 goes from start to end are understood: use #CONSIDER.")
+        if field not in (None, "AUX_PT", "AUX_PT.ORI"):
+            return state
+        word = self._word(at, "$CIRC_MODE.AUX_PT.ORI", self._of_auxiliary(at, field, given, "ORI"), _AUXILIARY)
+        if isinstance(word, ProgramError):
+            return self.reasons.unknown(state, "auxiliary", word)
+        return state.with_known(auxiliary=word)
+
+    def _of_auxiliary(
+        self, at: Place, field: str | None, value: Value | Known | None, own: str
+    ) -> Value | Known | None:
+        """Return what an assignment to `$CIRC_MODE`, or to a component of it, gives to a component of AUX_PT."""
+        path = [] if field is None else field.split(".")
+        names = ["AUX_PT", own]
+        if path != names[: len(path)]:
+            return None
+        for name in names[len(path) :]:
+            known = NOTHING if value is None else self.variables.evaluate(at.source, value)
+            if value is None or not isinstance(known, Aggregate):
+                return value
+            value = known.items.get(name)
+        return value
+
+    def _word(self, at: Place, name: str, value: Value | Known | None, words: tuple[str, ...]) -> str | ProgramError:
+        """Return the mode that a value is, the first where there is none; or why it is not known."""
+        known = None if value is None else self.variables.evaluate(at.source, value)
+        word = words[0] if known is None else known.text if isinstance(known, Word) else ""
+        if word in words:
+            return word
+        why = f"there is no {word}" if word else why_unknown(self.variables, at.source, value or NOTHING)
+        advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_IN_A_FILE}.'}"
+        return at.error(f"{name} is not known: {why}", advice)
 
     def _component(self, at: Place, field: str | None, own: str, value: Value | Known) -> Value | Known | None:
         """Return what is assigned to one component of a structure; None if that is another one, or left out."""

@@ -10,7 +10,7 @@ from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.dialects.krl.read.bas import Bas
 from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import Known
-from postproc.dialects.krl.read.path_settings import PathSettings
+from postproc.dialects.krl.read.path_settings import MODES, PathSettings
 from postproc.dialects.krl.read.plain_settings import Coming, no_settings
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
@@ -34,7 +34,7 @@ class Settings:
         self.coming = Coming(no_settings())
         self._reasons = Reasons()
         self.frames = Frames(variables, cell, self._reasons)
-        self._path = PathSettings(variables, self._reasons)
+        self._path = PathSettings(variables, self._reasons, carried=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)
 
     def change(self, line: int, state: State) -> None:
@@ -81,7 +81,9 @@ class Settings:
             return self._path.speed(state, at, target.field, value)
         if name == "$APO":
             return self._path.distance(state, at, target.field, value)
-        if name in ("$ORI_TYPE", "$CIRC_TYPE", "$IPO_MODE"):
+        if name == "$CIRC_MODE":
+            return self._path.auxiliary(state, at, target.field, value)
+        if name in MODES:
             return self._path.mode(state, at, name, value)
         raise at.error(f"{name} is changed by the program", "Leave it as the controller has it.")
 

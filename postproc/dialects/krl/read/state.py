@@ -19,11 +19,6 @@ DEFAULT_SPEED = 2.0
 DEFAULT_CDIS = 3.0
 """What `BAS(#INITMOV,0)` gives `$APO.CDIS` [mm]."""
 
-RELEVANT = frozenset(
-    {"$BASE", "$TOOL", "$VEL", "$APO", "$ORI_TYPE", "$CIRC_TYPE", "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"}
-)
-"""System variables that a motion depends on."""
-
 FIELDS = {
     "$BASE": "base",
     "$TOOL": "tool",
@@ -31,8 +26,12 @@ FIELDS = {
     "$APO": "cdis",
     "$ORI_TYPE": "orientation",
     "$CIRC_TYPE": "circle",
+    "$CIRC_MODE": "auxiliary",
+    "$SPL_ORI_JOINT_AUTO": "by_wrist",
 }
 """What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
+RELEVANT = frozenset({*FIELDS, "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"})
+"""System variables that a motion depends on."""
 
 
 class State(Struct, frozen=True):
@@ -45,6 +44,8 @@ class State(Struct, frozen=True):
     :ivar cdis: `$APO.CDIS` [m].
     :ivar orientation: `$ORI_TYPE`.
     :ivar circle: `$CIRC_TYPE`.
+    :ivar auxiliary: `$CIRC_MODE.AUX_PT.ORI`.
+    :ivar by_wrist: `$SPL_ORI_JOINT_AUTO`.
     :ivar initial: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
     :ivar block: the spline block, ``SPLINE`` or ``PTP_SPLINE``; empty outside of one.
     :ivar uncertain: (field, index of its reason) of those that are not known; `base` and `tool` are never among them.
@@ -57,6 +58,8 @@ class State(Struct, frozen=True):
     cdis: float = DEFAULT_CDIS * M_PER_MM
     orientation: str = "#VAR"
     circle: str = "#BASE"
+    auxiliary: str = "#CONSIDER"
+    by_wrist: str = "#OFF"
     initial: frozenset[str] = frozenset()
     block: str = ""
     uncertain: tuple[tuple[str, int], ...] = ()

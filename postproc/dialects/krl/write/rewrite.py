@@ -90,17 +90,20 @@ class _Rewriter:
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
         special[list(self.layout.statements)] = True
         plain = last & ~special[self.row]
-        straight = plain & ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
-        for k in np.flatnonzero(straight).tolist():
+        straight = ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
+        for k in np.flatnonzero(plain & straight).tolist():
             self.replacements[0].add(*self.statements.rewritten(int(self.row[k]), k))
         plain &= ~straight
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
-        for row in np.flatnonzero(self.commanded.freed).tolist():
-            if self.statements.is_spline(row):
-                start, stop = self.layout.tail[row].tolist()
-                self.replacements[0].add(start, stop, self.statements.tail(row))
+        own = self.commanded.freed | self.commanded.unheeding
+        said = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
+        for k in np.flatnonzero(last & (own[self.row] | (straight & said))).tolist():
+            start, stop = self.layout.tail[self.row[k]].tolist()
+            tail = self.statements.tail(int(self.row[k]), k)
+            if tail != self.text[start:stop]:
+                self.replacements[0].add(start, stop, tail)
         if self.layout.statements:
             self._special()
         output_line = self._insert()

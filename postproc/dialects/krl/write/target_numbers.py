@@ -34,6 +34,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     :param changed: (K,) True where the target's text or statement changes.
     :param moved: (M,) True where a motion's predecessor is commanded elsewhere than in the input.
     :param freed: (M,) True where the orientation of a motion under another `$ORI_TYPE` must be led to its own.
+    :param unheeding: (M,) True where the auxiliary orientation of a SCIRC must not count.
     """
 
     numbers: Array
@@ -44,6 +45,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     changed: Bools
     moved: Bools
     freed: Bools
+    unheeding: Bools
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
         """Return the numbers of a target as printed, by component."""
@@ -97,7 +99,15 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
         ~keep | added.any(axis=1),
         moved,
         freed,
+        _unheeding(layout, moved, targets),
     )
+
+
+def _unheeding(layout: Layout, moved: Bools, targets: Targets) -> Bools:
+    """Return which circles (M,) are written as others, in which A, B, C of their auxiliary points must not count."""
+    out = moved.copy()
+    out[targets.motion[~targets.keep]] = True
+    return np.asarray(out & layout.unheeded)
 
 
 def _behind(row: Ints, changed: Bools, layout: Layout) -> Bools:

@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNA
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.write.freed import freed_tail
+from postproc.dialects.krl.write.freed import freed_tail, straight_tail, unheeding_tail
 from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
 from postproc.frames import MM_PER_M
 from postproc.program import CIRC, LIN, PTP, Targets
@@ -222,16 +222,22 @@ class TargetStatements:
         keyword = int(layout.keyword[row])
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
-        tail = self.tail(row)
+        tail = self.tail(row, k)
         passed = layout.passed[row] or not layout.distant[row]
         if self.targets.blend[k] > 0.0 and not passed and not APPROXIMATION.search(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
-    def tail(self, row: int) -> str:
-        """Return what stands behind the target of a motion and holds for inserted targets too."""
+    def tail(self, row: int, k: int) -> str:
+        """Return what stands behind a target: what holds for all of its motion."""
         tail = self.text[slice(*self.layout.tail[row].tolist())]
-        return freed_tail(tail) if self.commanded.freed[row] and self.is_spline(row) else tail
+        if self.commanded.freed[row] and self.is_spline(row):
+            tail = freed_tail(tail)
+        if self.via(row)[0] is None or not self.is_spline(row):
+            return tail
+        if self.targets.kind[k] == LIN:
+            return straight_tail(tail)
+        return unheeding_tail(tail) if self.commanded.unheeding[row] else tail
 
     def is_spline(self, row: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
