@@ -18,11 +18,12 @@ from msgspec import Struct
 from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError
 from postproc.frames import Array
+from postproc.program import Bools
 from postproc.robot import RobotModel
 
-POSITION_TOLERANCE = 1e-10
+_POSITION_TOLERANCE = 1e-10
 """What may be left between actual and target position [m]; 1e-7 is asked for, and Newton's last step gives it."""
-ROTATION_TOLERANCE = 1e-11
+_ROTATION_TOLERANCE = 1e-11
 """What may be left between actual and target orientation [rad]; 1e-8 is asked for."""
 _MAX_ITERATIONS = 30
 _LARGEST_STEP = 0.2
@@ -55,26 +56,32 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     tools, goal, wrench = kinematics.components(tool), kinematics.components(target), np.ascontiguousarray(wrench.T)
     joints, passive = np.array(robot.actuated), np.array(robot.passive, dtype=np.int64)
     x = elastostatics.spread(robot, q_nominal.T)
+    theta = np.zeros_like(x)
     for _ in range(_MAX_ITERATIONS):
         state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
-        jacobian = state.jacobian()
-        load = np.einsum("ikn,in->kn", jacobian, wrench)
-        theta = elastostatics.springs_at(robot, x, load, elastostatics.asked(robot, x, state))
-        missed = kinematics.twist_between(state.pose, goal)
-        between = np.zeros_like(missed)
-        if len(passive):
+        jacobian, missed = state.jacobian(), kinematics.twist_between(state.pose, goal)
+        left = np.abs(missed)
+        if (
+            len(passive) or not _beyond(left).any()
+        ):  # where all coordinates are joints, springs matter at the target only
+            load = np.einsum("ikn,in->kn", jacobian, wrench)
+            theta = elastostatics.springs_at(robot, x, load, elastostatics.asked(robot, x, state))
             between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
-        left = np.abs(missed) + np.abs(between)
-        bad = ~((left[:3].max(axis=0) <= POSITION_TOLERANCE) & (left[3:].max(axis=0) <= ROTATION_TOLERANCE))
-        if not bad.any():
+            left, missed = left + np.abs(between), missed - between
+        rows = np.flatnonzero(_beyond(left))
+        if len(rows) == 0:
             q = elastostatics.commanded(robot, x - theta)
             pose = kinematics.posture(robot.nominal, q, tools).pose
             return Compensation(q.T, kinematics.matrices(pose), theta.T)
-        rows = np.flatnonzero(bad)
-        step = _newton(jacobian[:, joints][..., rows], (missed - between)[:, rows])
+        step = _newton(jacobian[:, joints][..., rows], missed[:, rows])
         x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         x[np.ix_(passive, rows)] = theta[np.ix_(passive, rows)]
     raise NotConvergedError("no command found that holds the target", rows.tolist())
+
+
+def _beyond(left: Array) -> Bools:
+    """Return where twists (6, n) are more than may be left."""
+    return np.asarray(~((left[:3].max(axis=0) <= _POSITION_TOLERANCE) & (left[3:].max(axis=0) <= _ROTATION_TOLERANCE)))
 
 
 def _newton(jacobian: Array, twist: Array) -> Array:

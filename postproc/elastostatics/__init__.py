@@ -12,20 +12,8 @@ moment [N·m] on the tool, root axes.
 
 from postproc.elastostatics.balance import Balance, asked, held
 from postproc.elastostatics.by_parameter import moved_by
-from postproc.elastostatics.equilibrium import (
-    Deflection,
-    Equilibrium,
-    deflect,
-    softness,
-    solve_equilibrium,
-    springs_at,
-)
-from postproc.elastostatics.springs import (
-    commanded,
-    coordinates,
-    spread,
-    spring_deflection,
-)
+from postproc.elastostatics.equilibrium import Deflection, deflect, softness, solve_equilibrium, springs_at
+from postproc.elastostatics.springs import commanded, coordinates, spread, spring_deflection
 from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
 from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import position_bound, sensitivity
@@ -33,7 +21,6 @@ from postproc.elastostatics.uncertainty import position_bound, sensitivity
 __all__ = [
     "Balance",
     "Deflection",
-    "Equilibrium",
     "ToolSpring",
     "asked",
     "cartesian_stiffness",

@@ -22,7 +22,7 @@ class Balance(Struct, frozen=True, eq=False):
 
     :param robot: the robot.
     :param x: (nv, n) actual coordinates [rad, m].
-    :param pose: (3, 4, n) of the tool [m].
+    :param point: (3, n) where the tool stands [m].
     :param jacobian: (6, nv, n) of the tool.
     :param wrench: (6, n) at the TCP, root axes [N, N·m].
     :param held: (nv, n) or (nv, 1) torque that is balanced at rest, see `held`.
@@ -33,7 +33,7 @@ class Balance(Struct, frozen=True, eq=False):
 
     robot: RobotModel
     x: Array
-    pose: Array
+    point: Array
     jacobian: Array
     wrench: Array
     held: Array
@@ -48,7 +48,7 @@ class Balance(Struct, frozen=True, eq=False):
         jacobian = state.jacobian()
         torque = np.einsum("ikn,in->kn", jacobian, wrench) - asked(robot, x, state) + held
         found = given_way(robot, torque, felt(robot, held), load_alone(robot, x, torque))
-        return cls(robot, x, state.pose, jacobian, wrench, held, torque, *found)
+        return cls(robot, x, state.point, jacobian, wrench, held, torque, *found)
 
     @property
     def at_rest(self) -> Array:

@@ -69,39 +69,22 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Arra
     :param guess: (N, nv) start for θ, e.g. the solution of a neighbouring state.
     :raises NotConvergedError: the load is beyond what the springs hold, or the numbers are not finite.
     """
-    x0 = spread(robot, q.T)
-    found = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, None if guess is None else guess.T)
-    rest, _ = kinematics.tcp(robot.loaded, x0.T, tool)
-    return Deflection(found.theta.T, kinematics.matrices(kinematics.displaced(found.pose, found.moved)), rest)
-
-
-class Equilibrium(Struct, frozen=True, eq=False):
-    """Loaded equilibrium of n states, the sample index last.
-
-    :param theta: (nv, n) deflections of the springs [rad, m].
-    :param pose: (3, 4, n) of the tool but for the last step [m].
-    :param moved: (6, n) twist of the tool in that step.
-    """
-
-    theta: Array
-    pose: Array
-    moved: Array
-
-    @property
-    def tip(self) -> Array:
-        """(3, n) where the tool tip stands [m]."""
-        return np.asarray(self.pose[:, 3] + self.moved[:3])
+    x0, given = spread(robot, q.T), None if guess is None else guess.T
+    theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, given)
+    pose, rest = (kinematics.tcp(robot.loaded, x.T, tool)[0] for x in (x0 + theta, x0))
+    return Deflection(theta.T, pose, rest)
 
 
 def solve_equilibrium(
     robot: RobotModel, x0: Array, tool: Array, wrench: Array, guess: Array | None = None
-) -> Equilibrium:
+) -> tuple[Array, Array]:
     """Solve the loaded equilibrium, as `deflect`, with the sample index last.
 
     :param x0: (nv, n) coordinates that the controller holds.
     :param tool: (3, 4, n) or (3, 4, 1).
     :param wrench: (6, n).
     :param guess: (nv, n).
+    :returns: (nv, n) deflections of the springs [rad, m]; (3, n) where the tool tip stands [m].
     """
     balanced, wrench = held(robot, x0), np.ascontiguousarray(wrench)
     theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
@@ -116,7 +99,7 @@ def solve_equilibrium(
         more = _unfinished(size, previous, _POSITION_TOLERANCE)
         if not more.any():
             _check_size(theta)
-            return Equilibrium(theta, state.pose, moved)
+            return theta, state.point + moved[:3]
         previous = size
     raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
 

@@ -67,10 +67,10 @@ class ToolSpring(Struct, frozen=True, eq=False):
         """
         moved = np.zeros((x.shape[1], 3))
         for _ in range(2):
-            found = solve_equilibrium(robot, x, tool, moved_to(wrench.T, moved).T, guess)
-            pose = kinematics.matrices(kinematics.displaced(found.pose, found.moved))
-            moved, guess = self.given_way(pose[:, :3, :3], wrench.T)[:, :3], found.theta
-        return pose[:, :3, 3].T + moved.T, moved.T
+            guess, tip = solve_equilibrium(robot, x, tool, moved_to(wrench.T, moved).T, guess)
+            pose = kinematics.matrices(kinematics.posture(robot.loaded, x + guess, tool).pose)
+            moved = self.given_way(pose[:, :3, :3], wrench.T)[:, :3]
+        return tip + moved.T, moved.T
 
 
 def moved_to(wrench: Array, lever: Array) -> Array:

@@ -1,7 +1,7 @@
 """Kinematics of a robot: forward, Jacobian, torques of weights; inverse with branches, status, turns and limits."""
 
 from postproc.kinematics.closed_form import ClosedForm, closed_form, status_of
-from postproc.kinematics.components import components, displaced, matrices, twist_between
+from postproc.kinematics.components import components, matrices, twist_between
 from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
 from postproc.kinematics.hessian import gravity_stiffness, load_stiffness
 from postproc.kinematics.inverse import JointPath, UnreachableError, follow, on_branch, turn_of
@@ -14,7 +14,6 @@ __all__ = [
     "UnreachableError",
     "closed_form",
     "components",
-    "displaced",
     "follow",
     "gravity_stiffness",
     "gravity_torque",

@@ -74,13 +74,3 @@ def twist_between(one: Array, other: Array) -> Array:
     sine *= 0.5  # R₂·R₁ᵀ less its transpose is Σ x₁ × x₂ over the columns
     square = (sine * sine).sum(axis=0)
     return np.concatenate([other[:, 3] - one[:, 3], sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))])
-
-
-def displaced(pose: Array, twist: Array) -> Array:
-    """Return poses (3, 4, n) moved by twists (6, n), as `frames.displaced`."""
-    out = np.empty_like(pose)
-    turned = np.moveaxis(frames.rotation_from_vector(twist[3:].T), 0, -1)
-    for column in range(3):
-        out[:, column] = combination([turned[:, k] for k in range(3)], pose[:, column])
-    out[:, 3] = pose[:, 3] + twist[:3]
-    return out

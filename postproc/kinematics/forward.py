@@ -47,7 +47,8 @@ class Posture(Struct, frozen=True, eq=False):
     :param axis: of each of the nv joints.
     :param origin: of each joint [m].
     :param turns: whether each joint turns.
-    :param pose: (3, 4, n) of the tool [m].
+    :param frame: columns X, Y, Z and origin [m] of the last link.
+    :param tool: (3, 4, n) or (3, 4, 1) in it [m].
     :param mass: of each link [kg].
     :param moment: (2, n) mass times centre of mass of each link, level, where asked for [kg·m].
     """
@@ -55,13 +56,24 @@ class Posture(Struct, frozen=True, eq=False):
     axis: list[Array]
     origin: list[Array]
     turns: list[bool]
-    pose: Array
+    frame: list[Array]
+    tool: Array
     mass: list[float]
     moment: list[Array]
 
+    @property
+    def point(self) -> Array:
+        """(3, n) where the tool stands [m]."""
+        return combination(self.frame[:3], self.tool[:, 3]) + self.frame[3]
+
+    @property
+    def pose(self) -> Array:
+        """(3, 4, n) of the tool [m]."""
+        return product(self.frame, self.tool)
+
     def jacobian(self) -> Array:
         """Return (6, nv, n): how the tool moves and turns with each coordinate."""
-        point = self.pose[:, 3]
+        point = self.point
         out = np.zeros((6, len(self.axis), point.shape[-1]))
         for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):
             if self.turns[joint]:
@@ -73,7 +85,7 @@ class Posture(Struct, frozen=True, eq=False):
 
     def weight(self) -> Array:
         """Return ∇U_g (nv, n): torques that hold the weights of the links."""
-        out = np.zeros((len(self.axis), self.pose.shape[-1]))
+        out = np.zeros((len(self.axis), self.frame[0].shape[-1]))
         mass, moment = 0.0, np.zeros((2, 1))
         for joint in reversed(range(len(out))):  # what a joint carries is all behind it
             mass += self.mass[joint]
@@ -112,7 +124,7 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
         if weigh:
             moments.append(step.mass * (at[:2] + combination([level[:2] for level in frame], step.centre)))
     turns, mass = [step.turns for step in steps], [step.mass for step in steps]
-    return Posture(axes, origins, turns, product([*frame, at], end), mass, moments)
+    return Posture(axes, origins, turns, [*frame, at], end, mass, moments)
 
 
 def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
@@ -144,34 +156,26 @@ def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
     With A_i any rotation that carries Z to the axis of joint i, what lies between two joints is a rotation
     A_iᵀ·R·A_(i+1) = Rz(a)·Rx(b)·Rz(c): a adds to the angle of the joint before, c to that of the joint behind.
     """
-    upright = np.array([_upright(axis) for axis in chain.axis])
-    before, turned, made = np.eye(3), [], []
-    for joint in range(chain.nv):
-        offset = before.T @ chain.placement[joint, :3, 3]
-        between = before.T @ chain.placement[joint, :3, :3] @ upright[joint]
+    upright = [np.eye(3), *map(_upright, chain.axis)]
+    steps: list[_Step] = []
+    back = 0.0
+    for joint in reversed(range(chain.nv)):
+        before, own = upright[joint : joint + 2]
+        between = before.T @ chain.placement[joint, :3, :3] @ own
         sine = float(np.hypot(between[0, 2], between[1, 2]))
         a = float(np.arctan2(between[0, 2], -between[1, 2])) if sine > _ZERO else 0.0
         rest = _about_z(-a) @ between  # Rx(b)·Rz(c)
-        turned.append((a, float(np.arctan2(-rest[0, 1], rest[0, 0]))))
-        cosine, sine = rest[2, 2], -rest[1, 2]
-        made.append((_about_z(-a) @ offset, np.array([[cosine, sine], [-sine, cosine]])))
-        before = upright[joint]
-    steps = []
-    for joint, (offset, tilt) in enumerate(made):
-        back = turned[joint + 1][0] if joint + 1 < chain.nv else 0.0
-        centre = _about_z(-back) @ upright[joint].T @ chain.centre[joint]
-        steps.append(
-            _Step(
-                offset=clean(offset)[:, None],
-                tilt=clean(tilt)[..., None],
-                turn=turned[joint][1] + back,
-                turns=bool(chain.turns[joint]),
-                mass=float(chain.mass[joint]),
-                centre=clean(centre)[:, None],
-            )
+        step = _Step(
+            offset=clean(_about_z(-a) @ (before.T @ chain.placement[joint, :3, 3]))[:, None],
+            tilt=clean(np.array([[rest[2, 2], -rest[1, 2]], [rest[1, 2], rest[2, 2]]]))[..., None],
+            turn=float(np.arctan2(-rest[0, 1], rest[0, 0])) + back,
+            turns=bool(chain.turns[joint]),
+            mass=float(chain.mass[joint]),
+            centre=clean(_about_z(-back) @ own.T @ chain.centre[joint])[:, None],
         )
-    flange = before.T @ chain.flange[:3]
-    return clean(_about_z(turned[0][0]))[..., None], tuple(steps), clean(flange)[..., None]
+        steps.insert(0, step)
+        back = a
+    return clean(_about_z(back))[..., None], tuple(steps), clean(upright[-1].T @ chain.flange[:3])[..., None]
 
 
 def _upright(axis: Array) -> Array:

@@ -102,5 +102,5 @@ class RobotInCell(Struct, frozen=True, eq=False):
         if (spring := self.tool_spring) is not None:
             tip, moved = spring.tip(self.robot, x, tools, wrench.T, start)
             return tip.T, moved.T
-        tip = elastostatics.solve_equilibrium(self.robot, x, tools, wrench.T, start).tip.T
+        tip = elastostatics.solve_equilibrium(self.robot, x, tools, wrench.T, start)[1].T
         return tip, np.zeros_like(tip)
