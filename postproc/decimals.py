@@ -68,21 +68,21 @@ class Number(Struct, frozen=True, eq=False):
             rest = _narrow(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
             for stop in range(end, point + 1, -4):
                 higher = rest // rest.dtype.type(10_000)
-                _fours(out, stop)[...] = _FOUR[rest - higher * rest.dtype.type(10_000)]
+                _fours(out, stop)[...] = _FOUR.take(rest - higher * rest.dtype.type(10_000))
                 rest = higher
             out[:, point] = ord(".")
         rest = _narrow(whole, 10 ** (4 * self.groups))
         for stop in range(point, at + 1, -4):
             higher = rest // rest.dtype.type(10_000)
             low = rest - higher * rest.dtype.type(10_000)
-            four = _FOUR_STRIPPED[low]
+            four = _FOUR_STRIPPED.take(low)
             if self.groups > 1:
-                four = np.where(higher > 0, _FOUR[low], four)
+                four = np.where(higher > 0, _FOUR.take(low), four)
                 if stop < point:
                     four[rest == 0] = _ABSENT
             _fours(out, stop)[...] = four
             rest = higher
-        np.multiply(self.scaled < 0.0, ord("-"), out=out[:, at], casting="unsafe")
+        np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=out[:, at])
         if none:
             out[empty, at:end] = _ABSENT
 
@@ -193,15 +193,19 @@ def lines(parts: Sequence[Part]) -> bytes:
     if count == 0:
         return b""
     widths = [_width(part) for part in parts]
-    out = np.empty((count, sum(widths)), dtype=np.uint8)
+    text = bytearray(
+        b"".join(part if isinstance(part, bytes) else bytes(width) for part, width in zip(parts, widths, strict=True))
+    )
+    text *= count  # the constant texts of all rows, with room for the others
+    out = np.frombuffer(text, dtype=np.uint8).reshape(count, -1)
     at = 0
     for part, width in zip(parts, widths, strict=True):
         if isinstance(part, Number):
             part.put(out, at)
-        else:
-            out[:, at : at + width] = np.frombuffer(part, dtype=np.uint8) if isinstance(part, bytes) else part
+        elif not isinstance(part, bytes):
+            out[:, at : at + width] = part
         at += width
-    return out.tobytes().translate(None, b"\0")
+    return bytes(text.translate(None, b"\0"))
 
 
 def _width(part: Part) -> int:

@@ -165,6 +165,11 @@ def largest(values: Array) -> Array:
     return reduce(np.maximum, np.abs(values).T)
 
 
+def any_column(truths: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which rows (n,) of (n, k) truths hold one, k ≥ 1; much faster than `any` over short rows."""
+    return reduce(np.logical_or, truths.T)
+
+
 def hat(vector: Array) -> Array:
     """Return the skew matrices (..., 3, 3) of vectors (..., 3): the product with b is the cross product with b.
 

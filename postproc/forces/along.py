@@ -10,7 +10,7 @@ from postproc.forces.axes import Axes
 from postproc.forces.comments import of_comments
 from postproc.forces.feed import last_travel
 from postproc.forces.knots import BASE, FEED, ForceSource, Knots
-from postproc.frames import Array
+from postproc.frames import Array, any_column
 from postproc.program import SPL, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, Toolpath
 
@@ -93,7 +93,9 @@ def along(program: Program, path: Segments, source: ForceSource | None, axis: st
     if source is not None:
         own = source.along(program, path).checked(program, source.name)
         told += list(own.issues)
-        told += _told(program, own.motion[own.wrench.any(axis=1) & m.rapid[own.motion]], "force-on-rapid", _ON_RAPID)
+        told += _told(
+            program, own.motion[any_column(own.wrench != 0.0) & m.rapid[own.motion]], "force-on-rapid", _ON_RAPID
+        )
         given = own.over(given)
     without = np.ones(len(m), dtype=np.bool_)
     without[given.motion] = False
@@ -153,7 +155,7 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
     feed = given.frame == FEED
     if not feed.any():
         return np.zeros((0, 3)), []
-    curved = np.unique(given.motion[feed & (m.kind[given.motion] == SPL) & given.wrench.any(axis=1)])
+    curved = np.unique(given.motion[feed & (m.kind[given.motion] == SPL) & any_column(given.wrench != 0.0)])
     if len(curved):
         name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
         advice = "Give its force in BASE or TOOL axes."
@@ -162,7 +164,7 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)
     across = (given.wrench[:, [0, 1, 3, 4]] != 0.0) | (given.sigma[:, [0, 1, 3, 4]] != 0.0)
-    acts[given.motion[feed & across.any(axis=1)]] = True
+    acts[given.motion[feed & any_column(across)]] = True
     needs &= acts
     unknown = needs & np.isnan(travel[:, 0])
     if unknown.any():

@@ -7,7 +7,7 @@ import numpy as np
 from postproc.forces.along import BEHIND_STEP, PathForces
 from postproc.forces.feed import runs_across
 from postproc.forces.knots import FEED
-from postproc.frames import Array, largest, norm
+from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, Bools, Ints
 from postproc.toolpath import DisplacementEstimate, at
 
@@ -44,7 +44,7 @@ def estimate(forces: PathForces, softness: tuple[float, float]) -> DisplacementE
         across = forces.wrench * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
         turned = np.where(turning, largest_of_own(moves(across)), 0.0)
         acts = np.zeros(len(m), dtype=np.bool_)
-        acts[motion[across.any(axis=1)]] = True
+        acts[motion[any_column(across != 0.0)]] = True
         found = np.flatnonzero(turning & acts)
         swings[found] = ~runs_across(forces.axes.program, path, found, forces.axes.spindle)
     order = np.lexsort((np.append(forces.t, behind), np.append(motion, step)))

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.errors import ForceError, Issue
-from postproc.frames import Array
+from postproc.frames import Array, any_column
 from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program
 from postproc.toolpath import Segments
 
@@ -85,8 +85,8 @@ class Knots(Struct, frozen=True, eq=False):
         for wrong, problem in (
             ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
             (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
-            (~(np.abs(self.wrench) <= MOST_FORCE).all(axis=1), "no finite force, or one that no arm carries"),
-            (~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE)).all(axis=1), "no finite standard deviation"),
+            (any_column(~(np.abs(self.wrench) <= MOST_FORCE)), "no finite force, or one that no arm carries"),
+            (any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE))), "no finite standard deviation"),
             ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),
             (np.append(np.diff(self.motion) < 0, False), "motions out of order"),
             (np.append(same & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),

@@ -16,7 +16,7 @@ from postproc.forces.along import PathForces
 from postproc.forces.axes import Axes
 from postproc.forces.feed import across
 from postproc.forces.knots import BASE, FEED, TOOL, Knots
-from postproc.frames import Array, largest, norm
+from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, Ints, TargetForces, Targets
 from postproc.toolpath import at
 
@@ -36,7 +36,7 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Arra
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`.
     :param wrench: (K, 6) what acts there [N, N·m], `$BASE` axes.
     """
-    frame = np.where(wrench.any(axis=1), _frame(forces, targets), BASE)
+    frame = np.where(any_column(wrench != 0.0), _frame(forces, targets), BASE)
     out = wrench.copy()
     for code in (TOOL, FEED):
         rows = np.flatnonzero(frame == code)

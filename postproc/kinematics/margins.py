@@ -8,7 +8,7 @@ from postproc.frames import Array
 from postproc.kinematics.forward import tcp
 from postproc.robot import RobotModel
 
-_LOOKED_AT = 4_000
+_LOOKED_AT = 2_000
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:

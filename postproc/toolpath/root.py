@@ -54,8 +54,8 @@ def _moved(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -
 def wrench_in_root(program: Program, motion: Ints, wrench_in_base: Array) -> Array:
     """Return wrenches (n, 6) in root axes of wrenches in `$BASE` axes."""
     rotation = base_of(program, motion)[..., :3, :3]
-    pairs = wrench_in_base.reshape(-1, 2, 3)
-    return np.asarray(np.einsum("...ij,...kj->...ki", rotation, pairs)).reshape(-1, 6)
+    pairs = wrench_in_base.reshape((-1, 3) if rotation.ndim == 2 else (-1, 2, 3))
+    return np.asarray(pairs @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
 
 
 def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> Array:

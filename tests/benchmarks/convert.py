@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -63,8 +64,9 @@ def cost(*command: str) -> Cost:
 
 
 def convert(path: Path) -> tuple[Cost, int]:
-    """Convert a program as users do; return what it took and the number of targets."""
+    """Convert a program as users do, into a new folder; return what it took and the number of targets."""
     out = path.parent / "out"
+    shutil.rmtree(out, ignore_errors=True)
     done = cost("-c", POSTPROC, "convert", str(path), "--cell", CELL, "-o", str(out))
     return done, json.loads((out / f"{path.stem}.report.json").read_bytes())["targets"]
 

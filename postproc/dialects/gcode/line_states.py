@@ -10,7 +10,7 @@ from msgspec import Struct
 from postproc.cell import Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes
-from postproc.frames import Array
+from postproc.frames import Array, any_column
 from postproc.program import Bools
 
 
@@ -82,7 +82,7 @@ def line_states_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | 
     axes = placed | ~np.isnan(turned).all(axis=1)
     always = rotary is None or not rotary.tcp_on
     drilling = np.isin(motion, codes.CYCLES) & axes
-    moving = ~drilling & (axes | (circular & (named | ~np.isnan(ijk).all(axis=1))))
+    moving = ~drilling & (axes | (circular & (named | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
     return LineStates(
         xyz=xyz,

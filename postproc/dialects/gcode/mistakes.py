@@ -13,7 +13,7 @@ from postproc.dialects.gcode.line_states import LineStates
 from postproc.dialects.gcode.modes import Modes
 from postproc.dialects.gcode.tool_positions import Moves
 from postproc.errors import MOST
-from postproc.frames import Array
+from postproc.frames import Array, any_column
 from postproc.program import Bools, Ints
 
 
@@ -39,11 +39,12 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     cancelled = axes & (rows.motion == codes.CANCEL_CYCLE) & ~doubt.motion
     check(cancelled, "coordinates without G0, G1, G2 or G3", "Say which motion it is.", first=True)
     used = (rows.moving & arc) | rows.drilling | doubt.motion
-    stray = ~(np.isnan(rows.ijk).all(axis=1) & np.isnan(rows.radius) & np.isnan(rows.turns))
+    centred = any_column(~np.isnan(rows.ijk))
+    stray = centred | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
     check(stray & ~used, "I, J, K, R or P without an arc or a cycle that uses it")
     stray = ~(np.isnan(rows.pecks) & np.isnan(rows.repeats))
     check(stray & (~used | (rows.moving & arc)), "Q or L without a cycle that uses it")
-    check(rows.drilling & ~np.isnan(rows.ijk).all(axis=1), "I, J or K in a cycle")
+    check(rows.drilling & centred, "I, J or K in a cycle")
     check(dwelling & rows.moving & arc, "G4 in one block with an arc", "Write one block for each.")
     cuts = ((rows.named | rows.moving) & (straight | arc)) | rows.drilling
     no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed

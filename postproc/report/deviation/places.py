@@ -8,7 +8,7 @@ from msgspec import Struct
 from postproc import kinematics
 from postproc.correction import Result
 from postproc.forces.feed import across
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, largest, norm, xyzabc_from_pose
 from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
 from postproc.report.deviation.drawn import drawn_path
 from postproc.report.kit import Columns
@@ -17,7 +17,7 @@ from postproc.robot import JOINTS
 MOST = 40_000
 """So many places a page holds at most; of more, each run of targets keeps its first and its worst."""
 _MOST_POINTS = 80_000
-_SINGULAR_AT = 2_000
+_SINGULAR_AT = 1_000
 """At so many places at most the Jacobian is decomposed; between them its smallest singular value is interpolated."""
 
 
@@ -135,7 +135,7 @@ def _durations(result: Result, length: Array) -> Array:
     feed = result.program.motions.feed[result.motion]
     turned = np.zeros((len(result), 6))
     turned[1:] = np.abs(np.diff(result.q, axis=0))
-    joints = (turned / result.robot.speed).max(axis=1)
+    joints = largest(turned / result.robot.speed)
     fed = (result.program.motions.kind[result.motion] != PTP) & (feed > 0.0)
     return np.where(fed, length / np.where(fed, feed, 1.0), joints)
 

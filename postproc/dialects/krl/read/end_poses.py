@@ -17,6 +17,7 @@ from postproc.frames import (
     MM_PER_M,
     RAD_PER_DEG,
     Array,
+    any_column,
     inverse,
     pose_from_xyzabc,
     rotation_from_vector,
@@ -130,7 +131,7 @@ class _Follower:
         block = self.numbers[first:last]
         missing = np.isnan(block)
         if missing.any():
-            self._check_frames(first, last, np.asarray(missing.any(axis=1)))
+            self._check_frames(first, last, any_column(missing))
             block[0] = np.where(missing[0], self.here(first), block[0])
             missing[0] = False
             latest = np.maximum.accumulate(np.where(missing, 0, np.arange(len(block))[:, None]), axis=0)
@@ -265,7 +266,7 @@ def end_poses(
 
     (pose,) = in_chunks(lambda numbers: (pose_from_xyzabc(numbers),), follower.numbers)
     start = Starts.of(frames, pose.__getitem__, start_flange, after)
-    ignored = led.constant & (np.abs(given - follower.numbers)[:, 3:] > _SAME).any(axis=1)
+    ignored = led.constant & any_column(np.abs((given - follower.numbers)[:, 3:]) > _SAME)
     _check_ignored(source, line, given, moves, led.constant, ignored)
     return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored, follower.circles)
 
@@ -282,7 +283,7 @@ def _check_ignored(
     row = np.arange(len(line))
     last_ignored = np.maximum.accumulate(np.where(ignored, row, -1))
     last_free = np.maximum.accumulate(np.where(constant, -1, row))
-    missing = np.asarray(np.isnan(given[:, 3:]).any(axis=1))
+    missing = any_column(np.isnan(given[:, 3:]))
     missing[[at for at, move in moves.items() if move.end.position.axis]] = False
     behind = np.flatnonzero(missing[1:] & ~constant[1:] & (last_ignored > last_free)[:-1]) + 1
     if len(behind):

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import COLUMNS
@@ -60,19 +59,6 @@ class MotionColumns(Struct, frozen=True, eq=False):
     def columns(self) -> list[Any]:
         """Return all columns."""
         return [getattr(self, name) for name in self.__struct_fields__]
-
-    def shifted(self, lines: int, characters: int) -> MotionColumns:
-        """Return the same motions further down in a text."""
-        return replace(
-            self,
-            line=self.line + lines,
-            spans=np.where(self.spans < 0, self.spans, self.spans + np.int32(characters)),
-            keyword=self.keyword + characters,
-            target=self.target + characters,
-            tail=self.tail + characters,
-            via_spans=np.where(self.via_spans < 0, self.via_spans, self.via_spans + np.int32(characters)),
-            via_target=np.where(self.via_target < 0, self.via_target, self.via_target + characters),
-        )
 
 
 class MotionCollector:

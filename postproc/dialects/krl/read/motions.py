@@ -24,7 +24,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, norm
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
 from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
 
 _BY_ROTATION = (FREE, CONSTANT)
@@ -369,7 +369,7 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
 def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, MotionStatement]) -> list[Issue]:
     """Return what had to be assumed, each once with the first line it concerns."""
     issues = []
-    incomplete = np.asarray(missing.any(axis=1))
+    incomplete = any_column(missing)
     for row, move in moves.items():
         incomplete[row] = not move.end.position.complete or move.via_incomplete
     for rows, kind, message in (

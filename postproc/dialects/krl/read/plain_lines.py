@@ -18,8 +18,7 @@ from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.motion_columns import NUMBERS, MotionColumns, no_circles, none
-from postproc.dialects.text import line_spans
-from postproc.frames import Array
+from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
 _LINES = 8192
@@ -70,29 +69,26 @@ _BLANK[[9, 10, 13, 32]] = True
 
 def scan(source: Source) -> list[MotionColumns]:
     """Return the plain motions of a document, wherever they stand, in some parts one behind the other."""
-    text, first = source.text, source.starts[::_LINES]
-    last = [*first[1:].tolist(), len(text)]
+    text, starts = source.text, source.starts
+    last = [*starts[_LINES::_LINES].tolist(), len(text)]
     return [
-        _plain(text[start:stop], index * _LINES, start)
-        for index, (start, stop) in enumerate(zip(first.tolist(), last, strict=True))
+        _plain(text[starts[line] : stop], starts[line : line + _LINES] - starts[line], line, int(starts[line]))
+        for line, stop in zip(range(0, len(starts), _LINES), last, strict=True)
     ]
 
 
-def _plain(text: str, lines: int, characters: int) -> MotionColumns:
-    """Return the plain motions of a piece of text; so many lines and characters stand before it."""
+def _plain(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:
+    """Return the plain motions of a piece of text whose lines start there; so many of both stand before it."""
     codes = text.encode("ascii", "replace")
-    starts, _ = line_spans(text)
     alike = _alike(text, codes, starts)
-    plain = _scan(codes, starts, alike)
+    plain = _scan(codes, starts, alike, lines, characters)
     if plain is None:  # something that looks like a number is none, such as 1.2.3
         strict = [index for index in alike.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
-        plain = _scan(codes, starts, np.array(strict, dtype=np.int64)) or none()
-    endless = np.flatnonzero(
-        np.isinf(plain.numbers).any(axis=1) | np.isinf(plain.via).any(axis=1)
-    )  # 1E999: refused where it is read with the statements
-    if len(endless):
-        plain = plain.take(np.delete(np.arange(len(plain)), endless))
-    return plain.shifted(lines, characters)
+        plain = _scan(codes, starts, np.array(strict, dtype=np.int64), lines, characters) or none()
+    endless = [np.isinf(values) for values in (plain.numbers, plain.via)]  # 1E999: refused where statements are read
+    if any(each.any() for each in endless):
+        plain = plain.take(~(any_column(endless[0]) | any_column(endless[1])))
+    return plain
 
 
 def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
@@ -113,8 +109,11 @@ def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
     return np.asarray(np.searchsorted(starts, begins[plain]))
 
 
-def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
-    """Return the motions of plain lines (P,); None if one of their numbers cannot be read."""
+def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: int) -> MotionColumns | None:
+    """Return the motions of plain lines (P,); None if one of their numbers cannot be read.
+
+    :param lines: before the text, and so many `characters`.
+    """
     if not len(index):
         return none()
     line_ends = np.append(line_starts[1:], len(codes))
@@ -124,6 +123,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
     body = codes
     if len(index) < len(line_starts):
         body = np.frombuffer(codes, dtype=np.uint8)[np.repeat(shift, length) + np.arange(length.sum())].tobytes()
+    shift += characters
     if b";" in body:
         body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
     raw = np.frombuffer(body, dtype=np.uint8)
@@ -164,7 +164,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints) -> MotionColumns | None:
     stop = _skip_blanks(raw, ends - 1, -1) + 1
     ptp = letter == ord("p")
     return MotionColumns(
-        line=index + 1,
+        line=index + 1 + lines,
         kind=np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)),
         numbers=numbers,
         spans=spans[:, : len(COLUMNS)],

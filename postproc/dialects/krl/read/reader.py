@@ -41,7 +41,7 @@ from postproc.dialects.krl.read.unresolved import without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
-from postproc.frames import DEG_PER_RAD, Array
+from postproc.frames import DEG_PER_RAD, Array, any_column
 from postproc.program import PTP, Document, Program, distinct
 
 
@@ -256,11 +256,12 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
 
 def _check_size(source: Source, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
-    size = np.abs(np.concatenate([rows.numbers[:, :6], rows.via], axis=1))
-    beyond = np.flatnonzero(size > FARTHEST)
+    size = [np.abs(values) for values in (rows.numbers[:, :6], rows.via)]
+    beyond = np.flatnonzero(any_column(size[0] > FARTHEST) | any_column(size[1] > FARTHEST))
     if len(beyond):
-        row = int(beyond[0]) // size.shape[1]
-        raise out_of_reach(Place(source, int(rows.line[row])), float(np.nanmax(size[row])))
+        row = beyond[0]
+        largest = max(float(np.nanmax(values[row], initial=0.0)) for values in size)
+        raise out_of_reach(Place(source, int(rows.line[row])), largest)
 
 
 def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:

@@ -10,7 +10,7 @@ from msgspec import Struct
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout
-from postproc.frames import MM_PER_M, Array, xyzabc_from_pose
+from postproc.frames import MM_PER_M, Array, any_column, xyzabc_from_pose
 from postproc.program import Bools, Ints, Motions, Targets
 
 DECIMALS = np.array([4, 4, 4, 5, 5, 5])
@@ -72,9 +72,9 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))
 
     first = np.append(True, row[1:] != row[:-1]) if len(row) else last
-    elsewhere = np.asarray((np.abs(numbers - layout.numbers[row]) > _EQUAL).any(axis=1))
+    elsewhere = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
     moved = _behind(row[last], elsewhere[last], layout)
-    turned = np.asarray((np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL).any(axis=1))
+    turned = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
     freed = _behind(row[last], turned[last], layout)
     freed[row[turned | (layout.with_path[row] & ~keep)]] = True
     chosen = layout.orientation == ORIENTATIONS.index(
@@ -87,7 +87,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     fresh = first & layout.resumed[row]
     before[fresh] = layout.numbers[row[fresh]]
     added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
-    incomplete = layout.ignored | layout.missing[:, 3:].any(axis=1)
+    incomplete = layout.ignored | any_column(layout.missing[:, 3:])
     added[:, 3:] |= (freed & incomplete)[row, None]
     written = np.where(keep[:, None], added, ~layout.missing[row] | added)
     return TargetNumbers(
@@ -96,7 +96,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
         np.where(keep[:, None], DECIMALS, decimals),
         written,
         _rounded(targets.via * MM_PER_M, DECIMALS[:3]),
-        ~keep | added.any(axis=1),
+        ~keep | any_column(added),
         moved,
         freed,
         _unheeding(layout, moved, targets),
