@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from postproc.errors import ForceError, Issue, Level
+from postproc.errors import ForceError, Issue, Level, ProgramError
 from postproc.frames import Array, inverse, norm
 
 Ints = NDArray[np.int64]
@@ -428,6 +428,7 @@ class Program(Struct, frozen=True, eq=False):
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
         there is what changes by one rotation. None: there are none.
     :param unresolved: motions that stay as they are: `motions` has no row for them.
+    :param unfollowed: what is wrong if the forces depend on all that cuts: routines that cut have no rows either.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
@@ -447,6 +448,7 @@ class Program(Struct, frozen=True, eq=False):
     carriage: Carriage | None = None
     with_path: Bools | None = None
     unresolved: tuple[Unresolved, ...] = ()
+    unfollowed: tuple[ProgramError, ...] = ()
     layout: Layout | None = None
 
     @property

@@ -195,6 +195,52 @@ def test_without_force_it_stays_with_a_warning_that_comes_first_and_names_the_ca
     assert ("calls itself" in reasons[0]) is (motion == "sub()")
 
 
+PROCESS = """
+[material]
+name = "al_6082_t6_carbide"
+[tools.default]
+shape = "flat"
+diameter_mm = 12
+flutes = 3
+rpm = 8000
+[stock]
+box = { X = [0.0, 100.0], Y = [-40.0, 40.0], Z = [-20.0, 3.0] }
+resolution_mm = 1.0
+"""
+AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+
+
+@pytest.mark.parametrize("command", ["convert", "predict", "forces"])
+@pytest.mark.parametrize("operations", [False, True])
+@pytest.mark.parametrize(("cut", "refused"), [("LIN {X 20,Y 20,Z 0,A 0,B 0,C 180}", True), (AXES, False)])
+def test_a_routine_that_cannot_be_followed_is_refused_where_a_process_makes_its_forces(
+    command, operations, cut, refused
+):
+    lines = f"LIN {{X -15,Y 0,Z 0,A 0,B 0,C 180}}\nLIN {{X 50}}\nLIN {{Z 20}}\nsub()\n{AXES}\n"
+    Path("one.src").write_text(f"DEF one()\n{START};ROUGH\n{lines}LIN {{X 60,Y 0,Z 20,A 0,B 0,C 180}}\nEND\n")
+    Path("sub.src").write_text(f"DEF sub()\n{cut}\nPTP $POS_ACT:{{X 9}}\nEND\n")
+    table = '[operations."ROUGH"]\nFx = 100.0\nFy = 0.0\nFz = 0.0\nframe = "BASE"\n'
+    Path("cut.toml").write_text(table if operations else PROCESS)
+    output = ["-o", "told.csv" if command == "forces" else "out"]
+    done = run(command, "one.src", "--process", "cut.toml", *output, code=int(refused))
+    if refused:
+        assert "sub.src:3: " in done.stderr
+        assert (
+            "sub(), called in one.src, line 9, would stay uncorrected under force: the process does not" in done.stderr
+        )
+        assert "--keep-unresolved" in done.stderr
+        assert not Path("out").exists()
+        assert not Path("told.csv").exists()
+    if refused and command != "forces":
+        text = Path("sub.src").read_text()
+        for kept in (text, text.replace("END", "LIN $POS_ACT:{X 9}\nEND")):
+            Path("sub.src").write_text(kept)
+            done = run(command, "one.src", "--process", "cut.toml", *output, "--keep-unresolved")
+            assert ("cuts nothing of the stock: sub.src, line 4" in done.stderr + done.stdout) is (
+                not operations and "LIN $POS_ACT" in kept
+            )
+
+
 def test_motions_that_carry_no_force_are_not_refused_under_one():
     text = Path("one.src").read_text().replace("LIN {X 50", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nLIN {X 50")
     Path("one.src").write_text(text)

@@ -20,6 +20,7 @@ from postproc.machining.running import Running, running
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.thinning import thinned
+from postproc.machining.unseen import kept, refuse_unseen
 from postproc.machining.ways import Shift, Ways, spindle, ways
 from postproc.program import Bools, Program
 from postproc.toolpath import Segments
@@ -88,9 +89,11 @@ def estimate(
     :param base_axes: give all wrenches in `$BASE` axes.
     :param shift: displacement of the tip, see `Shift`.
     :param progress: called with the number of straight ways done, and of all.
+    :raises ProgramError: a routine that cuts is not followed.
     :raises ForceError: what is not in the process, a stock that cannot be used, no contact at all, a spindle that
         stands still while it cuts, a tool that changes its direction while it cuts.
     """
+    refuse_unseen(program)
     law = process.law()
     turning = running(program, process)
     cell = process.stock.resolution_mm * M_PER_MM
@@ -123,6 +126,7 @@ def estimate(
     # where a tip stands that comes back from its deflection is no matter of a rapid move
     collided = set[int]() if shift is not None else set[int]().union(*(sweep.collided for sweep in sweeps))
     stood = set[int]().union(*(sweep.stood for sweep in sweeps))
+    told += kept(program)
     told += _out_of_scale(every, bounds)
     told += _told(program, (collided, stood), law, cuts, turning, process)
     power = np.zeros(len(program.motions))

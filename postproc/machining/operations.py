@@ -10,6 +10,7 @@ from msgspec import Struct
 from postproc.errors import ForceError, together
 from postproc.frames import Array
 from postproc.machining.process import OperationTable, Process
+from postproc.machining.unseen import refuse_unseen
 from postproc.program import FORCE_FRAMES, Ints, Program
 
 _COMMENT = re.compile(r"\(([^()]*)\)|;([^\r\n]*)")
@@ -42,7 +43,9 @@ def by_operation(program: Program, process: Process) -> OperationForces:
     the tool is changed.
 
     :raises ForceError: an entry names nothing in the program.
+    :raises ProgramError: a routine that cuts is not followed.
     """
+    refuse_unseen(program)
     m = program.motions
     names = list(process.operations)
     place = np.full(len(m), -1)

@@ -1,4 +1,7 @@
-"""Calls of routines of other files that cannot be followed: under force they must not stay uncorrected."""
+"""Calls of routines of other files that cannot be followed: under force they must not stay uncorrected.
+
+Whether there is a force is known of comments here; of a process it is where that is used (`Program.unfollowed`).
+"""
 
 from __future__ import annotations
 
@@ -32,6 +35,15 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
         held = [note for line, note in notes if line < call.line][-1:]
         if held and any(held[0].wrench) and run.analysis.cuts(call.module, call.routine):
             raise _loaded(run, call, "a force comment holds there")
+
+
+def unfollowed(run: Run) -> tuple[ProgramError, ...]:
+    """Return the errors for routines that are not followed and cut, if a process makes their forces."""
+    return tuple(
+        _loaded(run, call, "the process does not see what it cuts")
+        for call in run.moved
+        if run.analysis.cuts(call.module, call.routine)
+    )
 
 
 def _loaded(run: Run, call: Apart, force: str) -> ProgramError:

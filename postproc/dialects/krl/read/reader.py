@@ -19,7 +19,7 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.read.apart import refuse_loaded, refuse_noted
+from postproc.dialects.krl.read.apart import refuse_loaded, refuse_noted, unfollowed
 from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.folder_files import FolderFiles
@@ -178,6 +178,7 @@ class _Reading(Struct, frozen=True, eq=False):
             after=after,
             meetings=tuple(meeting.ends for meeting in meetings),
             unresolved=resolved.unresolved,
+            unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
