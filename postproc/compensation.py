@@ -61,9 +61,8 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
         state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
         jacobian, missed = state.jacobian(), kinematics.twist_between(state.pose, goal)
         left = np.abs(missed)
-        if (
-            len(passive) or not _beyond(left).any()
-        ):  # where all coordinates are joints, springs matter at the target only
+        # where all coordinates are those of joints, what springs give way matters at the target only
+        if len(passive) or not _beyond(left).any():
             load = np.einsum("ikn,in->kn", jacobian, wrench)
             theta = elastostatics.springs_at(robot, x, load, elastostatics.asked(robot, x, state))
             between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])

@@ -59,52 +59,39 @@ class Stretches(Struct, frozen=True, eq=False):
 
 
 _WRIST, _SHOULDER, _ELBOW = 6, 7, 8
-"""Rows of `States` that must not come to zero, behind those of the joint angles."""
+"""Rows of what must not come to zero, behind those of the joint angles."""
 
 
-class States(Struct, frozen=True, eq=False):
-    """What must not come to zero at N samples, and at the start before them.
+def stretches(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, Stretches]:
+    """Return the arcs, and the pieces of lines between two samples, on which a joint may come to what it cannot do.
 
-    Rows: from A1…A6 to their nearer limits [rad]; A5 [rad]; how far the wrist centre stands ahead of A1 [m]; A3 from
-    where the arm is stretched [rad].
-
-    :param room: (9, N + 1) the magnitudes.
-    :param step: (9, N) by how much angles and reach change on the way to each sample.
-    :param fast: (N,) whether a joint turns about as fast as it can there.
+    :param q: (N, 6) commanded joint angles [rad].
+    :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
-
-    room: Array
-    step: Array
-    fast: Bools
-
-    @classmethod
-    def of(cls, path: PathUnderLoad, q: Array, speed: Array) -> States:
-        """Return the states of the samples.
-
-        :param q: (N, 6) commanded joint angles [rad].
-        :param speed: (N, 6) joint speeds on the way to each [rad/s].
-        """
-        robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
-        state = np.empty((9, len(q) + 1))
-        state[:6, 0], state[:6, 1:] = path.setting.cell.start_joints, q.T
-        state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
-        step, room = np.abs(np.diff(state, axis=1)), np.abs(state)
-        room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
-        return cls(room, step, np.asarray((speed > _SHARE_OF_SPEED * robot.speed).any(axis=1)))
+    robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
+    # at the start and at each sample (9, N + 1): A1…A6 to their nearer limits [rad]; A5 [rad]; how far the wrist centre
+    # stands ahead of A1 [m]; A3 from where the arm is stretched [rad]
+    state = np.empty((9, len(q) + 1))
+    state[:6, 0], state[:6, 1:] = path.setting.cell.start_joints, q.T
+    state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
+    step, room = np.abs(np.diff(state, axis=1)), np.abs(state)
+    room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
+    fast = np.asarray((speed > _SHARE_OF_SPEED * robot.speed).any(axis=1))
+    return _arcs(path, room, step, fast), _lines(path, room, step, fast)
 
 
-def arcs(path: PathUnderLoad, states: States) -> Stretches:
-    """Return the arcs on which a joint may come to what it cannot do, looked at every 5°."""
+def _arcs(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
+    """Return arcs that are looked at every 5°."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
-        certain = motion[rows[states.fast[rows] | (states.step[:6, rows].max(axis=0) > _TURNED)]]
+        certain = motion[rows[fast[rows] | (step[:6, rows].max(axis=0) > _TURNED)]]
         # what comes near by the largest step of any arc may come near by that of its own
-        rows = rows[(states.room[:, rows + 1] < _near(states.step[:, rows].max(axis=1, keepdims=True))).any(axis=0)]
+        rows = rows[(room[:, rows + 1] < _near(step[:, rows].max(axis=1, keepdims=True))).any(axis=0)]
         rows = np.flatnonzero(np.isin(motion, motion[rows]))
         first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
-        near = _near(np.maximum.reduceat(states.step[:, rows], first, axis=1))
-        close = (np.minimum.reduceat(states.room[:, rows + 1], first, axis=1) < near).any(axis=0)
+        near = _near(np.maximum.reduceat(step[:, rows], first, axis=1))
+        close = (np.minimum.reduceat(room[:, rows + 1], first, axis=1) < near).any(axis=0)
         rows = distinct(np.append(certain, motion[rows[first[close]]]))
     count = np.ceil(m.sweep[rows] / _SPACING - 1e-9).astype(np.int64) + 1
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), count)
@@ -119,20 +106,19 @@ def _near(step: Array) -> Array:
     return near
 
 
-def lines(path: PathUnderLoad, states: States) -> Stretches:
-    """Return the pieces of lines between two samples within which a joint may come to what it cannot do."""
+def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
+    """Return pieces of lines that are looked at every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))
     way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.way, segments.turn))
     rows = np.flatnonzero((path.program.motions.kind[sample.motion] == LIN) & ((way > _LONG) | (turn > _TURNS)))
     way, turn = way[rows], turn[rows]
-    near = _STEPS * states.step[:, rows]
+    near = _STEPS * step[:, rows]
     near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
     near[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
     near[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
-    room = np.minimum(states.room[:, rows], states.room[:, rows + 1])
-    close = (room < near).any(axis=0) | states.fast[rows]
+    close = (np.minimum(room[:, rows], room[:, rows + 1]) < near).any(axis=0) | fast[rows]
     rows, way, turn = rows[close], way[close], turn[close]
     count = np.ceil(np.maximum(way / _LONG, turn / _TURNS)).astype(np.int64) + 1
     return Stretches(sample.motion[rows], begin[rows], sample.t[rows], count)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from msgspec import Struct
 
 from postproc import toolpath
 from postproc.chunks import in_chunks
@@ -37,35 +36,21 @@ def corrected(path: PathUnderLoad) -> Compensation:
         return found.q, toolpath.pose_in_base(path.program, motion, found.pose, t), found.theta
 
     found = _balanced(path, in_chunk, movable)
-    if len(movable) == len(path):
-        return Compensation(*found)
-    every = as_it_stands(path)
-    every = Compensation(every.q.copy(), every.pose.copy(), every.theta)
-    every.q[movable], every.pose[movable], every.theta[movable] = found
-    return every
+    if len(movable) < len(path):
+        stands = as_it_stands(path)
+        whole = stands.q.copy(), stands.pose.copy(), stands.theta
+        for array, part in zip(whole, found, strict=True):
+            array[movable] = part
+        found = whole
+    return Compensation(*found)
 
 
-class Uncorrected(Struct, frozen=True, eq=False):
-    """What the tool would do at n samples if nothing were corrected, `$BASE` [m].
-
-    :param deviation: (n, 3) the tip seen from nominal.
-    :param deflection: (n, 3) its displacement by the wrench alone.
-    :param by_tool: (n, 3) of that, how far holder, spindle and tool give way.
-    """
-
-    deviation: Array
-    deflection: Array
-    by_tool: Array
-
-    def take(self, rows: Ints) -> Uncorrected:
-        """Return some of the samples."""
-        return Uncorrected(self.deviation[rows], self.deflection[rows], self.by_tool[rows])
-
-
-def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
-    """Return what the tool would do at samples (n,) if nothing were corrected.
+def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, ...]:
+    """Return what the tool would do at samples (n,) if nothing were corrected, `$BASE` [m].
 
     :param theta: (N, nv) deflections of the springs, about.
+    :returns: (n, 3) deviation of the tip from nominal; (n, 3) its displacement by the wrench alone; (n, 3) of that, how
+        far holder, spindle and tool give way.
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
 
@@ -78,7 +63,7 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> Uncorrected:
         rest, _ = path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
         return deviation, tip - rest, by_tool
 
-    return Uncorrected(*_balanced(path, in_chunk, rows))
+    return _balanced(path, in_chunk, rows)
 
 
 def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:

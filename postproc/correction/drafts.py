@@ -35,8 +35,7 @@ _EXACT_FORCES = (
 class Task(Struct, frozen=True, eq=False):
     """What is to be done with a program, see `process`.
 
-    :param comments: its forces go with it as comments.
-    :param in_file: its forces go with it in a file.
+    :param in_file: its forces are given, and go with it, in a file; else in comments.
     :param told: what there is to say before anything is computed.
     """
 
@@ -44,7 +43,6 @@ class Task(Struct, frozen=True, eq=False):
     mode: Mode
     linearize_arcs: bool
     writer: Writer
-    comments: bool
     in_file: bool
     told: tuple[Issue, ...]
 
@@ -89,7 +87,7 @@ class Draft(Struct, frozen=True, eq=False):
         :raises ProgramError: it cannot be written.
         """
         path, chosen, q = self.path, self.chosen, self.q[self.chosen.row]
-        comments = self.forces_at_targets() if task.comments else None
+        comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
         joints = TargetJoints(q, kinematics.status_of(task.robot, q))
         text = task.writer.write(path.program, chosen.targets, joints, path.setting.cell, comments)
         draft = replace(self, issues=(*self.issues, *text.issues))
@@ -106,28 +104,27 @@ class Draft(Struct, frozen=True, eq=False):
 def result_of(task: Task, draft: Draft) -> Result:
     """Make the result of a draft; what is not written is predicted as it stands."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
-    rows = np.arange(len(path)) if task.mode == "predict" else row
-    without = commanded.uncorrected(path, rows, draft.theta)
-    between = float(norm(without.deviation).max(initial=0.0))
-    if task.mode == "predict":
-        without = without.take(row)
+    everywhere = task.mode == "predict"
+    without = commanded.uncorrected(path, np.arange(len(path)) if everywhere else row, draft.theta)
+    between = float(norm(without[0]).max(initial=0.0))
+    deviation, deflection, by_tool = (each[row] for each in without) if everywhere else without
     bound, untold = _bound(draft)
     result = Result(
         program=program,
         robot=task.robot,
         axis=path.setting.spindle,
         mode=task.mode,
-        documents=(),
+        issues=group_issues([*draft.issues, *untold]),
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose[row],
         printed=_numbers(task, draft),
         wrench=path.wrench[row],
-        deflection=without.deflection,
-        deflection_by_tool=None if path.setting.tool_spring is None else without.by_tool,
-        deviation_before=without.deviation,
-        deviation_after=without.deviation,
+        deflection=deflection,
+        deflection_by_tool=None if path.setting.tool_spring is None else by_tool,
+        deviation_before=deviation,
+        deviation_after=deviation,
         bound=bound,
         q=draft.q[row],
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
@@ -135,9 +132,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         between=between,
         rounding=draft.chosen.programmed,
         programmed=draft.chosen.programmed,
-        carried=None,
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
-        issues=group_issues([*draft.issues, *untold]),
     )
     if (written := draft.simulated) is None:
         return result

@@ -15,23 +15,25 @@ from postproc.under_load import PathUnderLoad
 def of_origin(program: Program, mode: Mode) -> list[Issue]:
     """Return what there is to say about a program that postproc wrote: it is not corrected a second time."""
     writer = registry.by_name(program.dialect).writer
-    origin = None if writer is None else writer.origin(program.documents)
-    if origin is not None and origin.part_of:
+    if writer is None:
+        return []
+    origin = writer.origin(program.documents)
+    if origin.part_of:
         message = (
             f"this file is a part of {origin.part_of}, which calls it: where the robot stands before it, with which "
             f"frames and speed, is said there. Name {origin.part_of} instead."
         )
         return [Issue("error", "part-of-program", message, origin.line)]
-    if writer is not None and mode != "predict":
+    if mode != "predict":
         for document in program.documents[1:]:
             called = writer.origin([document])
-            if called.mode == "corrected" and (origin is None or origin.mode != "corrected"):
+            if called.mode == "corrected" and origin.mode != "corrected":
                 message = (
                     f"{document.name}, which this program calls, was corrected by postproc {called.version} before: "
                     "its targets are commands already, and would be corrected twice. Put the original there."
                 )
                 return [Issue("error", "corrected-before", message)]
-    if origin is None or origin.state == "none":
+    if origin.state == "none":
         return []
     if mode != "predict" and origin.mode != "nominal":
         message = (
@@ -53,8 +55,7 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     program, robot, sample, cell = path.program, path.setting.robot, path.sample, path.setting.cell
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
     speed = checks.joint_speed(program, sample, path.motions.segments.turn, q, position)
-    states = closely.States.of(path, q, speed)
-    arcs, lines = closely.arcs(path, states), closely.lines(path, states)
+    arcs, lines = closely.stretches(path, q, speed)
     allowed = cell.output.max_correction_mm * M_PER_MM
     found = [
         *checks.start_joints(program, robot, start),

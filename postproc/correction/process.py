@@ -13,7 +13,7 @@ from postproc.correction import commanded, inspection, select, targets, verify
 from postproc.correction.drafts import Draft, Task, result_of
 from postproc.correction.result import Mode, Result
 from postproc.dialects import registry
-from postproc.errors import InputError, ProgramError
+from postproc.errors import InputError, ProgramError, group_issues
 from postproc.forces import ForceSource
 from postproc.frames import Array
 from postproc.program import CIRC, Document, Ints, Program, read_only
@@ -75,18 +75,17 @@ def process(
         mode=mode,
         linearize_arcs=linearize_arcs,
         writer=writer,
-        comments=bool(program.notes) and source is None,
         in_file=source is not None,
         told=tuple(inspection.of_origin(program, mode)),
     )
-    for issue in task.told:
-        if issue.level == "error":
-            return Result.without_targets(program, robot, cell.tool.axis, mode, issue)
-    try:
-        draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
-        return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
-    except ImpossiblePathError as cause:
-        return Result.without_targets(program, robot, cell.tool.axis, mode, cause.issue)
+    wrong = [issue for issue in task.told if issue.level == "error"]
+    if not wrong:
+        try:
+            draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
+            return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
+        except ImpossiblePathError as cause:
+            wrong = [cause.issue]
+    return Result(program, robot, cell.tool.axis, mode, group_issues([*program.issues, *wrong]))
 
 
 def _check_language(file: str, robot: RobotModel, language: str) -> None:
@@ -101,7 +100,7 @@ def _check_language(file: str, robot: RobotModel, language: str) -> None:
 
 def _settled(task: Task, motions: MotionsUnderLoad) -> Draft:
     """Draft the program, with more targets each time where its simulation leaves the tolerance."""
-    pieces, also = _first_pieces(task, motions), None
+    pieces, also = _first_pieces(task, motions), motions.swung
     for _ in range(_ROUNDS):
         draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
         missed = None if draft.simulated is None or task.mode == "nominal" else draft.simulated.missed
@@ -121,15 +120,14 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
 
 
 def _closer(
-    task: Task, path: PathUnderLoad, missed: verify.Missed, also: tuple[Ints, Array] | None
+    task: Task, path: PathUnderLoad, missed: verify.Missed, also: tuple[Ints, Array]
 ) -> tuple[Pieces, tuple[Ints, Array]]:
     """Return pieces of arcs, and places of straight motions, that look closer where the path was missed."""
     on_arc = (path.program.motions.kind[missed.motion] == CIRC) & (not task.linearize_arcs)
     parts = np.sqrt(missed.distance[on_arc] / (SHARE_OF_TOLERANCE * path.setting.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
     pieces = path.arcs.finer(missed.motion[on_arc], missed.t[on_arc], parts)
-    motion, t = missed.motion[~on_arc], missed.t[~on_arc]
-    return pieces, (motion, t) if also is None else (np.append(also[0], motion), np.append(also[1], t))
+    return pieces, (np.append(also[0], missed.motion[~on_arc]), np.append(also[1], missed.t[~on_arc]))
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Compensation:

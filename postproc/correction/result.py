@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
-from postproc.errors import Issue, group_issues
+from postproc.errors import Issue
 from postproc.forces import Knots
 from postproc.frames import Array, norm
 from postproc.program import Bools, Document, Ints, Program
@@ -19,10 +19,13 @@ Mode = Literal["convert", "nominal", "predict"]
 class Result(Struct, frozen=True, eq=False):
     """Result of one program. Row i of every array is the same Cartesian target; SI units, `$BASE` axes.
 
+    The defaults are those of a program that could not be computed at all, which has no targets.
+
     :param program: what was read.
     :param robot: the robot model.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param mode: corrected ("convert"), written without correction ("nominal"), or predicted only ("predict").
+    :param issues: what the user should know, grouped.
     :param documents: files to write, the main one first; empty if there is an error, or nothing to write.
     :param motion: (K,) row of `program.motions`.
     :param t: (K,) place on that motion, in (0, 1].
@@ -44,66 +47,33 @@ class Result(Struct, frozen=True, eq=False):
     :param carried: forces that a CSV file must give to the written program, along the piece to the target that
         `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
-    :param issues: what the user should know, grouped.
     """
 
     program: Program
     robot: RobotModel
     axis: str
     mode: Mode
-    documents: tuple[Document, ...]
-    motion: Ints
-    t: Array
-    output_line: Ints
-    nominal: Array
-    printed: Array
-    wrench: Array
-    deflection: Array
-    deflection_by_tool: Array | None
-    deviation_before: Array
-    deviation_after: Array
-    bound: Array | None
-    q: Array
-    joint_margin: Array
-    singular_value: float
-    between: float
-    rounding: Array
-    programmed: Array
-    carried: Knots | None
-    largest_correction: float
     issues: tuple[Issue, ...]
-
-    @classmethod
-    def without_targets(cls, program: Program, robot: RobotModel, axis: str, mode: Mode, issue: Issue) -> Result:
-        """Return the result of a program that could not be computed at all."""
-        none, rows = np.zeros(0), np.zeros(0, dtype=np.int64)
-        return cls(
-            program=program,
-            robot=robot,
-            axis=axis,
-            mode=mode,
-            documents=(),
-            motion=rows,
-            t=none,
-            output_line=rows,
-            nominal=np.zeros((0, 4, 4)),
-            printed=np.zeros((0, 6)),
-            wrench=np.zeros((0, 6)),
-            deflection=np.zeros((0, 3)),
-            deflection_by_tool=None,
-            deviation_before=np.zeros((0, 3)),
-            deviation_after=np.zeros((0, 3)),
-            bound=None,
-            q=np.zeros((0, 6)),
-            joint_margin=np.full(6, np.nan),
-            singular_value=np.nan,
-            between=np.nan,
-            rounding=none,
-            programmed=none,
-            carried=None,
-            largest_correction=np.nan,
-            issues=group_issues([*program.issues, issue]),
-        )
+    documents: tuple[Document, ...] = ()
+    motion: Ints = np.zeros(0, dtype=np.int64)
+    t: Array = np.zeros(0)
+    output_line: Ints = np.zeros(0, dtype=np.int64)
+    nominal: Array = np.zeros((0, 4, 4))
+    printed: Array = np.zeros((0, 6))
+    wrench: Array = np.zeros((0, 6))
+    deflection: Array = np.zeros((0, 3))
+    deflection_by_tool: Array | None = None
+    deviation_before: Array = np.zeros((0, 3))
+    deviation_after: Array = np.zeros((0, 3))
+    bound: Array | None = None
+    q: Array = np.zeros((0, 6))
+    joint_margin: Array = np.full(6, np.nan)
+    singular_value: float = np.nan
+    between: float = np.nan
+    rounding: Array = np.zeros(0)
+    programmed: Array = np.zeros(0)
+    carried: Knots | None = None
+    largest_correction: float = np.nan
 
     def __len__(self) -> int:
         return len(self.motion)
@@ -158,7 +128,4 @@ def statistics(distance: Array, rapid: Bools) -> Statistics:
     if len(cutting) == 0:
         return Statistics(0.0, 0.0, 0.0, 0.0)
     rms = float(np.sqrt(np.mean(cutting**2)))
-    at = 0.95 * (len(cutting) - 1)
-    around = np.array([int(at), min(int(at) + 1, len(cutting) - 1)])
-    p95 = np.interp(at, [int(at), int(at) + 1], np.partition(cutting, around)[around])
-    return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(p95))
+    return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(np.percentile(cutting, 95)))

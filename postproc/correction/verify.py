@@ -16,7 +16,7 @@ from postproc.chunks import in_chunks
 from postproc.correction import blending, checks
 from postproc.correction.read_back import ReadBack, UnusableTextError
 from postproc.correction.targets import Chosen
-from postproc.errors import Issue, NotConvergedError
+from postproc.errors import Issue, Level, NotConvergedError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.program import CIRC, PTP, SPL, Bools, Ints
@@ -41,6 +41,19 @@ _ON_RAMPS = 4
 """Places looked at on such runs."""
 _HERE = 1e-10
 """Places of a motion (t) that are no farther apart are the same."""
+
+_STEP = (
+    "the force of this move begins with a step from that at the end of the move before: there the tool leaves its path "
+    f"by up to {{left}} for the {BEHIND_STEP * MM_PER_M:g} mm over which the correction follows. Let the move begin (t "
+    "= 0) with the force with which the one before ends; or give one force without t: it comes up over force_ramp_mm."
+)
+_JUMP = (
+    "the force jumps within this move, as one in FEED axes does where the travel passes the direction of the spindle: "
+    "it leaves {left} (allowed {allowed}), however close the targets. Divide the move there and give each part its "
+    "force, or give the force in BASE or TOOL axes."
+)
+_NOT_HELD = f"simulating the written program leaves {{left}} at a target (allowed {_HELD * MM_PER_M:g} mm)"
+_NOT_BETWEEN = "simulating the written program leaves {left} between targets (allowed {allowed})"
 
 
 class Missed(Struct, frozen=True, eq=False):
@@ -80,15 +93,12 @@ class _Probes(Struct, frozen=True, eq=False):
     :param target: (n,) row of the target at the end of the piece.
     :param share: (n,) place on the piece, in (0, 1].
     :param motion: (n,) motion of the nominal program, and `t` (n,) the place on it.
-    :param begin: (n,) where on that motion the piece begins, and `end` (n,) where it ends.
     """
 
     target: Ints
     share: Array
     motion: Ints
     t: Array
-    begin: Array
-    end: Array
 
     @property
     def inside(self) -> Bools:
@@ -107,25 +117,24 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     """
     probes = _probes(path, chosen, back)
     off = _deviation(path, chosen, theta, back, probes)
-    distance = norm(off)
-    written = back.program.motions
+    distance, inside, targets = norm(off), probes.inside, chosen.targets
+    written, m, tolerance = back.program.motions, path.program.motions, path.setting.tolerance
     rounding = blending.of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
-    step = path.motions.forces.behind_step(probes.motion, probes.end) & probes.inside
-    settled = (~probes.inside | ~_starts_uncorrected(path)[probes.motion]) & ~step
-    length = path.motions.segments.length[probes.motion] * (probes.end - probes.begin)
-    jump = (length < _AT_ONCE) & probes.inside
+    begin, end = targets.begin[probes.target], targets.t[probes.target]
+    step = path.motions.forces.behind_step(probes.motion, end) & inside
+    # at the start, and at an axis target, no correction was possible
+    uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.setting.rest_is_nominal)
+    settled = ~(uncorrected[probes.motion] & inside) & ~step
+    jump = (path.motions.segments.length[probes.motion] * (end - begin) < _AT_ONCE) & inside
     issues: list[Issue] = []
     if corrected:
-        issues += _steps(path, probes.motion[step], distance[step])
-        issues += _jumps(path, probes.motion, distance, settled & jump)
-        issues += _not_held(path, chosen, probes, distance, settled & ~jump)
+        issues += _left(path, probes, distance, step=step, jump=settled & jump, smooth=settled & ~jump)
         if path.program.keeps_text:
-            more = rounding - chosen.programmed
-            issues += checks.blending(path.program, chosen.targets.motion, more, path.setting.tolerance)
-    bad = settled & probes.inside & ~(distance <= _SAFE * path.setting.tolerance) & ~jump
+            issues += checks.blending(path.program, targets.motion, rounding - chosen.programmed, tolerance)
+    bad = settled & inside & ~(distance <= _SAFE * tolerance) & ~jump
     return Simulated(
         back,
-        off[~probes.inside],
+        off[~inside],
         float(distance[settled].max(initial=0.0)),
         rounding,
         Missed(probes.motion[bad], probes.t[bad], distance[bad]),
@@ -187,9 +196,8 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     target = np.repeat(np.arange(len(targets)), number)
     inside = np.arange(len(target)) - np.repeat(np.cumsum(number) - number, number) + 1
     share = inside / number[target]
-    begin, end = begin[target], targets.t[target]
-    t = np.where(share == 1.0, end, begin + share * (targets.t - targets.begin)[target])
-    return _Probes(target, share, targets.motion[target], t, begin, end)
+    t = np.where(share == 1.0, targets.t[target], begin[target] + share * (targets.t - begin)[target])
+    return _Probes(target, share, targets.motion[target], t)
 
 
 def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Ints, correction: Array) -> Array:
@@ -209,50 +217,23 @@ def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Int
     return in_chunks(in_chunk, *pieces, correction)[0]
 
 
-def _starts_uncorrected(path: PathUnderLoad) -> Bools:
-    """(M,) True for motions that start where no correction was possible: at the start, or at an axis target."""
-    axis = np.isfinite(path.program.motions.joints[:, 0])
-    out = np.concatenate([[True], axis[:-1]])
-    return np.asarray(out & (not path.setting.rest_is_nominal))
+def _left(
+    path: PathUnderLoad, probes: _Probes, distance: Array, *, step: Bools, jump: Bools, smooth: Bools
+) -> Iterator[Issue]:
+    """The tip must stand at every target, and stay within the tolerance between them: distances (n,) [m].
 
-
-def _steps(path: PathUnderLoad, motion: Ints, distance: Array) -> Iterator[Issue]:
-    """Tell where the force begins with a step: distances (n,) [m] from the path just behind it, on motions (n,)."""
-    felt = ~(distance <= path.setting.tolerance)
-    if felt.any():
-        message = (
-            "the force of this move begins with a step from that at the end of the move before: there the tool leaves "
-            f"its path by up to {np.nanmax(distance[felt]) * MM_PER_M:.4f} mm for the {BEHIND_STEP * MM_PER_M:g} mm "
-            "over which the correction follows. Let the move begin (t = 0) with the force with which the one before "
-            "ends; or give one force without t: it comes up over force_ramp_mm."
-        )
-        yield path.program.motions.issue("warning", "force-step", message, motion[felt])
-
-
-def _jumps(path: PathUnderLoad, motion: Ints, distance: Array, jump: Bools) -> Iterator[Issue]:
-    """A force that jumps within a move must not make the tool leave the tolerance there: at places (n,)."""
-    tolerance = path.setting.tolerance
-    bad = jump & ~(distance <= tolerance)
-    if bad.any():
-        message = (
-            "the force jumps within this move, as one in FEED axes does where the travel passes the direction of the "
-            f"spindle: it leaves {np.nanmax(distance[bad]) * MM_PER_M:.4f} mm (allowed {tolerance * MM_PER_M:g} mm), "
-            "however close the targets. Divide the move there and give each part its force, or give the force in BASE "
-            "or TOOL axes."
-        )
-        yield path.program.motions.issue("error", "force-jump", message, motion[bad])
-
-
-def _not_held(path: PathUnderLoad, chosen: Chosen, probes: _Probes, distance: Array, settled: Bools) -> Iterator[Issue]:
-    """The tip must stand at every target, and stay within the tolerance between them."""
-    after, tolerance = distance[~probes.inside], path.setting.tolerance
-    for bad, limit, motion, values, what in (
-        (~(after <= _HELD), _HELD, chosen.targets.motion, after, "at a target"),
-        (settled & ~(distance <= tolerance), tolerance, probes.motion, distance, "between targets"),
-    ):
+    :param step: (n,) just behind the start of a motion whose force begins with a step.
+    :param jump: (n,) where the force jumps within a motion, `smooth` (n,) where it does not.
+    """
+    wide = ~(distance <= path.setting.tolerance)
+    told: tuple[tuple[Level, str, Bools, str], ...] = (
+        ("warning", "force-step", step & wide, _STEP),
+        ("error", "force-jump", jump & wide, _JUMP),
+        ("error", "tolerance", ~probes.inside & ~(distance <= _HELD), _NOT_HELD),
+        ("error", "tolerance", smooth & wide, _NOT_BETWEEN),
+    )
+    for level, kind, bad, message in told:
         if bad.any():
-            message = (
-                f"simulating the written program leaves {np.nanmax(values[bad]) * MM_PER_M:.4f} mm {what} "
-                f"(allowed {limit * MM_PER_M:g} mm)"
-            )
-            yield path.program.motions.issue("error", "tolerance", message, motion[bad])
+            left, allowed = np.nanmax(distance[bad]) * MM_PER_M, path.setting.tolerance * MM_PER_M
+            message = message.format(left=f"{left:.4f} mm", allowed=f"{allowed:g} mm")
+            yield path.program.motions.issue(level, kind, message, probes.motion[bad])

@@ -59,18 +59,17 @@ def softness(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
     return float(moved[:3].max()), float(moved[3:].max())
 
 
-def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Deflection:
+def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflection:
     """Solve the loaded equilibrium.
 
     :param robot: the robot; its `loaded` model carries the payload.
     :param q: (N, 6) joint angles that the controller holds [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param guess: (N, nv) start for θ, e.g. the solution of a neighbouring state.
     :raises NotConvergedError: the load is beyond what the springs hold, or the numbers are not finite.
     """
-    x0, given = spread(robot, q.T), None if guess is None else guess.T
-    theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, given)
+    x0 = spread(robot, q.T)
+    theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T)
     pose, rest = (kinematics.tcp(robot.loaded, x.T, tool)[0] for x in (x0 + theta, x0))
     return Deflection(theta.T, pose, rest)
 
@@ -83,7 +82,7 @@ def solve_equilibrium(
     :param x0: (nv, n) coordinates that the controller holds.
     :param tool: (3, 4, n) or (3, 4, 1).
     :param wrench: (6, n).
-    :param guess: (nv, n).
+    :param guess: (nv, n) start for θ, e.g. the solution of a neighbouring state.
     :returns: (nv, n) deflections of the springs [rad, m]; (3, n) where the tool tip stands [m].
     """
     balanced, wrench = held(robot, x0), np.ascontiguousarray(wrench)

@@ -92,7 +92,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
         behind, past, flipped = (np.asarray(branch) >> bit & 1 for bit in range(3))
         columns = [flange[:, k] for k in range(3)]
         wrist = combination(columns, self.wrist) + flange[:, 3] - self.base[:, None]
-        ahead, across, height = np.einsum("ij,jn->in", self.axes, wrist)
+        ahead, across, height = self.axes @ wrist
         a, b = self.upper_arm, self.forearm
         with np.errstate(invalid="ignore"):
             far = (1 - 2 * behind) * np.sqrt(ahead * ahead + across * across - self.aside**2)
@@ -105,13 +105,13 @@ class ClosedForm(Struct, frozen=True, eq=False):
         upper = np.arctan2(far * along - height * aside, height * along + far * aside)
 
         hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
-        x, y, z = np.einsum("ij,jkn->ikn", self.axes, hand)
+        x, y, z = np.tensordot(self.axes, hand, 1)
         sine, cosine = sine_and_cosine(heading)
         x, y = x * cosine + y * sine, y * cosine - x * sine
         sine, cosine = sine_and_cosine(upper + elbow - self.tilt[1])
         x, z = x * cosine - z * sine, z * cosine + x * sine
         # what the wrist has to turn is Rz(A4)·Ry(A5 + bend)·Rz(A6)
-        m = np.einsum("ij,jkn->ikn", self.before_wrist, np.stack([x, y, z]))
+        m = np.tensordot(self.before_wrist, np.stack([x, y, z]), 1)
         side = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
         unique = side > _NO_TURN
         turn = (1 - 2 * flipped) / np.where(unique, side, 1.0)

@@ -36,23 +36,14 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         """Sample the motions as closely as arcs and forces need, and solve the joint angles.
 
         :param arcs: the pieces of the arcs.
-        :param also: further places of straight motions: motion (n,) and t (n,).
+        :param also: places of straight motions that are needed: motion (n,) and t (n,); by default `motions.swung`.
         :raises ImpossiblePathError: a sample is out of reach.
         """
         program, setting = motions.program, motions.setting
-        more = motions.swung
-        if also is not None:
-            more = np.append(more[0], also[0]), np.append(more[1], also[1])
-        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, more)
+        also = motions.swung if also is None else also
+        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
         sample = toolpath.at(program, motions.segments, motion, t)
-        path = cls(
-            motions,
-            arcs,
-            sample,
-            motions.forces.at(sample),
-            _joints(program, setting, sample),
-        )
-        return read_only(path)
+        return read_only(cls(motions, arcs, sample, motions.forces.at(sample), _joints(program, setting, sample)))
 
     def __len__(self) -> int:
         return len(self.sample)
