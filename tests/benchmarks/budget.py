@@ -8,6 +8,7 @@ counted for the innermost module on the stack that is named in `STAGES`. Prints 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import sys
@@ -90,7 +91,9 @@ def main() -> None:
     signal.setitimer(signal.ITIMER_PROF, _INTERVAL, _INTERVAL)
     from postproc.cli import main as postproc
 
-    postproc(["convert", *sys.argv[1:]], standalone_mode=False)
+    sys.argv.insert(1, "convert")
+    with contextlib.suppress(SystemExit):
+        postproc()
     signal.setitimer(signal.ITIMER_PROF, 0.0)
     sys.stderr.write(json.dumps({name: spent[name] / 1e9 for name in ORDER}) + "\n")
 
