@@ -23,6 +23,7 @@ _POLE = 1e-9
 """Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
 _SMALL_SINE = 5e-3
 """Below this the series of asin and of Rodrigues' factors to the fifth power are exact to 1e-16."""
+_SAME = np.eye(4)
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
 
 
@@ -88,6 +89,16 @@ def inverse(pose: Array) -> Array:
     out[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, pose[..., :3, 3])
     out[..., 3, 3] = 1.0
     return out
+
+
+def product(left: Array, pose: Array, right: Array = _SAME) -> Array:
+    """Return left·pose·right of poses (n, 4, 4); the outer ones are (4, 4), the same for all, or (n, 4, 4).
+
+    Where both are the same for all it is one product of two matrices: vec(L·P·R) = vec(P)·(Lᵀ ⊗ R), row by row.
+    """
+    if left.ndim == right.ndim == 2:
+        return np.asarray(pose.reshape(-1, 16) @ np.kron(left.T, right)).reshape(-1, 4, 4)
+    return np.asarray(left @ pose @ right)
 
 
 def rotation_vector(rotation: Array) -> Array:

@@ -67,10 +67,11 @@ class PathForces(Struct, frozen=True, eq=False):
         first, last = self.first[motion], self.first[motion + 1] - 1
         right = np.clip(np.searchsorted(self.place, motion + t), first, last)
         left = np.where(self.t[right] > t, np.maximum(right - 1, first), right)
-        out, frame = columns[right], self.knot_frame[right]
+        out, frame = columns.take(right, axis=0), self.knot_frame[right]
         inner = np.flatnonzero(left != right)
         left, right = left[inner], right[inner]
-        begin, share = columns[left], ((t[inner] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
+        share = ((t[inner] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
+        begin = columns.take(left, axis=0)
         alike = self.knot_frame[left] == frame[inner]
         same, ramp = inner[alike], inner[~alike]
         out[same] = begin[alike] + share[alike] * (out[same] - begin[alike])
@@ -124,7 +125,7 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) 
     last = first[1:] - 1
     ramped, frame = given.ramped[last], given.frame[last]
     begins = first[:-1][ramped]  # the only knot of each
-    before = axes.at_start(given.wrench[last].reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
+    before = axes.at_start(given.wrench.take(last, axis=0).reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
     spread = None
     if given.sigma.any():
         spread = given.sigma.reshape(-1, 2, 3, 1) * np.eye(3)

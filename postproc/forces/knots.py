@@ -63,7 +63,7 @@ class Knots(Struct, frozen=True, eq=False):
     def over(self, other: Knots) -> Knots:
         """Return these knots, and those of others for motions that have none here; without the issues."""
         kept = other.take(~np.isin(other.motion, self.motion))
-        order = np.lexsort((np.append(self.t, kept.t), np.append(self.motion, kept.motion)))
+        order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
         mine, others = self._arrays(), kept._arrays()
         both: list[Any] = [np.concatenate([mine[name], others[name]])[order] for name in mine]
         return Knots(*both)

@@ -118,10 +118,10 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
     """
     m = program.motions
-    start = starts(program, m.target.__getitem__, start_flange_in_root)
+    start = starts(program, lambda motion: m.target.take(motion, axis=0), start_flange_in_root)
 
     def chord(rows: Ints) -> tuple[Array, Array, Array]:
-        one, other = start.at(rows), m.target[rows]
+        one, other = start.at(rows), m.target.take(rows, axis=0)
         begin = one[:, :3, 3]
         return begin, norm(other[:, :3, 3] - begin), angle_between(one[:, :3, :3], other[:, :3, :3])
 
@@ -177,7 +177,7 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         pose[with_path, :3, :3] = _with_path(program, path, motion[with_path], t[with_path])
     if len(turning):
         rows = motion[turning]
-        pose[turning, :3, :3] = interpolated(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
+        pose[turning, :3, :3] = interpolated(path.start.at(rows), m.target.take(rows, axis=0), t[turning])[:, :3, :3]
     _place(program, path, motion, t, pose[:, :3, 3])
     return Toolpath(motion, t, pose, path.length[motion] * t)
 
@@ -198,7 +198,7 @@ def _turned_back(program: Program, rows: Ints, angle: Array, orientation: Array)
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     """Return where the TCP is nominally (n, 3) at places (motion, t), as `at`."""
-    out = program.motions.target[motion, :3, 3]
+    out = program.motions.target.take(motion, axis=0)[:, :3, 3]
     _place(program, path, motion, t, out)
     return out
 
@@ -222,7 +222,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     kind = m.kind[motion]
     long = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
     rows = motion[long]
-    out[long] = (m.target[rows, :3, 3] - path.begin[rows]) / path.length[rows, None]
+    out[long] = (m.target.take(rows, axis=0)[:, :3, 3] - path.begin.take(rows, axis=0)) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])

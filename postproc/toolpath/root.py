@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.frames import Array, inverse
+from postproc.frames import Array, inverse, product
 from postproc.program import Ints, Program
 
 Place = Array | float | None
@@ -13,26 +13,27 @@ Place = Array | float | None
 
 def tool_of(program: Program, motion: Ints) -> Array:
     """Return `$TOOL` in the flange frame for motions (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
-    if len(program.tools) == 1:
-        return np.asarray(program.tools[0])
-    return np.asarray(program.tools[program.motions.tool[motion]])
+    return _each(program.tools, program.motions.tool[motion])
 
 
 def base_of(program: Program, motion: Ints) -> Array:
     """Return `$BASE` in the root for motions (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
-    if len(program.bases) == 1:
-        return np.asarray(program.bases[0])
-    return np.asarray(program.bases[program.motions.base[motion]])
+    return _each(program.bases, program.motions.base[motion])
+
+
+def _each(frames: Array, row: Ints) -> Array:
+    """Return rows of frames (k, 4, 4): (4, 4) if there is but one, else (n, 4, 4)."""
+    return np.asarray(frames[0] if len(frames) == 1 else frames.take(row, axis=0))
 
 
 def pose_in_root(program: Program, motion: Ints, pose_in_base: Array, t: Place = 1.0) -> Array:
     """Return poses (n, 4, 4) in the root of poses in `$BASE` of their motions, at places t on them."""
-    return _moved(program, motion, t, base_of(program, motion) @ pose_in_base, -1.0)
+    return _moved(program, motion, t, product(base_of(program, motion), pose_in_base), -1.0)
 
 
 def pose_in_base(program: Program, motion: Ints, pose_in_root: Array, t: Place = 1.0) -> Array:
     """Return poses (n, 4, 4) in `$BASE` of their motions of poses in the root, at places t on them."""
-    return np.asarray(inverse(base_of(program, motion)) @ _moved(program, motion, t, pose_in_root, 1.0))
+    return product(inverse(base_of(program, motion)), _moved(program, motion, t, pose_in_root, 1.0))
 
 
 def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Place = 1.0) -> Array:
@@ -40,7 +41,8 @@ def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Plac
     base = base_of(program, motion)
     if program.carriage is not None and t is not None:
         point_in_root = point_in_root + program.carriage.offset(motion, t)
-    return np.asarray(np.einsum("...i,...ij->...j", point_in_root - base[..., :3, 3], base[..., :3, :3]))
+    apart, rotation = point_in_root - base[..., :3, 3], base[..., :3, :3]
+    return apart @ rotation if rotation.ndim == 2 else np.asarray(np.einsum("ni,nij->nj", apart, rotation))
 
 
 def _moved(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
@@ -65,11 +67,8 @@ def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> A
 
 def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: Place = 1.0) -> Array:
     """Return flange poses in the root (N, 4, 4) for tool frames in `$BASE` of motions (N,), at places t on them."""
-    moved = program.motions
-    if len(program.bases) == len(program.tools) == 1:
-        pose = program.bases[0] @ pose_tcp_in_base @ inverse(program.tools[0])
-    else:
-        pose = program.bases[moved.base[motion]] @ pose_tcp_in_base @ inverse(program.tools)[moved.tool[motion]]
+    from_tool = _each(inverse(program.tools), program.motions.tool[motion])
+    pose = product(base_of(program, motion), pose_tcp_in_base, from_tool)
     return _moved(program, motion, t, pose, -1.0)
 
 

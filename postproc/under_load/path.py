@@ -60,11 +60,11 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     def pose_in_root(self, rows: Ints) -> Array:
         """Return the tool frame in the robot root at samples (n,): (n, 4, 4) [m]."""
         motion, t = self.sample.motion[rows], self.sample.t[rows]
-        return toolpath.pose_in_root(self.program, motion, self.sample.pose[rows], t)
+        return toolpath.pose_in_root(self.program, motion, self.sample.pose.take(rows, axis=0), t)
 
     def wrench_in_root(self, rows: Ints) -> Array:
         """Return the wrench in root axes at samples (n,): (n, 6) [N, N·m]."""
-        return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench[rows])
+        return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench.take(rows, axis=0))
 
     def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> tuple[Array, Array]:
         """Return where the loaded tip stands (n, 3) with joint angles (n, 6) at samples (n,), `$BASE` [m].
@@ -94,7 +94,7 @@ def _joints(program: Program, setting: RobotInCell, sample: Toolpath) -> JointPa
     ptp = motion[free]
 
     def flange(rows: Ints) -> Array:
-        return toolpath.flange_from_tcp(program, motion[rows], sample.pose[rows], sample.t[rows])
+        return toolpath.flange_from_tcp(program, motion[rows], sample.pose.take(rows, axis=0), sample.t[rows])
 
     start = setting.cell.start_joints
     try:

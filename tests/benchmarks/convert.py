@@ -36,7 +36,7 @@ POSTPROC = "from postproc.cli import main; main()"
 IMPORTS = "import numpy, pinocchio, click"
 _PEER_BLOCKS = 3000
 _PAIRS = 5
-"""Each program is parsed and converted so often, in turn; the pair in the middle is printed: machines are not steady."""
+"""So often each program is parsed and converted, in turn; the pair in the middle is printed: no machine is steady."""
 
 
 @dataclass(frozen=True, slots=True)

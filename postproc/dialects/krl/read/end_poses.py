@@ -265,7 +265,7 @@ def end_poses(
     follower.absolute(row, len(line))
 
     (pose,) = in_chunks(lambda numbers: (pose_from_xyzabc(numbers),), follower.numbers)
-    start = Starts.of(frames, pose.__getitem__, start_flange, after)
+    start = Starts.of(frames, lambda motion: pose.take(motion, axis=0), start_flange, after)
     ignored = led.constant & any_column(np.abs((given - follower.numbers)[:, 3:]) > _SAME)
     _check_ignored(source, line, given, moves, led.constant, ignored)
     return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored, follower.circles)
