@@ -89,15 +89,9 @@ def at(program: Program, row: int) -> tuple[str, int]:
 
 def _ends(program: Program, place: RobotInCell) -> JointPath:
     """Return the joint angles at the ends of the motions."""
-    m = program.motions
-    ptp = np.flatnonzero(m.kind == PTP)
-
-    def flange(rows: Ints) -> Array:
-        return toolpath.flange_from_tcp(program, rows, m.target[rows])
-
-    start = place.cell.start_joints
+    count = len(program.motions)
     try:
-        return kinematics.follow(place.robot, flange, start, m.kind == PTP, m.joints[ptp], m.status[ptp], m.turn[ptp])
+        return place.follow(program, np.arange(count), np.ones(count), program.motions.target)
     except UnreachableError as cause:
         file, line = at(program, cause.rows[0])
         problem = "out of reach (on the branch of [start] joints)"

@@ -72,10 +72,8 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
 
 def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:
     """Return which targets (K,) have the robot carried elsewhere than they were to have."""
-    if program.carriage is None:
-        return np.full(len(targets), written.carriage is not None)
-    if written.carriage is None:
-        return np.ones(len(targets), dtype=np.bool_)
+    if program.carriage is None or written.carriage is None:
+        return np.full(len(targets), program.carriage is not written.carriage)
     wanted = program.carriage.at(targets.motion, targets.t)
     return np.asarray(np.abs(written.carriage.at(row) - wanted) > _PRINTED)
 

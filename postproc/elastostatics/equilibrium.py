@@ -54,8 +54,9 @@ def softness(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
     :param q: (6,) joint angles [rad].
     :param tool: (4, 4) tool in the flange frame [m].
     """
-    loaded = deflect(robot, np.tile(q, (7, 1)), tool, np.eye(7, 6)).pose[:, :3, 3]
-    moved = norm(loaded[:6] - loaded[6])
+    x0 = spread(robot, np.tile(q, (7, 1)).T)
+    _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), np.eye(6, 7))
+    moved = norm(tip.T[:6] - tip.T[6])
     return float(moved[:3].max()), float(moved[3:].max())
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc import kinematics, toolpath
+from postproc import toolpath
 from postproc.frames import Array
 from postproc.kinematics import JointPath, UnreachableError
-from postproc.program import PTP, Ints, Program, read_only
+from postproc.program import Ints, Program, read_only
 from postproc.toolpath import Pieces, Toolpath
 from postproc.under_load import bounds
 from postproc.under_load.motions import MotionsUnderLoad
@@ -43,7 +43,11 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         also = motions.swung if also is None else also
         motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
         sample = toolpath.at(program, motions.segments, motion, t)
-        return read_only(cls(motions, arcs, sample, motions.forces.at(sample), _joints(program, setting, sample)))
+        try:
+            joints = setting.follow(program, motion, t, sample.pose)
+        except UnreachableError as cause:
+            raise bounds.ImpossiblePathError(bounds.unreachable(program, motion[list(cause.rows)])) from None
+        return read_only(cls(motions, arcs, sample, motions.forces.at(sample), joints))
 
     def __len__(self) -> int:
         return len(self.sample)
@@ -86,18 +90,3 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     def setting(self) -> RobotInCell:
         """The robot in its cell."""
         return self.motions.setting
-
-
-def _joints(program: Program, setting: RobotInCell, sample: Toolpath) -> JointPath:
-    m, motion = program.motions, sample.motion
-    free = sample.ends & (m.kind[motion] == PTP)
-    ptp = motion[free]
-
-    def flange(rows: Ints) -> Array:
-        return toolpath.flange_from_tcp(program, motion[rows], sample.pose.take(rows, axis=0), sample.t[rows])
-
-    start = setting.cell.start_joints
-    try:
-        return kinematics.follow(setting.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
-    except UnreachableError as cause:
-        raise bounds.ImpossiblePathError(bounds.unreachable(program, motion[list(cause.rows)])) from None

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc import elastostatics, kinematics
+from postproc import elastostatics, kinematics, toolpath
 from postproc.cell import Cell
 from postproc.compensation import Compensation, compensate
 from postproc.elastostatics import ToolSpring
 from postproc.frames import M_PER_MM, Array
+from postproc.kinematics import JointPath
+from postproc.program import PTP, Ints, Program
 from postproc.robot import RobotModel
 
 
@@ -33,6 +35,23 @@ class RobotInCell(Struct, frozen=True, eq=False):
         """Return the flange (4, 4) in the root by the controller's geometry for joint angles (6,) [rad]."""
         pose: Array = kinematics.tcp(self.robot.nominal, np.asarray(q, dtype=float)[None], np.eye(4))[0][0]
         return pose
+
+    def follow(self, program: Program, motion: Ints, t: Array, pose: Array) -> JointPath:
+        """Solve the joint angles of a path from where the cell starts, see `kinematics.follow`.
+
+        :param motion: (N,) row of `Motions` of each of its places, in order; `t` (N,) the place on it; `pose` (N, 4, 4)
+            the tool frame in its `$BASE` [m].
+        :raises UnreachableError: a pose has no solution on its branch.
+        """
+        m = program.motions
+        free = (t == 1.0) & (m.kind[motion] == PTP)
+        ptp = motion[free]
+
+        def flange(rows: Ints) -> Array:
+            return toolpath.flange_from_tcp(program, motion[rows], pose.take(rows, axis=0), t[rows])
+
+        start = self.cell.start_joints
+        return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
 
     @property
     def tool_spring(self) -> ToolSpring | None:
