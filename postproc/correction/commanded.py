@@ -67,10 +67,7 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, .
 
 
 def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
-    """Return what a function makes of samples (n,), in chunks.
-
-    :raises ImpossiblePathError: it finds no equilibrium; the first of the motions concerned is named, all are counted.
-    """
+    """Return what a function makes of samples (n,), in chunks; all motions where it finds no equilibrium are told."""
     try:
         return in_chunks(function, rows)
     except NotConvergedError as cause:

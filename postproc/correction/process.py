@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.compensation import Compensation
-from postproc.correction import commanded, inspection, select, targets, verify
+from postproc.correction import commanded, inspection, select, targets
 from postproc.correction.drafts import Draft, Task, result_of
 from postproc.correction.result import Mode, Result
 from postproc.dialects import registry
@@ -103,10 +103,9 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> Draft:
     pieces, also = _first_pieces(task, motions), motions.swung
     for _ in range(_ROUNDS):
         draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
-        missed = None if draft.simulated is None or task.mode == "nominal" else draft.simulated.missed
-        if missed is None or len(missed.motion) == 0:
+        if draft.simulated is None or task.mode == "nominal" or len(draft.simulated.missed[0]) == 0:
             break
-        pieces, also = _closer(task, draft.path, missed, also)
+        pieces, also = _closer(task, draft.path, draft.simulated.missed, also)
     return draft
 
 
@@ -120,14 +119,15 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
 
 
 def _closer(
-    task: Task, path: PathUnderLoad, missed: verify.Missed, also: tuple[Ints, Array]
+    task: Task, path: PathUnderLoad, missed: tuple[Ints, Array, Array], also: tuple[Ints, Array]
 ) -> tuple[Pieces, tuple[Ints, Array]]:
     """Return pieces of arcs, and places of straight motions, that look closer where the path was missed."""
-    on_arc = (path.program.motions.kind[missed.motion] == CIRC) & (not task.linearize_arcs)
-    parts = np.sqrt(missed.distance[on_arc] / (SHARE_OF_TOLERANCE * path.setting.tolerance))
+    motion, t, distance = missed
+    on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
+    parts = np.sqrt(distance[on_arc] / (SHARE_OF_TOLERANCE * path.setting.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
-    pieces = path.arcs.finer(missed.motion[on_arc], missed.t[on_arc], parts)
-    return pieces, (np.append(also[0], missed.motion[~on_arc]), np.append(also[1], missed.t[~on_arc]))
+    pieces = path.arcs.finer(motion[on_arc], t[on_arc], parts)
+    return pieces, (np.append(also[0], motion[~on_arc]), np.append(also[1], t[~on_arc]))
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Compensation:

@@ -75,7 +75,7 @@ def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools
     if not path.program.keeps_text:
         return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
     moved = largest(twist_between(sample.pose, command.pose)) > _UNCHANGED
-    first = np.flatnonzero(np.concatenate([[True], np.diff(sample.motion) != 0]))
+    first = np.flatnonzero(np.diff(sample.motion, prepend=-1))
     end_moved = moved[sample.ends]
     any_moved = np.maximum.reduceat(moved, first) | np.concatenate([[False], end_moved[:-1]])
     arcs = m.kind == CIRC
@@ -88,10 +88,7 @@ def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools
 
 
 def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
-    """Return S and T of PTP targets (K,): of a program that keeps its text where it gives them, else always.
-
-    :param motion: (K,) of the targets, and `q` (K, 6) their joint angles [rad].
-    """
+    """Return S and T of targets (K,): of PTP, where the program gives them if it keeps its text; else −1."""
     m = program.motions
     status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     ptp = np.flatnonzero(m.kind[motion] == PTP)

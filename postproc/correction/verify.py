@@ -56,18 +56,6 @@ _NOT_HELD = f"simulating the written program leaves {{left}} at a target (allowe
 _NOT_BETWEEN = "simulating the written program leaves {left} between targets (allowed {allowed})"
 
 
-class Missed(Struct, frozen=True, eq=False):
-    """Places where the path uses up too much of the tolerance, and more targets may help.
-
-    :param motion: (n,) row of `Motions`, `t` (n,) the place on it.
-    :param distance: (n,) how far the tip is from the path there [m].
-    """
-
-    motion: Ints
-    t: Array
-    distance: Array
-
-
 class Simulated(Struct, frozen=True, eq=False):
     """What the written program would do.
 
@@ -75,7 +63,8 @@ class Simulated(Struct, frozen=True, eq=False):
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param rounding: (K,) how far approximate positioning passes each target [m].
-    :param missed: where more targets may help.
+    :param missed: places where the path uses up too much of the tolerance, and more targets may help: row of `Motions`
+        (n,), t (n,) on it, how far the tip is from the path there (n,) [m].
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
@@ -83,7 +72,7 @@ class Simulated(Struct, frozen=True, eq=False):
     deviation: Array
     between: float
     rounding: Array
-    missed: Missed
+    missed: tuple[Ints, Array, Array]
     issues: tuple[Issue, ...]
 
 
@@ -137,7 +126,7 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
         off[~inside],
         float(distance[settled].max(initial=0.0)),
         rounding,
-        Missed(probes.motion[bad], probes.t[bad], distance[bad]),
+        (probes.motion[bad], probes.t[bad], distance[bad]),
         tuple(issues),
     )
 
