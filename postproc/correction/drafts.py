@@ -104,10 +104,12 @@ class Draft(Struct, frozen=True, eq=False):
 def result_of(task: Task, draft: Draft) -> Result:
     """Make the result of a draft; what is not written is predicted as it stands."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
-    everywhere = task.mode == "predict"
-    without = commanded.uncorrected(path, np.arange(len(path)) if everywhere else row, draft.theta)
+    rows = np.arange(len(path)) if task.mode == "predict" else row
+    without = commanded.uncorrected(path, rows, draft.theta)
     between = float(norm(without[0]).max(initial=0.0))
-    deviation, deflection, by_tool = (each[row] for each in without) if everywhere else without
+    if task.mode == "predict":
+        without = tuple(each[row] for each in without)
+    deviation, deflection, by_tool = without
     bound, untold = _bound(draft)
     result = Result(
         program=program,

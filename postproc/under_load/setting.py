@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from msgspec import Struct
 
@@ -15,7 +17,7 @@ from postproc.program import PTP, Ints, Program
 from postproc.robot import RobotModel
 
 
-class RobotInCell(Struct, frozen=True, eq=False):
+class RobotInCell(Struct, frozen=True, eq=False, dict=True):
     """A robot in its cell.
 
     :param robot: the robot with the cell's payload.
@@ -33,8 +35,8 @@ class RobotInCell(Struct, frozen=True, eq=False):
 
     def forward(self, q: Array) -> Array:
         """Return the flange (4, 4) in the root by the controller's geometry for joint angles (6,) [rad]."""
-        pose: Array = kinematics.tcp(self.robot.nominal, np.asarray(q, dtype=float)[None], np.eye(4))[0][0]
-        return pose
+        state = kinematics.posture(self.robot.nominal, np.asarray(q, dtype=float)[:, None])
+        return np.asarray(kinematics.matrices(state.pose)[0])
 
     def follow(self, program: Program, motion: Ints, t: Array, pose: Array) -> JointPath:
         """Solve the joint angles of a path from where the cell starts, see `kinematics.follow`.
@@ -53,13 +55,13 @@ class RobotInCell(Struct, frozen=True, eq=False):
         start = self.cell.start_joints
         return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
 
-    @property
+    @cached_property
     def tool_spring(self) -> ToolSpring | None:
         """Holder, spindle and tool as a spring at the tip; None where they are rigid."""
         compliance = self.cell.tool_compliance.diagonal()
         return ToolSpring(compliance) if compliance.any() else None
 
-    @property
+    @cached_property
     def start_flange(self) -> Array:
         """Flange (4, 4) in the root where the program starts [m]."""
         return self.forward(self.cell.start_joints)
