@@ -30,7 +30,7 @@ def corrected(path: PathUnderLoad) -> Compensation:
     movable = np.flatnonzero(np.isnan(path.program.motions.joints[path.sample.motion, 0]))
 
     def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
-        pose, q, tool = path.pose_in_root(row), path.joints.q[row], path.tool(row)
+        pose, q, tool = path.pose_in_root(row), path.joints.q.take(row, axis=0), path.tool(row)
         found = path.setting.compensate(pose, q, tool, path.wrench_in_root(row))
         motion, t = path.sample.motion[row], path.sample.t[row]
         return found.q, toolpath.pose_in_base(path.program, motion, found.pose, t), found.theta
@@ -55,8 +55,8 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, .
     """
 
     def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
-        q, wrench = path.joints.q[row], path.wrench_in_root(row)
-        tip, by_tool = path.tip_in_base(row, q, wrench, theta[row])
+        q, wrench = path.joints.q.take(row, axis=0), path.wrench_in_root(row)
+        tip, by_tool = path.tip_in_base(row, q, wrench, theta.take(row, axis=0))
         deviation = tip - path.sample.pose[row, :3, 3]
         if path.setting.rest_is_nominal:
             return deviation, deviation, by_tool

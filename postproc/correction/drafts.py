@@ -17,7 +17,7 @@ from postproc.dialects.dialect import Writer
 from postproc.errors import Issue, group_issues
 from postproc.forces import Axes, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
-from postproc.program import TargetForces, TargetJoints
+from postproc.program import TargetForces, TargetJoints, Written
 from postproc.robot import RobotModel
 from postproc.under_load import PathUnderLoad
 
@@ -86,10 +86,7 @@ class Draft(Struct, frozen=True, eq=False):
 
         :raises ProgramError: it cannot be written.
         """
-        path, chosen, q = self.path, self.chosen, self.q[self.chosen.row]
-        comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
-        joints = TargetJoints(q, kinematics.status_of(task.robot, q))
-        text = task.writer.write(path.program, chosen.targets, joints, path.setting.cell, comments)
+        path, chosen, text = self.path, self.chosen, self._text(task)
         draft = replace(self, issues=(*self.issues, *text.issues))
         if draft.failed:
             return draft
@@ -99,6 +96,12 @@ class Draft(Struct, frozen=True, eq=False):
         except UnusableTextError as cause:
             return replace(draft, issues=(*draft.issues, cause.issue))
         return replace(draft, simulated=simulated, issues=(*draft.issues, *simulated.issues))
+
+    def _text(self, task: Task) -> Written:
+        path, q = self.path, self.q.take(self.chosen.row, axis=0)
+        comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
+        joints = TargetJoints(q, kinematics.status_of(task.robot, q))
+        return task.writer.write(path.program, self.chosen.targets, joints, path.setting.cell, comments)
 
 
 def result_of(task: Task, draft: Draft) -> Result:
@@ -120,9 +123,9 @@ def result_of(task: Task, draft: Draft) -> Result:
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
-        nominal=path.sample.pose[row],
+        nominal=path.sample.pose.take(row, axis=0),
         printed=_numbers(task, draft),
-        wrench=path.wrench[row],
+        wrench=path.wrench.take(row, axis=0),
         deflection=deflection,
         deflection_by_tool=None if path.setting.tool_spring is None else by_tool,
         deviation_before=deviation,

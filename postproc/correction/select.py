@@ -41,7 +41,9 @@ class CommandedPath(Struct, frozen=True, eq=False):
     def of(cls, path: PathUnderLoad, command: Compensation) -> CommandedPath:
         """Return the path of commands, in `$BASE`."""
         ends = np.flatnonzero(path.sample.ends)
-        starts = toolpath.starts(path.program, lambda motion: command.pose[ends[motion]], path.setting.start_flange)
+        starts = toolpath.starts(
+            path.program, lambda motion: command.pose.take(ends[motion], axis=0), path.setting.start_flange
+        )
         position = command.pose[:, :3, 3]
         start = np.roll(position[ends], 1, axis=0)
         start[starts.changed] = starts.pose[:, :3, 3]

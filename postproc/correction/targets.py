@@ -56,9 +56,11 @@ def chosen(
     if arcs.any():
         via = via.copy()
         via[arcs] = commanded.position[via_row[arcs]]
-    status, turn = _status_and_turn(program, path.setting.robot, motion, command.q[row])
+    status, turn = _status_and_turn(program, path.setting.robot, motion, command.q.take(row, axis=0))
     keep = kept[motion] & (sample.t[row] == 1.0)
-    targets = Targets(motion, sample.t[row], target_kind, command.pose[row], via, keep, status, turn, m.blend[motion])
+    targets = Targets(
+        motion, sample.t[row], target_kind, command.pose.take(row, axis=0), via, keep, status, turn, m.blend[motion]
+    )
     corners, arrive = blending.of_targets(program, targets, commanded.start)
     blend = blending.distances(program, targets, corners, path.setting.cell)
     programmed = blending.programmed(program, path.motions.segments, motion)

@@ -167,7 +167,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
         line=index + 1 + lines,
         kind=np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)),
         numbers=numbers,
-        spans=spans[:, : len(COLUMNS)],
+        spans=spans[:, : len(COLUMNS)].copy(),
         keyword=keyword + shift,
         target=points + shift[:, None],
         tail=np.stack([points[:, 1], stop], axis=1) + shift[:, None],
