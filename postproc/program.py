@@ -394,6 +394,17 @@ class Unresolved(Struct, frozen=True):
     why: str
 
 
+class Needed(Struct, frozen=True):
+    """A file beside a program that it needs to run, and that stays as it is.
+
+    :param path: of the file.
+    :param moves: whether what the program calls there moves the robot.
+    """
+
+    path: str
+    moves: bool
+
+
 class Layout(Protocol):
     """Where the numbers of a program stand in its text: what a reader leaves for the writer of the same dialect."""
 
@@ -429,6 +440,7 @@ class Program(Struct, frozen=True, eq=False):
         there is what changes by one rotation. None: there are none.
     :param unresolved: motions that stay as they are: `motions` has no row for them.
     :param unfollowed: what is wrong if the forces depend on all that cuts: routines that cut have no rows either.
+    :param needed: files beside it that it needs to run, and that stay as they are.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
 
@@ -449,6 +461,7 @@ class Program(Struct, frozen=True, eq=False):
     with_path: Bools | None = None
     unresolved: tuple[Unresolved, ...] = ()
     unfollowed: tuple[ProgramError, ...] = ()
+    needed: tuple[Needed, ...] = ()
     layout: Layout | None = None
 
     @property

@@ -52,11 +52,28 @@ def test_what_was_corrected_for_another_program_is_not_replaced(more):
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_in_one_run_the_second_is_refused(jobs):
+@pytest.mark.parametrize("before", [False, True])
+def test_in_one_run_the_second_is_refused(jobs, before):
+    if before:  # alike then, so that both stand there
+        for name in ("one", "two"):
+            program(name, 150)
+        run("convert", "one.src", "two.src", "-o", "out")
+        for name, force in (("one", 200), ("two", -300)):
+            program(name, force)
     done = run("convert", "one.src", "two.src", "-o", "out", "--jobs", jobs, "--overwrite", code=1)
     written = {path.stem for path in Path("out").glob("*.src")} - {"sub"}
     assert len(written) == 1
-    assert "sub.src" in done.stderr
+    (first,) = written
+    second = ({"one", "two"} - written).pop()
+    told = (
+        f"out/sub.src: this file was written for {first}, which calls it too, and is corrected otherwise for {second}."
+    )
+    assert told in done.stderr
+    assert "Write this program into another folder with -o, or give each" in done.stderr
+    assert "meanwhile" not in done.stderr
+    old = {path.name for path in Path("out").iterdir() if ".old" in path.name or path.name.startswith(".")}
+    assert all(name.startswith(f"{second}.") for name in old)
+    assert before or not old
     run("predict", f"out/{written.pop()}.src", "-o", "told")
 
 
@@ -98,10 +115,11 @@ def test_in_a_folder_it_is_corrected_with_those_that_call_it():
     run("convert", "jobs/one.src", "-o", "alone")
     done = run("convert", "jobs", "-o", "out", code=1)
     assert "jobs/sub.src: called by one.src, three.src: corrected with it" in done.stderr
-    assert "jobs/tools.src: called by last.src, one.src" in done.stderr
     assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL.src:2") == 1
-    assert {path.name for path in Path("out").glob("*.src")} == {"one.src", "three.src", "last.src", "sub.src"}
-    for name in ("one.src", "sub.src"):
+    assert "jobs/tools.src: called by last.src, one.src: written beside as it is" in done.stderr
+    written = {"one.src", "three.src", "last.src", "sub.src", "tools.src"}
+    assert {path.name for path in Path("out").glob("*.src")} == written
+    for name in ("one.src", "sub.src", "tools.src"):
         assert Path("out", name).read_bytes() == Path("alone", name).read_bytes()
     index = Path("out/index.html").read_text()
     assert index.count("called by others") == 3  # in its tile, and in two rows
@@ -189,7 +207,8 @@ def test_without_force_it_stays_with_a_warning_that_comes_first_and_names_the_ca
     Path("jobs/one.src").write_text(text)
     Path("jobs/sub.src").write_text(f"DEF sub()\nLIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\n{motion}\nEND\n")
     done = run("convert", "jobs", "-o", "out")
-    assert "jobs/sub.src: called by one.src: not written with them" in done.stderr
+    assert "jobs/sub.src: called by one.src: written beside as it is" in done.stderr
+    assert Path("out/sub.src").read_bytes() == Path("jobs/sub.src").read_bytes()
     reasons = json.loads(Path("out/one.report.json").read_text())["verdict"]["reasons"]
     assert "its motions are not corrected here, because of sub.src, line 3: " in reasons[0]
     assert ("calls itself" in reasons[0]) is (motion == "sub()")

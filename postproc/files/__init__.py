@@ -1,15 +1,27 @@
 """Strict reading of TOML and CSV, and writing that leaves whole files or none."""
 
 from postproc.files.reading import convert, parse_csv, read_csv, read_text, read_toml
-from postproc.files.records import FileEntry, foreign, foreign_single, listed, recorded, refuse, sealed, with_record
-from postproc.files.writing import remove_leftovers, toml, write_whole
+from postproc.files.records import (
+    FileEntry,
+    foreign,
+    foreign_single,
+    listed,
+    noted,
+    recorded,
+    refuse,
+    sealed,
+    with_record,
+)
+from postproc.files.writing import MeanwhileError, remove_leftovers, toml, write_whole
 
 __all__ = [
     "FileEntry",
+    "MeanwhileError",
     "convert",
     "foreign",
     "foreign_single",
     "listed",
+    "noted",
     "parse_csv",
     "read_csv",
     "read_text",

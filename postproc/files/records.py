@@ -68,6 +68,14 @@ def recorded(record: Path) -> dict[str, str]:
     return _read(record) or {}
 
 
+def noted(record: Path, key: str) -> list[str]:
+    """Return the names that a record holds under a key; none if it has none, or is not ours."""
+    try:
+        return [str(name) for name in json.loads(record.read_bytes())[key]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
 def sealed(text: bytes) -> bytes:
     """Return a text that begins with a line of comment, with the SHA-256 of all below at the end of this line."""
     head, _, body = text.partition(b"\n")

@@ -31,6 +31,10 @@ else:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+class MeanwhileError(InputError):
+    """A file came to a folder since it was looked at, which another process writes into."""
+
+
 _STAGE, _LOCK = (".postproc-", ".tmp"), "lock"
 """Prefix and suffix of the folder that files are written in at first; the file in it that its writer keeps open."""
 
@@ -55,6 +59,7 @@ def write_whole(
         (None: nothing). What came there since, and is not what is written here, is not replaced.
     :returns: the paths written.
     :raises InputError: the folder or a file cannot be written; the message names it.
+    :raises MeanwhileError: a shared file came there since.
     """
     with interrupts.held_back():
         at = folder
@@ -73,7 +78,7 @@ def write_whole(
                 try:
                     _replace(stage, folder, list(contents), obsolete, shared or {})
                 except FileExistsError as cause:
-                    raise InputError(
+                    raise MeanwhileError(
                         "a file of another program came there meanwhile",
                         file=str(cause.filename),
                         advice="Nothing was written. Write this program into another folder with -o.",

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import correction, files, forces, interrupts, report
 from postproc.cell import Cell
-from postproc.correction import Result
+from postproc.correction import Mode, Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, SubprogramError
 from postproc.frames import M_PER_MM
-from postproc.jobs import outputs
+from postproc.jobs import outputs, shared_files
 from postproc.jobs.inputs import read_documents
 from postproc.jobs.job import Job
 from postproc.jobs.marking import marked, subprograms
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
     from postproc.machining import ProcessForces
 
 
+_TRIES = 20
+"""So often a program is written anew because another process came before it with a file that both need."""
+
+
 def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
@@ -36,28 +41,41 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
 
     :raises KeyboardInterrupt: nothing was written.
     """
-    try:
-        with interrupts.heard():
-            name = None if job.keeps_text else job.stem
-            program = read_program(job.program, robot, cell, job.dialect, name)
-            result, process = _result(job, settings, cell, robot, program)
-            if not result.failed:
-                content, contents, shared, replaced = _contents(job, settings, cell, result, process)
-                old = outputs.obsolete(job, [*contents], settings.mode, overwrite=settings.overwrite)
-    except Exception as cause:
-        if isinstance(cause, SubprogramError) and not job.named:
-            return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
-        return replace(failure(job, cause), earlier=outputs.set_aside(job, settings.mode))
-    file = str(job.program)
-    if result.failed:
-        return Outcome(file, FAILED, issues=result.issues, earlier=outputs.set_aside(job, settings.mode))
-    try:
-        outputs.retire(job, replaced, settings.mode)
-        written = files.write_whole(job.output, contents, old, shared)
-    except Exception as cause:
-        return replace(failure(job, cause), earlier=outputs.left([job], settings.mode))
-    exceeded = settings.mode != "predict" and content["tolerance_held"] is False
-    return Outcome(file, EXCEEDED if exceeded else GOOD, content, written=tuple(str(path) for path in written))
+    mode, result, process = settings.mode, None, None
+    for left_to_try in reversed(range(_TRIES)):
+        try:
+            with interrupts.heard():
+                if result is None:
+                    name = None if job.keeps_text else job.stem
+                    program = read_program(job.program, robot, cell, job.dialect, name)
+                    result, process = _result(job, settings, cell, robot, program)
+                made = None if result.failed else _made(job, settings, cell, result, process)
+        except Exception as cause:
+            if isinstance(cause, SubprogramError) and not job.named:
+                return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
+            return replace(failure(job, cause), earlier=outputs.set_aside(job, mode))
+        if made is None:
+            return Outcome(str(job.program), FAILED, issues=result.issues, earlier=outputs.set_aside(job, mode))
+        try:
+            with shared_files.retiring(job, made.replaced, mode):
+                written = files.write_whole(job.output, made.contents, made.obsolete, made.shared)
+            return _written(job, made, written, mode)
+        except Exception as cause:
+            if isinstance(cause, files.MeanwhileError) and left_to_try:
+                continue  # what another program wrote there is looked at, as if it had been there before
+            return replace(failure(job, cause), earlier=outputs.left([job], mode))
+    raise AssertionError("the last try returns")  # pragma: no cover
+
+
+def _written(job: Job, made: _Made, written: Sequence[Path], mode: Mode) -> Outcome:
+    exceeded = mode != "predict" and made.summary["tolerance_held"] is False
+    return Outcome(
+        str(job.program),
+        EXCEEDED if exceeded else GOOD,
+        made.summary,
+        written=tuple(str(path) for path in written),
+        copied=tuple(str(job.output / name) for name in made.copied),
+    )
 
 
 def read_program(
@@ -119,16 +137,37 @@ def _with_file_beside(issue: Issue, job: Job) -> Issue:
     return replace(issue, message=f"{issue.message} ({beside.name} lies beside: give --forces {beside})")
 
 
-def _contents(
-    job: Job, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None
-) -> tuple[Summary, dict[str, bytes | Iterable[bytes]], dict[str, bytes | None], list[str]]:
-    """Return the summary, what to write (name → content), what stands there of subprograms, and what changes."""
-    stated = settings.mode == "convert" or settings.tolerance_mm is not None
+class _Made(Struct, frozen=True, eq=False):
+    """What is to be written for a program.
+
+    :param contents: file name → content; `copied` names those that it needs and that are as they were.
+    :param shared: what stands there of files that other programs need too.
+    :param replaced: those of them that change.
+    :param obsolete: files of an earlier run that go.
+    """
+
+    summary: Summary
+    contents: dict[str, bytes | Iterable[bytes]]
+    copied: tuple[str, ...]
+    shared: dict[str, bytes | None]
+    replaced: list[str]
+    obsolete: list[str]
+
+
+def _made(job: Job, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None) -> _Made:
+    """Return what is to be written.
+
+    :raises InputError: it must not be, for what stands in the folder.
+    """
+    mode, needed = settings.mode, result.program.needed
+    stated = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     content = report.summary(result, tolerance)
-    name = job.report(settings.mode)
+    name = job.report(mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
+    copies = shared_files.copies(job, needed, contents, mode) if contents else {}
+    contents |= copies
     carried = report.forces_csv(result)
     if carried is not None:
         contents[f"{stem}forces.csv"] = carried
@@ -146,19 +185,29 @@ def _contents(
         from postproc.jobs import process_forces
 
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
-    read = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
-    outputs.protect(read, job.output, contents)  # files of subprograms too
-    texts = {document.name: document.to_bytes() for document in result.documents if job.keeps_text}
-    shared = outputs.check_shared(job, texts, subprograms(result, job), settings.mode)
-    same = [file for file, content in shared.items() if content == texts[file]]
-    outputs.check_more(job, [*contents, name], settings.mode, overwrite=settings.overwrite, same=same)
+    documents = result.program.documents
+    read = [Path(document.folder) / document.name for document in documents if document.folder]
+    outputs.protect([*read, *(Path(each.path) for each in needed)], job.output, contents)  # files of subprograms too
+    texts = {document.name: document.to_bytes() for document in result.documents if job.keeps_text} | copies
+    shared = shared_files.check_shared(job, texts, subprograms(result, job), copies, documents, mode)
+    same = [file for file, there in shared.items() if there == texts[file]]
+    outputs.check_more(job, [*contents, name], mode, overwrite=settings.overwrite, same=same)
+    still = [Path(each.path).name for each in needed if not each.moves]
+    if beside := [file for file in copies if file in still]:
+        content["copied"] = beside
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
         content["files"] = entries
         return report.to_json(content)
 
-    replaced = [file for file, there in shared.items() if there is not None and file not in same]
-    return content, files.with_record(contents, name, rendered), shared, replaced
+    return _Made(
+        summary=content,
+        contents=files.with_record(contents, name, rendered),
+        copied=tuple(copies),
+        shared=shared,
+        replaced=[file for file, there in shared.items() if there is not None and file not in same],
+        obsolete=outputs.obsolete(job, [*contents, name], mode, overwrite=settings.overwrite),
+    )
 
 
 def failure(job: Job, cause: Exception) -> Outcome:

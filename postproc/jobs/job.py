@@ -81,6 +81,11 @@ class Job(Struct, frozen=True):
             return [*(path.name for path in files), *reports]
         return [f"{self.stem}{self.writer.extension}", *reports]
 
+    def mains(self, mode: Mode) -> list[str]:
+        """Return the names that the main file may have, the likelier first."""
+        first = Path(self.writes(mode)[0])
+        return [first.name, *([f"{first.stem}Main{first.suffix}"] if mode != "predict" else [])]
+
     @property
     def writer(self) -> Writer:
         """What writes the program."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from postproc import interrupts
 from postproc.files import remove_leftovers
-from postproc.jobs import outputs, overview
+from postproc.jobs import outputs, overview, shared_files
 from postproc.jobs.conversion import convert_one
 from postproc.jobs.job import Job
 from postproc.jobs.outcome import GOOD, Outcome, Settings
@@ -40,7 +40,7 @@ def convert_all(
             own = [job for job in jobs if not job.callers]
             outputs.check(own, settings.cell, settings.mode, overwrite=settings.overwrite)
             cell, robot = load_setup(settings)
-        own = outputs.with_earlier(own, settings.mode)
+        own = shared_files.with_earlier(own, settings.mode)
         for folder in {job.output for job in own}:
             remove_leftovers(folder)
         done: list[Outcome] = []
@@ -60,7 +60,10 @@ def _with_callers(job: Job, done: Sequence[Outcome], settings: Settings) -> Outc
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
     by = ", ".join(sorted(Path(outcome.program).name for outcome in done if file in outcome.written))
-    told = "corrected with it" if by == callers else f"corrected with {by}" if by else "not written with them"
+    beside = any(file in outcome.copied for outcome in done)
+    told = f"written beside {by} as it is" if beside else f"corrected with {by}" if by else "not written with them"
+    if by == callers:
+        told = "written beside as it is" if beside else "corrected with it"
     if settings.mode == "predict":
         told = "read with them"
     message = f"{job.program}: called by {callers}: {told}. Name the file to convert it alone."

@@ -46,6 +46,7 @@ class Outcome(Struct, frozen=True):
     :param message: why nothing was written, where that is not told by `issues`.
     :param issues: what stands against the program, where it was read but not written.
     :param written: files written.
+    :param copied: those of them that it needs, and that are as they were.
     :param earlier: what became of the results of an earlier run, where there are none of this one.
     :param traceback: of a fault of postproc.
     """
@@ -56,6 +57,7 @@ class Outcome(Struct, frozen=True):
     message: str = ""
     issues: tuple[Issue, ...] = ()
     written: tuple[str, ...] = ()
+    copied: tuple[str, ...] = ()
     earlier: str = ""
     traceback: str = ""
 

@@ -116,6 +116,7 @@ class Summary(TypedDict):
     limits: Limits
     issues: list[IssueEntry]
     verdict: Judged
+    copied: NotRequired[list[str]]  # files that it needs and that are as they were; nothing is called there that moves
     files: NotRequired[list[FileEntry]]  # written with this report
 
 

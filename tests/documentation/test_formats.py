@@ -155,6 +155,7 @@ def results(readme, tmp_path_factory):
     cell = (samples / "cell_kr270.toml").read_text(encoding="utf-8").replace('"kuka_kr270"', '"model"')
     (folder / "cell.toml").write_text(cell, encoding="utf-8")
     for arguments in (
+        ["convert", str(_with_settings(folder)), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
         ["convert", str(samples / "inline.src"), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
         [
             *("compare", str(samples / "inline.src"), str(folder / "inline.src")),
@@ -181,6 +182,7 @@ def results(readme, tmp_path_factory):
         "part.report.json": [
             readme[0] / "out" / "pocket.report.json",
             folder / "inline.report.json",
+            folder / "settled.report.json",
             folder / "pocket.predict.report.json",
         ],
         "part.compare.report.json": [folder / f"{name}.compare.report.json" for name in ("inline", "faster")],
@@ -191,6 +193,15 @@ def results(readme, tmp_path_factory):
         "plan.json": [readme[0] / "plan.json", folder / "plan.json"],
         "plan.csv": [readme[0] / "plan.csv"],
     }
+
+
+def _with_settings(folder: Path) -> Path:
+    """Return a program that calls another one, which only sets something."""
+    (folder / "in").mkdir()
+    (folder / "in" / "settings.src").write_text("DEF settings( )\n$VEL.CP=0.05\nEND\n")
+    path = folder / "in" / "settled.src"
+    path.write_text("DEF settled( )\nsettings( )\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nEND\n")
+    return path
 
 
 def _forces_with_a_warning(folder: Path) -> Path:

@@ -174,7 +174,9 @@ class Krl:
             layout = replace(layout, documents=(*whole.documents, *layout.course.files), files=whole.files)
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
         unresolved = tuple(whole.placed(each) for each in program.unresolved)
-        return replace(program, name=name, documents=tuple(documents), unresolved=unresolved, layout=layout)
+        needed = tuple(each for each in program.needed if Path(each.path).stem.lower() not in stems)
+        documents = tuple(documents)
+        return replace(program, name=name, documents=documents, unresolved=unresolved, needed=needed, layout=layout)
 
 
 KRL = Krl()

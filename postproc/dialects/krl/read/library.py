@@ -14,7 +14,7 @@ from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.krl.read.folder_files import FolderFiles, has
 from postproc.errors import ProgramError, together
 
-_GLOBAL = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
+GLOBAL_ROUTINE = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 
 
 class Library:
@@ -45,6 +45,10 @@ class Library:
             if file.endswith(".SUB") and (module := self._module(path)) is not None:
                 yield module
 
+    def found(self) -> Iterator[tuple[Module, Routine]]:
+        """Yield the routines of other files that were looked for and found."""
+        yield from (found for found in self._found.values() if found is not None)
+
     def read(self) -> Iterator[Module]:
         """Yield the files that were read."""
         yield from (module for module in self._modules.values() if module is not None)
@@ -56,7 +60,7 @@ class Library:
     def names(self) -> frozenset[str]:
         """Return the names of the programs and GLOBAL routines of all folders, upper case."""
         paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
-        return self.programs().union(*(self.files.declared(path, _GLOBAL) for path in paths))
+        return self.programs().union(*(self.files.declared(path, GLOBAL_ROUTINE) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
         """Return which programs that were not read name routines, by the file of these."""
@@ -80,7 +84,7 @@ class Library:
             if module is not None and routine is not None:
                 return module, routine
         for file, path in self.files.paths.items():
-            if file.endswith(".SRC") and name in self.files.declared(path, _GLOBAL):
+            if file.endswith(".SRC") and name in self.files.declared(path, GLOBAL_ROUTINE):
                 module = self._module(path, name)
                 if module is not None and name in module.routines:
                     return module, module.routines[name]

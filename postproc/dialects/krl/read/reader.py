@@ -32,6 +32,7 @@ from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
+from postproc.dialects.krl.read.needed_files import needed
 from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.plain import Plain, plain_of
 from postproc.dialects.krl.read.remarks import remarks
@@ -160,13 +161,13 @@ class _Reading(Struct, frozen=True, eq=False):
             issues.append(Issue("info", "home-from-cell", message, line))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
         check_meetings(course, meetings, motions, layout.carriage, frames, self.forward(cell.start_joints))
+        own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
+        documents = *own, *course.files
+        moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
         return Program(
             self.name,
             "krl",
-            (
-                *(d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0])),
-                *course.files,
-            ),
+            documents,
             motions,
             *frames,
             events=remarks(source, layout.line),
@@ -179,6 +180,7 @@ class _Reading(Struct, frozen=True, eq=False):
             meetings=tuple(meeting.ends for meeting in meetings),
             unresolved=resolved.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
+            needed=needed(documents, library.files, moving),
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 

@@ -13,7 +13,7 @@ from postproc.dialects.krl.read.folder_files import FolderFiles
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
 
-_GLOBAL = re.compile(rb"^[ \t]*(?:DECL[ \t]+GLOBAL|GLOBAL[ \t]+DECL|GLOBAL)[ \t]+\w+[ \t]+(\w+)", re.I | re.M)
+GLOBAL_VARIABLE = re.compile(rb"^[ \t]*(?:DECL[ \t]+GLOBAL|GLOBAL[ \t]+DECL|GLOBAL)[ \t]+\w+[ \t]+(\w+)", re.I | re.M)
 
 
 def read_shared(variables: Variables, text: str, own: Collection[str], files: FolderFiles) -> None:
@@ -25,7 +25,7 @@ def read_shared(variables: Variables, text: str, own: Collection[str], files: Fo
     """
     mine = {name.upper() for name in own}
     others = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in mine]
-    declared = {path: files.declared(path, _GLOBAL) for path in others}
+    declared = {path: files.declared(path, GLOBAL_VARIABLE) for path in others}
     if not any(declared.values()):
         return
     times = Counter(name for names in declared.values() for name in names)

@@ -1,0 +1,226 @@
+"""Files that a program needs and that are not changed stand beside what is written: it runs, and is read, there."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+
+CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
+START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n"
+FRAMES = (
+    b"\xef\xbb\xbf&ACCESS RVP\r\nDEF frames( )\r\n;f\xc3\xbcr alle\r\nmore( )\nEND\r\n"
+    b"DEF never( )\r\nlate( )\r\nEND\r\n"
+)
+MORE = b"DEF more( )\n;gr\xfc\xdfe (other( ))\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nEND\n"
+POINTS = "DEFDAT points PUBLIC\nDECL GLOBAL FRAME AWAY={X 50,Y 0,Z 30,A 0,B 0,C 180}\nENDDAT\n"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("cell.toml").write_text(CELL.read_text())
+    Path("in").mkdir()
+
+
+def program(name: str, *lines: str, force: int = 200, to: float = 50) -> None:
+    cut = f";FORCE FX={force} FY=100 FZ=-100", "LIN {X 0,Y 0,Z 10,A 0,B 0,C 180}", f"LIN {{X {to}}}", "END", ""
+    Path(f"in/{name}.src").write_text(f"DEF {name}( )\n{START}" + "\n".join([*lines, *cut]))
+
+
+def run(*arguments: str, code: int = 0):
+    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
+    assert done.exit_code == code, done.output
+    return done
+
+
+def names(folder: str = "out") -> set[str]:
+    return {path.name for path in Path(folder).iterdir() if path.suffix.lower() in (".src", ".dat", ".sub", ".old")}
+
+
+def needs(name: str = "one") -> dict[str, bytes]:
+    """A program, and the files beside it that it needs; others stand there too."""
+    program(name, "frames( )", "LIN AWAY", '$MSG_T.MSG[]="other( )" ;other( )')
+    files = {
+        "frames.src": FRAMES,
+        "more.SRC": MORE,
+        "more.dat": b"DEFDAT more\nENDDAT\n",
+        "points.dat": POINTS.encode(),
+    }
+    files["late.src"] = b"DEF late( )\nEND\n"
+    for file, content in files.items():
+        Path("in", file).write_bytes(content)
+    for file in ("other.src", "bystander.dat", "$config.dat", "background.sub"):
+        Path("in", file).write_text(f"DEF {Path(file).stem}( )\nEND\n")
+    return files
+
+
+@pytest.mark.parametrize("mode", [[], ["--nominal"], ["--name", "two"], ["--lines-per-file", "9"]])
+def test_what_a_program_needs_stands_beside_it_to_the_byte(mode):
+    files = needs()
+    run("convert", "in/one.src", "-o", "out", *mode)
+    for name, content in files.items():
+        assert Path("out", name).read_bytes() == content
+    assert names() - files.keys() <= {"one.src", "two.src", "oneMain.src", "one1.src", "one2.src", "one3.src"}
+    stem = mode[1] if mode[:1] == ["--name"] else "one"
+    report = json.loads(Path(f"out/{stem}.report.json").read_bytes())
+    assert files.keys() < {entry["name"] for entry in report["files"]}
+    assert set(report["copied"]) == files.keys()
+    written = f"out/{stem}{'Main' if 'out/oneMain.src' in map(str, Path('out').iterdir()) else ''}.src"
+    run("predict", written, "-o", "told")
+    told = json.loads(next(Path("told").glob("*.predict.report.json")).read_bytes())
+    assert "external-call" not in {issue["kind"] for issue in told["issues"]}
+    compared = run("compare", "in/one.src", written, "-o", "told", code=3 if mode == ["--nominal"] else 0)
+    assert "Copy it there" not in compared.stdout
+
+
+def test_without_a_force_they_are_written_too_and_predict_writes_none():
+    files = needs()
+    text = Path("in/one.src").read_text()
+    Path("in/one.src").write_text("".join(line for line in text.splitlines(True) if "FORCE" not in line))
+    run("convert", "in/one.src", "-o", "out")
+    assert names() == {"one.src", *files}
+    run("predict", "in/one.src", "-o", "told")
+    assert names("told") == set()
+
+
+def test_into_the_folder_that_they_stand_in_they_need_not_be_written():
+    files = needs()
+    before = {path.name: path.read_bytes() for path in Path("in").iterdir()}
+    run("convert", "in/one.src", "-o", "in", "--name", "two")
+    assert {name: Path("in", name).read_bytes() for name in before} == before
+    entries = json.loads(Path("in/two.report.json").read_bytes())["files"]
+    assert files.keys().isdisjoint(entry["name"] for entry in entries)
+
+
+def test_a_second_conversion_replaces_and_removes_what_the_first_wrote():
+    needs()
+    run("convert", "in/one.src", "-o", "out")
+    Path("in/more.SRC").write_bytes(MORE.replace(b"1500", b"1501"))
+    run("convert", "in/one.src", "-o", "out")
+    assert b"1501" in Path("out/more.SRC").read_bytes()
+    program("one", "LIN AWAY")
+    run("convert", "in/one.src", "-o", "out")
+    assert names() == {"one.src", "points.dat"}
+
+
+def test_a_file_of_somebody_else_is_not_replaced_but_the_same_one_is_taken():
+    files = needs()
+    Path("out").mkdir()
+    for name, content in files.items():
+        Path("out", name).write_bytes(content)
+    run("convert", "in/one.src", "-o", "out")
+    shutil.rmtree("out")
+    Path("out").mkdir()
+    Path("out/more.SRC").write_bytes(b"mine")
+    told = run("convert", "in/one.src", "-o", "out", code=1).stderr
+    assert "not written by postproc, or changed since: out/more.SRC" in told
+    run("convert", "in/one.src", "-o", "out", "--overwrite")
+    assert Path("out/more.SRC").read_bytes() == MORE
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_programs_of_one_folder_share_them(jobs):
+    files = needs()
+    needs("two")
+    run("convert", "in/one.src", "in/two.src", "-o", "out", "--jobs", jobs)
+    assert names() == {"one.src", "two.src", *files}
+    program("two")
+    run("convert", "in/two.src", "-o", "out")
+    assert names() == {"one.src", "two.src", *files}  # the other one needs them still
+    needs("two")
+    Path("in/more.SRC").write_bytes(MORE.replace(b"1500", b"1501"))
+    told = run("convert", "in/two.src", "-o", "out", code=1).stderr
+    assert "out/more.SRC: this file was written for one, which calls it too, and stays as it is for two" in told
+    run("convert", "in/one.src", "in/two.src", "-o", "out", "--jobs", jobs)
+    assert names() - {f"two.{kind}.old" for kind in ("src", "report.json", "report.html", "targets.csv")} == {
+        *("one.src", "two.src"),  # which failed in between
+        *files,
+    }
+    assert b"1501" in Path("out/more.SRC").read_bytes()
+
+
+LIBRARY = """DEF lib( )
+END
+GLOBAL DEF Ready( )
+$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}
+END
+GLOBAL DEF Across( )
+LIN PX
+END
+"""
+
+
+@pytest.mark.parametrize("order", [("cuts", "sets"), ("sets", "cuts"), ("cuts", "sets", "cuts", "sets")])
+@pytest.mark.parametrize("jobs", [None, "1", "2"])
+def test_one_program_needs_as_it_is_what_is_corrected_for_another(order, jobs):
+    """The routines that move nothing are the same in both."""
+    program("cuts", "Ready( )", ";FORCE FX=300 FY=0 FZ=0", "Across( )")
+    program("sets", "Ready( )")
+    Path("in/lib.src").write_text(LIBRARY)
+    Path("in/lib.dat").write_text("DEFDAT lib\nDECL POS PX={X 20,Y 20,Z 0,A 0,B 0,C 180}\nENDDAT\n")
+    if jobs is None:
+        for name in order:
+            run("convert", f"in/{name}.src", "-o", "out")
+    else:
+        run("convert", *(f"in/{name}.src" for name in order[:2]), "-o", "out", "--jobs", jobs)
+    assert names() == {"cuts.src", "sets.src", "lib.src", "lib.dat"}
+    assert Path("out/lib.src").read_text() != LIBRARY
+    for name in ("cuts", "sets"):
+        assert "unchanged since" in run("predict", f"out/{name}.src", "-o", "told").output
+    Path("in/lib.src").write_text(LIBRARY.replace("1500", "1510"))
+    told = run("convert", "in/sets.src", "-o", "out", code=1).stderr
+    assert "this file was written for cuts" in told
+
+
+def test_what_is_not_followed_is_not_left_to_what_was_corrected_for_another():
+    Path("in/sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nPTP $POS_ACT\nEND\n")
+    program("cuts", ";FORCE FX=300 FY=0 FZ=0", "sub( )")
+    run("convert", "in/cuts.src", "-o", "out")
+    corrected = Path("out/sub.src").read_bytes()
+    assert corrected != Path("in/sub.src").read_bytes()
+    text = "GLOBAL INTERRUPT DECL 3 WHEN $IN[1]==TRUE DO halt3( )\n"
+    Path("in/halt3.src").write_text("DEF halt3( )\nRESUME\nEND\n")
+    Path("in/keeps.src").write_text(
+        f"DEF keeps( )\n{text}{START}sub( )\nPTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}\n"
+        ";FORCE FX=200 FY=0 FZ=0\nLIN {X 0,Y 0,Z 10,A 0,B 0,C 180}\nEND\n"
+    )
+    told = run("convert", "in/keeps.src", "-o", "out", code=1).stderr
+    assert "out/sub.src: this file was written for cuts" in told
+    assert Path("out/sub.src").read_bytes() == corrected
+    run("convert", "in/keeps.src", "-o", "more")
+    assert names("more") == {"keeps.src", "sub.src", "halt3.src"}
+    told = run("convert", "in/cuts.src", "-o", "more", code=1).stderr
+    assert "more/sub.src: this file was written for keeps" in told
+
+
+@pytest.mark.parametrize("order", [("other", "one"), ("one", "other")])
+@pytest.mark.parametrize("together", [True, False])
+def test_the_data_of_another_program_are_left_to_it(order, together):
+    program("other", "LIN P1")
+    data = POINTS.replace("points", "other").replace("ENDDAT", "DECL POS P1={X 1,Y 2,Z 3,A 0,B 0,C 180}\nENDDAT")
+    Path("in/other.dat").write_text(data)
+    text = Path("in/other.src").read_text().replace("LIN P1", "LIN {X 0,Y 0,Z 20,A 0,B 0,C 180}\n;FORCE FX=200\nLIN P1")
+    Path("in/other.src").write_text(text)
+    program("one", "LIN AWAY")
+    for names_ in [order] if together else [(name,) for name in order]:
+        run("convert", *(f"in/{name}.src" for name in names_), "-o", "out")
+    assert names() == {"one.src", "other.src", "other.dat"}
+    assert Path("out/other.dat").read_text() != data
+    for name in ("one", "other"):
+        assert "unchanged since" in run("predict", f"out/{name}.src", "-o", "told").output
+
+
+def test_what_the_cell_names_stays_where_it_is():
+    files = needs()
+    Path("library").mkdir()
+    for name in files:
+        shutil.move(f"in/{name}", "library")
+    Path("cell.toml").write_text(f'{CELL.read_text()}\n[krl]\nsearch = ["library"]\n')
+    run("convert", "in/one.src", "-o", "out")
+    assert names() == {"one.src"}
