@@ -72,20 +72,18 @@ class Balance(Struct, frozen=True, eq=False):
                 out[row] += value * parameter.effect(by_load[row], np.zeros_like(by_load[row]))[1]
         return out
 
-    def moved(self, change: Array) -> Array:
-        """Return the twist (6, n) of the tool when the coordinates change by (nv, n)."""
-        return np.asarray(np.einsum("ikn,kn->in", self.jacobian, change))
+    def reach(self) -> Array:
+        """Return J (I − C·H)⁻¹ (n, 6, nv): how the tool moves in all when one spring gives way by itself.
 
-    def tangent(self) -> Array:
-        """Return I − C·H (n, nv, nv), the derivative of θ − c(τ(θ)).
-
-        C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0) need no special case, as they
-        would in K − H.
+        I − C·H is the derivative of θ − c(τ(θ)): C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0)
+        need no special case, as they would in K − H.
         """
-        loose, hessian = self.loose, kinematics.load_stiffness(np.moveaxis(self.jacobian, -1, 0), self.wrench.T)
-        hessian -= self._asked_more(self.robot.loaded)
+        jacobian, loose = np.moveaxis(self.jacobian, -1, 0), self.loose
+        hessian = kinematics.load_stiffness(jacobian, self.wrench.T) - self._asked_more(self.robot.loaded)
         tangent = np.eye(len(self.x)) - self.slope.T[:, :, None] * hessian
-        return tangent - loose.T[:, :, None] * self._asked_more(self.robot.actual) if loose.any() else tangent
+        if loose.any():
+            tangent -= loose.T[:, :, None] * self._asked_more(self.robot.actual)
+        return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
 
     def _asked_more(self, chain: Chain) -> Array:
         """Return ∂²U_g/∂x² + U_c″ (n, nv, nv)."""
@@ -96,11 +94,6 @@ class Balance(Struct, frozen=True, eq=False):
             row = robot.actuated[A2]
             out[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
         return out
-
-    def reach(self) -> Array:
-        """Return J (I − C·H)⁻¹ (n, 6, nv): how the tool moves in all when one spring gives way by itself."""
-        jacobian = np.moveaxis(self.jacobian, -1, 0)
-        return np.swapaxes(np.linalg.solve(np.swapaxes(self.tangent(), 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
 
 
 def asked(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from msgspec.structs import replace
 
 from postproc import kinematics
 from postproc.elastostatics.balance import Balance
@@ -40,8 +39,7 @@ def asked_by(robot: RobotModel, parameter: Parameter, x: Array) -> Array:
     """
     row = parameter.row(robot)
     if isinstance(parameter, LinkMass):
-        state = kinematics.posture(robot.a_kilogram_each, x, weigh=True)
-        return replace(state, mass=[float(index == row) for index in range(len(x))]).weight()
+        return kinematics.posture(robot.a_kilogram_each, x, weigh=True).weight(row)
     if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
         raise ModelError(f"{parameter.name} belongs to no spring of {robot.name}")
     out = np.zeros_like(x)

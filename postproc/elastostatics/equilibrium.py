@@ -94,7 +94,7 @@ def solve_equilibrium(
         step = state.theta - theta
         step[robot.actuated[A2]] /= beside(robot, state.x, state.slope)
         theta = theta + step
-        moved = state.moved(step)
+        moved = np.einsum("ikn,kn->in", state.jacobian, step)
         size = _largest(moved[:3]) + _largest(moved[3:])
         more = _unfinished(size, previous, _POSITION_TOLERANCE)
         if not more.any():

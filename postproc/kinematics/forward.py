@@ -44,21 +44,19 @@ class _Step(Struct, frozen=True, eq=False):
 class Posture(Struct, frozen=True, eq=False):
     """A chain in n configurations; vectors (3, n), or (3, 1) where they are the same for all.
 
-    :param axis: of each of the nv joints.
+    :param steps: the nv joints.
+    :param axis: of each joint.
     :param origin: of each joint [m].
-    :param turns: whether each joint turns.
     :param frame: columns X, Y, Z and origin [m] of the last link.
     :param tool: (3, 4, n) or (3, 4, 1) in it [m].
-    :param mass: of each link [kg].
     :param moment: (2, n) mass times centre of mass of each link, level, where asked for [kg·m].
     """
 
+    steps: tuple[_Step, ...]
     axis: list[Array]
     origin: list[Array]
-    turns: list[bool]
     frame: list[Array]
     tool: Array
-    mass: list[float]
     moment: list[Array]
 
     @property
@@ -76,22 +74,21 @@ class Posture(Struct, frozen=True, eq=False):
         point = self.point
         out = np.zeros((6, len(self.axis), point.shape[-1]))
         for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):
-            if self.turns[joint]:
+            if self.steps[joint].turns:
                 cross(axis, point - origin, out=out[:3, joint])
                 out[3:, joint] = axis
             else:
                 out[:3, joint] = axis
         return out
 
-    def weight(self) -> Array:
-        """Return ∇U_g (nv, n): torques that hold the weights of the links."""
+    def weight(self, link: int | None = None) -> Array:
+        """Return ∇U_g (nv, n): torques that hold the weights of the links, or that of one."""
         out = np.zeros((len(self.axis), self.frame[0].shape[-1]))
         mass, moment = 0.0, np.zeros((2, 1))
         for joint in reversed(range(len(out))):  # what a joint carries is all behind it
-            mass += self.mass[joint]
-            if self.mass[joint]:
-                moment = moment + self.moment[joint]
-            if mass and self.turns[joint]:
+            if self.steps[joint].mass and link in (None, joint):
+                mass, moment = mass + self.steps[joint].mass, moment + self.moment[joint]
+            if mass and self.steps[joint].turns:
                 (x, y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
                 out[joint] = GRAVITY * (x * lever[1] - y * lever[0])
             elif mass:
@@ -123,8 +120,7 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
             moments.append(step.mass * (at[:2] + combination([level[:2] for level in frame], step.centre)))
-    turns, mass = [step.turns for step in steps], [step.mass for step in steps]
-    return Posture(axes, origins, turns, [*frame, at], end, mass, moments)
+    return Posture(steps, axes, origins, [*frame, at], end, moments)
 
 
 def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
