@@ -216,6 +216,16 @@ def test_the_data_of_another_program_are_left_to_it(order, together):
         assert "unchanged since" in run("predict", f"out/{name}.src", "-o", "told").output
 
 
+def test_what_a_corrected_subprogram_and_a_data_list_need_is_written_too():
+    files = needs("unused")
+    program("one", "Across( )")
+    Path("in/lib.src").write_text(LIBRARY.replace("LIN PX", "frames( )\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180} ;points( )"))
+    Path("in/one.dat").write_text("DEFDAT one\nIMPORT REAL FAR IS /R1/bystander..FAR\nENDDAT\n")
+    run("convert", "in/one.src", "-o", "out")
+    wanted = {"one.src", "one.dat", "lib.src", "bystander.dat", *files} - {"points.dat"}
+    assert names() == wanted
+
+
 def test_what_the_cell_names_stays_where_it_is():
     files = needs()
     Path("library").mkdir()

@@ -362,6 +362,7 @@ IGNORED = f"{MODE}=#IGNORE"
         (",A 0,B 0,C 180", 0, " WITH $CIRC_MODE=SCIRC_M(L) C_SPL", f" WITH $CIRC_MODE=SCIRC_M(L), {IGNORED} C_SPL"),
         ("", 0, f" WITH $VEL.CP=0.1, {MODE}=#INTERPOLATE ;x", f" WITH $VEL.CP=0.1, {IGNORED} ;x"),
         (",A 100,B 0,C 180", 0, " c_spl", f" WITH {IGNORED} c_spl"),
+        (",A 100,B 0,C 180", 0, " C_DIS C_DIS", f" WITH {IGNORED} C_DIS C_DIS"),
         (",A 17,B 0,C 180", 170, "", f" WITH {IGNORED}"),
         (",A 70,B 0,C 180", 75, " C_SPL", " C_SPL"),
         (",A 100,B 0,C 180", 0, f" WITH {IGNORED}", f" WITH {IGNORED}"),

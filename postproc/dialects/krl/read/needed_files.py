@@ -8,11 +8,12 @@ the controller's too, stay where they are.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath
 
 from postproc.dialects.krl.language.names import NAME, PURE, RESERVED, STANDARD
+from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.folder_files import FolderFiles
 from postproc.dialects.krl.read.library import GLOBAL_ROUTINE
 from postproc.dialects.krl.read.shared_data import GLOBAL_VARIABLE
@@ -20,16 +21,18 @@ from postproc.errors import ProgramError
 from postproc.program import Document, Needed
 
 _NO_CODE = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*")
-_CALLING = re.compile(r"(?:\A|(?<=[\r\n]))[^\r\n(]*+\([^\r\n]*")
 _CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.ASCII)
 _OWN = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 _IMPORTED = re.compile(r"/R1/(\w+)[ \t]*\.\.", re.IGNORECASE)
 
 
-def needed(documents: Sequence[Document], files: FolderFiles, moving: Collection[str]) -> tuple[Needed, ...]:
+def needed(
+    documents: Sequence[Document], code: Sequence[str], files: FolderFiles, moving: Collection[str]
+) -> tuple[Needed, ...]:
     """Return the files beside a program that it needs, in order of their names.
 
     :param documents: its files, with those that are written with it; the main one first.
+    :param code: of its `.src` files, as far as it may name others.
     :param moving: names, upper case, of files with routines that it calls and that move the robot.
     """
     folder = Path(documents[0].folder)
@@ -42,14 +45,22 @@ def needed(documents: Sequence[Document], files: FolderFiles, moving: Collection
     if not documents[0].folder or not beside:
         return ()
     links = _Links(beside, files)
-    found: set[str] = set()
-    texts = [document.text for document in documents]
-    while texts:
-        for name in links.of(texts.pop()) - found:
-            found.add(name)
-            with suppress(ProgramError):  # it is needed all the same
-                texts.append(files.source(beside[name]).text)
+    data = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
+    found = set().union(*map(links.of_code, code), *map(links.of_data, data))
+    new = sorted(found)
+    while new:
+        name = new.pop()
+        with suppress(ProgramError):  # it is needed all the same
+            text = files.source(beside[name]).text
+            more = (links.of_data(text) if name.endswith(".DAT") else links.of_code(text)) - found
+            found |= more
+            new += sorted(more)
     return tuple(Needed(str(beside[name]), moves=name in moving) for name in sorted(found))
+
+
+def code_of(source: Source, lines: Iterable[int]) -> str:
+    """Return some lines of a file."""
+    return "\n".join(source.text[source.starts[line - 1] : source.stops[line - 1]] for line in lines)
 
 
 class _Links:
@@ -67,17 +78,20 @@ class _Links:
                 for own in files.declared(path, GLOBAL_VARIABLE):
                     self.variables.setdefault(own, set()).add(name)
 
-    def of(self, text: str) -> set[str]:
-        """Return the names of the files that a text names, and of those that belong to them."""
-        calling = _NO_CODE.sub(" ", "\n".join(_CALLING.findall(text)))
-        called = {name.upper() for name in _CALL.findall(calling)} - {name.upper() for name in _OWN.findall(calling)}
+    def of_code(self, text: str) -> set[str]:
+        """Return the names of the files that code names, and of those that belong to them."""
+        code = _NO_CODE.sub(" ", text)
+        called = {name.upper() for name in _CALL.findall(code)} - {name.upper() for name in _OWN.findall(code)}
         called -= PURE | STANDARD | RESERVED
         stems = {PurePath(self.routines[name]).stem for name in called & self.routines.keys()}
-        stems |= {name.upper() for name in _IMPORTED.findall(text)}
         if self.variables:
-            used = {name.upper() for name in NAME.findall(_NO_CODE.sub(" ", text))} & self.variables.keys()
+            used = {name.upper() for name in NAME.findall(code)} & self.variables.keys()
             stems |= {PurePath(file).stem for name in used for file in self.variables[name]}
         return set(self._files(stems))
+
+    def of_data(self, text: str) -> set[str]:
+        """Return the names of the files from which a data list takes variables, and of those that belong to them."""
+        return set(self._files({name.upper() for name in _IMPORTED.findall(text)}))
 
     def _files(self, stems: Collection[str]) -> Iterator[str]:
         for stem in stems:

@@ -32,7 +32,7 @@ from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
-from postproc.dialects.krl.read.needed_files import needed
+from postproc.dialects.krl.read.needed_files import code_of, needed
 from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.plain import Plain, plain_of
 from postproc.dialects.krl.read.remarks import remarks
@@ -72,7 +72,8 @@ def read_program(
     module, entry, faults = _main(source, plain, name)
     others = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), others))
-    reading = _Reading(documents, cell, forward, name, library, entry, faults)
+    code = code_of(source, (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist())
+    reading = _Reading(documents, cell, forward, name, library, entry, faults, code)
     elsewhere: dict[Routine | Occasion, ProgramError] = {}
     while True:
         try:
@@ -85,7 +86,10 @@ def read_program(
 
 
 class _Reading(Struct, frozen=True, eq=False):
-    """What is known of a program before it is followed; see `read_program`."""
+    """What is known of a program before it is followed; see `read_program`.
+
+    :param code: all lines of the main file that are not plain.
+    """
 
     documents: Sequence[Document]
     cell: Cell
@@ -94,6 +98,7 @@ class _Reading(Struct, frozen=True, eq=False):
     library: Library
     entry: Routine
     faults: list[ProgramError]
+    code: str
 
     def program(self, plain: Plain, elsewhere: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> Program:
         """Follow the program, and read what moves.
@@ -163,6 +168,10 @@ class _Reading(Struct, frozen=True, eq=False):
         check_meetings(course, meetings, motions, layout.carriage, frames, self.forward(cell.start_joints))
         own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
         documents = *own, *course.files
+        files = {document.name for document in course.files}
+        others = (module for module in library.read() if module.source.document.name in files)
+        routines_ = (routine for module in others for routine in module.routines.values())
+        code = [self.code, *(code_of(routine.source, routine.others) for routine in routines_)]
         moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
         return Program(
             self.name,
@@ -180,7 +189,7 @@ class _Reading(Struct, frozen=True, eq=False):
             meetings=tuple(meeting.ends for meeting in meetings),
             unresolved=resolved.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
-            needed=needed(documents, library.files, moving),
+            needed=needed(documents, code, library.files, moving),
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
@@ -194,7 +203,7 @@ class _Reading(Struct, frozen=True, eq=False):
             read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, shared=True)
         program = self.documents[0]
         own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
-        read_shared(variables, program.text, own, self.library.files)
+        read_shared(variables, self.code, own, self.library.files)
         return Settings(variables, self.cell)
 
 

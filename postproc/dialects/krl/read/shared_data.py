@@ -19,7 +19,7 @@ GLOBAL_VARIABLE = re.compile(rb"^[ \t]*(?:DECL[ \t]+GLOBAL|GLOBAL[ \t]+DECL|GLOB
 def read_shared(variables: Variables, text: str, own: Collection[str], files: FolderFiles) -> None:
     """Take GLOBAL variables that a program uses from other `.dat` files; not those that several of them declare.
 
-    :param text: of the program.
+    :param text: of the program, as far as names may stand in it.
     :param own: names of its files.
     :param files: where to look.
     """

@@ -26,9 +26,9 @@ _OF_CIRCLES = re.compile(
     r"(?:#\w+|\{(?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*\}|[\w$.]+[ \t]*(?:\([^()]*\))?)[ \t]*(?:,[ \t]*)?",
     re.IGNORECASE,
 )
-_LEFT_OVER = re.compile(r"[ \t]*(?:,|WITH\b)[ \t]*(?=C_SPL\b|$)", re.IGNORECASE)
+_LEFT_OVER = re.compile(r"[ \t]*(?:,|WITH\b)[ \t]*(?=C_[A-Z]+\b|$)", re.IGNORECASE)
 _HEED = re.compile(r"(\$CIRC_MODE\.AUX_PT\.ORI[ \t]*=[ \t]*)(?:#\w+|[\w$.]+)", re.IGNORECASE)
-_APPROXIMATION = re.compile(r"(?:[ \t]*\bC_SPL\b)?[ \t]*$", re.IGNORECASE)
+_APPROXIMATION = re.compile(r"(?:[ \t]*\bC_[A-Z]+\b)*[ \t]*$", re.IGNORECASE)
 _MODE = re.compile(r"(\$ORI_TYPE[ \t]*=[ \t]*)(?:#\w+|[\w$]+[ \t]*(?:\([^()]*\))?)", re.IGNORECASE)
 
 
