@@ -202,6 +202,8 @@ def test_the_controller_must_not_choose_to_lead_the_orientation_by_the_wrist(tur
     ]
     if word == "SLIN":
         programs.append((FULL, f"{end} WITH $SPL_ORI_JOINT_AUTO={mode}"))
+        programs.append((f"$SPL_ORI_JOINT_AUTO={mode}", "BAS(#INITMOV,0)", FULL, end))
+        programs.append((f"IF $IN[1] THEN\r\n$SPL_ORI_JOINT_AUTO={mode}\r\nENDIF", FULL, end))
     for lines in programs:
         if refused and "#OFF" not in "".join(lines):
             with pytest.raises(ProgramError, match="SPL_ORI_JOINT_AUTO"):

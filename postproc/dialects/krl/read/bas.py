@@ -15,15 +15,18 @@ from postproc.dialects.krl.read.path_settings import PathSettings
 from postproc.dialects.krl.read.state import FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
 
+_OF_SPLINES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "by_wrist"}
+"""Variables of spline motions, which BAS does not know, and what of the `State` they set."""
+_ALL = tuple(name for name in FIELDS if name not in _OF_SPLINES)
 BAS_SETS = {
-    "#INITMOV": tuple(FIELDS),
+    "#INITMOV": _ALL,
     "#VEL_CP": ("$VEL",),
     "#BASE": ("$BASE",),
     "#TOOL": ("$TOOL",),
     "#CP_DAT": ("$APO", "$ORI_TYPE", "$CIRC_TYPE"),
     "#FRAMES": ("$BASE", "$TOOL"),
     "#PTP_PARAMS": ("$BASE", "$TOOL"),
-    "#CP_PARAMS": tuple(FIELDS),
+    "#CP_PARAMS": _ALL,
 }
 """Which variables a command of BAS sets."""
 _HARMLESS = frozenset({"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"})
@@ -67,7 +70,9 @@ class Bas:
 
     def _initialised(self, state: State, at: Place) -> State:
         """#INITMOV also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames."""
-        fresh, meant = State(), self.cell.krl.initmov
+        kept = {field: getattr(state, field) for field in _OF_SPLINES.values()}
+        fresh = State(**kept, uncertain=tuple(one for one in state.uncertain if one[0] in kept))
+        meant = self.cell.krl.initmov
         if meant == "bas":
             return self.frames.numbered(self.frames.numbered(fresh, at, "$BASE", 0), at, "$TOOL", 1)
         if meant is None and (state.base != 0 or state.tool != 0):

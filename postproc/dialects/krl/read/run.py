@@ -19,7 +19,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue, ProgramError
 
-SETTING_ADVICE = "Set $BASE, $TOOL and speeds outside of loops, branches and interrupts."
+SETTING_ADVICE = "Set $BASE, $TOOL, speeds and modes outside of loops, branches and interrupts."
 
 
 class Level(Struct, eq=False):
