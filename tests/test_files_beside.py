@@ -234,3 +234,15 @@ def test_what_the_cell_names_stays_where_it_is():
     Path("cell.toml").write_text(f'{CELL.read_text()}\n[krl]\nsearch = ["library"]\n')
     run("convert", "in/one.src", "-o", "out")
     assert names() == {"one.src"}
+
+
+@pytest.mark.parametrize("through", ["sub( )", "first( )"])
+def test_a_global_point_that_only_a_subprogram_names_is_known(through):
+    Path("in/points.dat").write_text(POINTS)
+    Path("in/first.src").write_text("DEF first( )\nsub( )\nEND\n")
+    Path("in/sub.src").write_text("DEF sub( )\nLIN AWAY\nEND\n")
+    program("one", through)
+    run("convert", "in/one.src", "-o", "out")
+    assert Path("out/points.dat").read_text() == POINTS
+    rows = Path("out/one.targets.csv").read_text().splitlines()
+    assert ["50.000000", "0.000000", "30.000000"] in [row.split(",")[4:7] for row in rows]

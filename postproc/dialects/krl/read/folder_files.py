@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 from msgspec.structs import replace
 
+from postproc.dialects.krl.language.names import PURE, RESERVED, STANDARD
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
@@ -16,6 +18,10 @@ from postproc.program import Document
 
 _LARGEST = 20_000_000
 """Bytes of the largest file that is searched."""
+GLOBAL_ROUTINE = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
+_NO_CODE = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*")
+_CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.ASCII)
+_OWN = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 
 
 class FolderFiles:
@@ -37,6 +43,29 @@ class FolderFiles:
         for name, document in self._given.items():
             found.setdefault(name, Path(document.folder) / document.name)
         return found
+
+    @cached_property
+    def routines(self) -> dict[str, Path]:
+        """The `.src` files by the names, upper case, of what others may call in them."""
+        sources = {name: path for name, path in self.paths.items() if name.endswith(".SRC")}
+        found = {name.removesuffix(".SRC"): path for name, path in sources.items()}
+        for path in sources.values():
+            for name in self.declared(path, GLOBAL_ROUTINE):
+                found.setdefault(name, path)
+        return found
+
+    def reached(self, code: str) -> Iterator[str]:
+        """Yield code, and that of the files that it calls, one through the other."""
+        waiting, done = [code], set[Path]()
+        while waiting:
+            code = without_comments(waiting.pop())
+            yield code
+            for name in sorted(called(code) & self.routines.keys()):
+                path = self.routines[name]
+                if path not in done:
+                    done.add(path)
+                    with suppress(ProgramError):  # what calls it says so
+                        waiting.append(self.source(path).text)
 
     def source(self, path: Path) -> Source:
         """Return the text of a file.
@@ -61,6 +90,17 @@ class FolderFiles:
         except OSError:
             return frozenset()
         return _names_in(path, pattern, stat.st_mtime_ns, stat.st_size) if stat.st_size <= _LARGEST else frozenset()
+
+
+def without_comments(text: str) -> str:
+    """Return code without comments and strings."""
+    return _NO_CODE.sub(" ", text)
+
+
+def called(code: str) -> set[str]:
+    """Return the names, upper case, of routines of other files that code without comments may call."""
+    names = {name.upper() for name in _CALL.findall(code)} - {name.upper() for name in _OWN.findall(code)}
+    return names - PURE - STANDARD - RESERVED
 
 
 def _listed(folders: Sequence[Path]) -> Iterator[Path]:

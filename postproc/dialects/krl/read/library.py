@@ -11,10 +11,8 @@ import numpy as np
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import plain_lines
-from postproc.dialects.krl.read.folder_files import FolderFiles, has
+from postproc.dialects.krl.read.folder_files import GLOBAL_ROUTINE, FolderFiles, has
 from postproc.errors import ProgramError, together
-
-GLOBAL_ROUTINE = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 
 
 class Library:

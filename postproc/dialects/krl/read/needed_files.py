@@ -12,17 +12,13 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath
 
-from postproc.dialects.krl.language.names import NAME, PURE, RESERVED, STANDARD
+from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.folder_files import FolderFiles
-from postproc.dialects.krl.read.library import GLOBAL_ROUTINE
+from postproc.dialects.krl.read.folder_files import FolderFiles, called, without_comments
 from postproc.dialects.krl.read.shared_data import GLOBAL_VARIABLE
 from postproc.errors import ProgramError
 from postproc.program import Document, Needed
 
-_NO_CODE = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*")
-_CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.ASCII)
-_OWN = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 _IMPORTED = re.compile(r"/R1/(\w+)[ \t]*\.\.", re.IGNORECASE)
 
 
@@ -67,23 +63,16 @@ class _Links:
     """Says which files a text names."""
 
     def __init__(self, beside: dict[str, Path], files: FolderFiles) -> None:
-        self.beside = beside
-        self.routines = {PurePath(name).stem: name for name in beside if name.endswith(".SRC")}
+        self.beside, self.routines = beside, files.routines
         self.variables: dict[str, set[str]] = {}
         for name, path in beside.items():
-            if name.endswith(".SRC"):
-                for own in files.declared(path, GLOBAL_ROUTINE):
-                    self.routines.setdefault(own, name)
-            else:
-                for own in files.declared(path, GLOBAL_VARIABLE):
-                    self.variables.setdefault(own, set()).add(name)
+            for own in files.declared(path, GLOBAL_VARIABLE) if name.endswith(".DAT") else ():
+                self.variables.setdefault(own, set()).add(name)
 
     def of_code(self, text: str) -> set[str]:
         """Return the names of the files that code names, and of those that belong to them."""
-        code = _NO_CODE.sub(" ", text)
-        called = {name.upper() for name in _CALL.findall(code)} - {name.upper() for name in _OWN.findall(code)}
-        called -= PURE | STANDARD | RESERVED
-        stems = {PurePath(self.routines[name]).stem for name in called & self.routines.keys()}
+        code = without_comments(text)
+        stems = {self.routines[name].stem.upper() for name in called(code) & self.routines.keys()}
         if self.variables:
             used = {name.upper() for name in NAME.findall(code)} & self.variables.keys()
             stems |= {PurePath(file).stem for name in used for file in self.variables[name]}

@@ -16,10 +16,10 @@ from postproc.errors import ProgramError
 GLOBAL_VARIABLE = re.compile(rb"^[ \t]*(?:DECL[ \t]+GLOBAL|GLOBAL[ \t]+DECL|GLOBAL)[ \t]+\w+[ \t]+(\w+)", re.I | re.M)
 
 
-def read_shared(variables: Variables, text: str, own: Collection[str], files: FolderFiles) -> None:
+def read_shared(variables: Variables, code: str, own: Collection[str], files: FolderFiles) -> None:
     """Take GLOBAL variables that a program uses from other `.dat` files; not those that several of them declare.
 
-    :param text: of the program, as far as names may stand in it.
+    :param code: of the program, as far as names may stand in it; what it calls counts too.
     :param own: names of its files.
     :param files: where to look.
     """
@@ -29,7 +29,8 @@ def read_shared(variables: Variables, text: str, own: Collection[str], files: Fo
     if not any(declared.values()):
         return
     times = Counter(name for names in declared.values() for name in names)
-    known = {name.upper() for name in NAME.findall(text)} - variables.types.keys()
+    used = set().union(*(NAME.findall(reached) for reached in files.reached(code)))
+    known = {name.upper() for name in used} - variables.types.keys()
     wanted = {name for name in known if times[name] == 1}
     for path, names in declared.items():
         if not wanted.isdisjoint(names):
