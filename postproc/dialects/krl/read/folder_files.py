@@ -45,14 +45,20 @@ class FolderFiles:
         return found
 
     @cached_property
-    def routines(self) -> dict[str, Path]:
-        """The `.src` files by the names, upper case, of what others may call in them."""
-        sources = {name: path for name, path in self.paths.items() if name.endswith(".SRC")}
-        found = {name.removesuffix(".SRC"): path for name, path in sources.items()}
-        for path in sources.values():
+    def _public(self) -> dict[str, Path]:
+        """The `.src` files by the names, upper case, of their GLOBAL routines: all of them are read for it."""
+        found: dict[str, Path] = {}
+        for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
             for name in self.declared(path, GLOBAL_ROUTINE):
                 found.setdefault(name, path)
         return found
+
+    def called(self, code: str) -> set[Path]:
+        """Return the `.src` files that code without comments may call."""
+        names = {name.upper() for name in _CALL.findall(code)} - {name.upper() for name in _OWN.findall(code)}
+        paths = {name: self.paths.get(f"{name}.SRC") for name in names - PURE - STANDARD - RESERVED}
+        found = {self._public.get(name) if path is None else path for name, path in paths.items()}
+        return {path for path in found if path is not None}
 
     def reached(self, code: str) -> Iterator[str]:
         """Yield code, and that of the files that it calls, one through the other."""
@@ -60,12 +66,11 @@ class FolderFiles:
         while waiting:
             code = without_comments(waiting.pop())
             yield code
-            for name in sorted(called(code) & self.routines.keys()):
-                path = self.routines[name]
-                if path not in done:
-                    done.add(path)
-                    with suppress(ProgramError):  # what calls it says so
-                        waiting.append(self.source(path).text)
+            new = sorted(self.called(code) - done)
+            done.update(new)
+            for path in new:
+                with suppress(ProgramError):  # what calls it says so
+                    waiting.append(self.source(path).text)
 
     def source(self, path: Path) -> Source:
         """Return the text of a file.
@@ -95,12 +100,6 @@ class FolderFiles:
 def without_comments(text: str) -> str:
     """Return code without comments and strings."""
     return _NO_CODE.sub(" ", text)
-
-
-def called(code: str) -> set[str]:
-    """Return the names, upper case, of routines of other files that code without comments may call."""
-    names = {name.upper() for name in _CALL.findall(code)} - {name.upper() for name in _OWN.findall(code)}
-    return names - PURE - STANDARD - RESERVED
 
 
 def _listed(folders: Sequence[Path]) -> Iterator[Path]:

@@ -14,7 +14,7 @@ from pathlib import Path, PurePath
 
 from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.folder_files import FolderFiles, called, without_comments
+from postproc.dialects.krl.read.folder_files import FolderFiles, without_comments
 from postproc.dialects.krl.read.shared_data import GLOBAL_VARIABLE
 from postproc.errors import ProgramError
 from postproc.program import Document, Needed
@@ -63,7 +63,7 @@ class _Links:
     """Says which files a text names."""
 
     def __init__(self, beside: dict[str, Path], files: FolderFiles) -> None:
-        self.beside, self.routines = beside, files.routines
+        self.beside, self.files = beside, files
         self.variables: dict[str, set[str]] = {}
         for name, path in beside.items():
             for own in files.declared(path, GLOBAL_VARIABLE) if name.endswith(".DAT") else ():
@@ -72,7 +72,7 @@ class _Links:
     def of_code(self, text: str) -> set[str]:
         """Return the names of the files that code names, and of those that belong to them."""
         code = without_comments(text)
-        stems = {self.routines[name].stem.upper() for name in called(code) & self.routines.keys()}
+        stems = {path.stem.upper() for path in self.files.called(code)}
         if self.variables:
             used = {name.upper() for name in NAME.findall(code)} & self.variables.keys()
             stems |= {PurePath(file).stem for name in used for file in self.variables[name]}
