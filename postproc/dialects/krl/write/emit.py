@@ -151,7 +151,7 @@ class _Emitter:
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
         """Return the lines of some targets of a kind."""
-        numbers = xyzabc_from_pose(self.targets.pose[k])
+        numbers = xyzabc_from_pose(self.targets.pose.take(k, axis=0))
         end = _aggregate(numbers)
         tail: list[Part] = [where(b" C_DIS", approximated)]
         if self.carried is not None and self.noted[k].any():
