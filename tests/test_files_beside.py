@@ -55,7 +55,7 @@ def needs(name: str = "one") -> dict[str, bytes]:
     files["late.src"] = b"DEF late( )\nEND\n"
     for file, content in files.items():
         Path("in", file).write_bytes(content)
-    for file in ("other.src", "bystander.dat", "$config.dat", "background.sub"):
+    for file in ("other.src", "bystander.dat", "$config.dat", "background.sub", "bas.src"):
         Path("in", file).write_text(f"DEF {Path(file).stem}( )\nEND\n")
     return files
 

@@ -21,6 +21,7 @@ _LARGEST = 20_000_000
 GLOBAL_ROUTINE = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 _NO_CODE = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*")
 _CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.ASCII)
+_OF_THE_CONTROLLER = PURE | STANDARD | RESERVED | {"BAS"}
 _OWN = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 
 
@@ -56,7 +57,7 @@ class FolderFiles:
     def called(self, code: str) -> set[Path]:
         """Return the `.src` files that code without comments may call."""
         names = {name.upper() for name in _CALL.findall(code)} - {name.upper() for name in _OWN.findall(code)}
-        paths = {name: self.paths.get(f"{name}.SRC") for name in names - PURE - STANDARD - RESERVED}
+        paths = {name: self.paths.get(f"{name}.SRC") for name in names - _OF_THE_CONTROLLER}
         found = {self._public.get(name) if path is None else path for name, path in paths.items()}
         return {path for path in found if path is not None}
 
