@@ -405,6 +405,17 @@ class Needed(Struct, frozen=True):
     moves: bool
 
 
+class Unfollowed(Struct, frozen=True, eq=False):
+    """A call of a routine of another file that cuts, and whose motions are not known.
+
+    :param line: of the main file.
+    :param error: to be raised where a force acts there; it is about what cannot be followed.
+    """
+
+    line: int
+    error: ProgramError
+
+
 class Layout(Protocol):
     """Where the numbers of a program stand in its text: what a reader leaves for the writer of the same dialect."""
 
@@ -439,7 +450,7 @@ class Program(Struct, frozen=True, eq=False):
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
         there is what changes by one rotation. None: there are none.
     :param unresolved: motions that stay as they are: `motions` has no row for them.
-    :param unfollowed: what is wrong if the forces depend on all that cuts: routines that cut have no rows either.
+    :param unfollowed: calls of routines that cut, and have no rows either: an error if a force acts there.
     :param needed: files beside it that it needs to run, and that stay as they are.
     :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
     """
@@ -460,7 +471,7 @@ class Program(Struct, frozen=True, eq=False):
     carriage: Carriage | None = None
     with_path: Bools | None = None
     unresolved: tuple[Unresolved, ...] = ()
-    unfollowed: tuple[ProgramError, ...] = ()
+    unfollowed: tuple[Unfollowed, ...] = ()
     needed: tuple[Needed, ...] = ()
     layout: Layout | None = None
 

@@ -244,9 +244,7 @@ def test_a_routine_that_cannot_be_followed_is_refused_where_a_process_makes_its_
     done = run(command, "one.src", "--process", "cut.toml", *output, code=int(refused))
     if refused:
         assert "sub.src:3: " in done.stderr
-        assert (
-            "sub(), called in one.src, line 9, would stay uncorrected under force: the process does not" in done.stderr
-        )
+        assert "sub(), called in one.src, line 9, would stay uncorrected under force." in done.stderr
         assert "--keep-unresolved" in done.stderr
         assert not Path("out").exists()
         assert not Path("told.csv").exists()
@@ -258,6 +256,21 @@ def test_a_routine_that_cannot_be_followed_is_refused_where_a_process_makes_its_
             assert ("cuts nothing of the stock: sub.src, line 4" in done.stderr + done.stdout) is (
                 not operations and "LIN $POS_ACT" in kept
             )
+
+
+@pytest.mark.parametrize("command", ["convert", "predict"])
+@pytest.mark.parametrize(
+    ("rows", "refused"), [("6,8,300", True), ("7,7,300", True), ("6,8,0", False), ("6,6,300\n9,9,300", False)]
+)
+def test_lines_of_a_table_that_take_in_what_cannot_be_followed_are_refused(command, rows, refused):
+    lines = f"LIN {{X 0,Y 0,Z 0,A 0,B 0,C 180}}\nsub()\n{AXES}\nLIN {{X 60,Y 0,Z 0,A 0,B 0,C 180}}\n"
+    Path("one.src").write_text(f"DEF one()\n{START}\n{lines}END\n")
+    Path("sub.src").write_text("DEF sub()\nLIN {X 20,Y 0,Z 0,A 0,B 0,C 180}\nPTP $POS_ACT:{X 9}\nEND\n")
+    Path("f.csv").write_text("line,line_end,Fx,Fy,Fz\n" + "".join(f"{row},0,0\n" for row in rows.split("\n")))
+    done = run(command, "one.src", "--forces", "f.csv", "-o", "out", code=int(refused))
+    assert ("sub.src:3: " in done.stderr) is refused
+    assert ("sub(), called in one.src, line 7, would stay uncorrected under force." in done.stderr) is refused
+    assert refused or "sub() moves the robot" in done.stdout
 
 
 def test_motions_that_carry_no_force_are_not_refused_under_one():

@@ -53,7 +53,11 @@ class ForceTable(Struct, frozen=True, eq=False):
         """Return the forces of the motions that start on lines of the table, see `ForceSource`.
 
         :raises ForceError: a row names lines on which no motion starts.
+        :raises ProgramError: one names the line of a call of what cuts and is not followed.
         """
+        for each in program.unfollowed:
+            if np.any(self.wrench[(self.first <= each.line) & (each.line <= self.last)]):
+                raise each.error
         self._find_each(program)
         begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         if len(begins) == 0:

@@ -16,7 +16,7 @@ def refuse_unseen(program: Program) -> None:
     :raises ProgramError: there is one; it is about what cannot be followed.
     """
     if program.unfollowed:
-        raise together(program.unfollowed)
+        raise together(each.error for each in program.unfollowed)
 
 
 def kept(program: Program) -> list[Issue]:

@@ -1,15 +1,18 @@
 """Calls of routines of other files that cannot be followed: under force they must not stay uncorrected.
 
-Whether there is a force is known of comments here; of a process it is where that is used (`Program.unfollowed`).
+Whether there is a force is known of comments here; of tables and processes it is where these are used
+(`Program.unfollowed`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from postproc.dialects.krl.read.run import Apart, Run
 from postproc.errors import ProgramError
-from postproc.program import ForceNote
+from postproc.program import ForceNote, Unfollowed
 
 _KEEP = "--keep-unresolved leaves motions as they are"
 
@@ -22,7 +25,7 @@ def refuse_noted(run: Run) -> None:
     for call in run.moved:
         force = run.analysis.of(call.module, call.routine).force
         if force is not None and run.analysis.cuts(call.module, call.routine):
-            raise _loaded(run, call, f"a force comment stands in what it runs ({force})")
+            raise _loaded(run, call, f": a force comment stands in what it runs ({force})")
 
 
 def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
@@ -34,22 +37,22 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
     for call in run.moved:
         held = [note for line, note in notes if line < call.line][-1:]
         if held and any(held[0].wrench) and run.analysis.cuts(call.module, call.routine):
-            raise _loaded(run, call, "a force comment holds there")
+            raise _loaded(run, call, ": a force comment holds there")
 
 
-def unfollowed(run: Run) -> tuple[ProgramError, ...]:
-    """Return the errors for routines that are not followed and cut, if a process makes their forces."""
+def unfollowed(run: Run) -> tuple[Unfollowed, ...]:
+    """Return the calls of routines that are not followed and cut."""
     return tuple(
-        _loaded(run, call, "the process does not see what it cuts")
+        Unfollowed(int(run.source.shown(np.array([call.line]))[0]), _loaded(run, call))
         for call in run.moved
         if run.analysis.cuts(call.module, call.routine)
     )
 
 
-def _loaded(run: Run, call: Apart, force: str) -> ProgramError:
+def _loaded(run: Run, call: Apart, force: str = "") -> ProgramError:
     cause, at = call.cause, run.source.origin(call.line)
     where = f"{at.source.document.name}, line {at.line}"
-    problem = f"{cause.problem}; {call.name}(), called in {where}, would stay uncorrected under force: {force}"
+    problem = f"{cause.problem}; {call.name}(), called in {where}, would stay uncorrected under force{force}"
     advice = cause.advice or ""
     if "--keep-unresolved" not in advice:
         advice = f"{advice} {_KEEP}.".strip()
