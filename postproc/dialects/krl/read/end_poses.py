@@ -266,7 +266,8 @@ def end_poses(
 
     (pose,) = in_chunks(lambda numbers: (pose_from_xyzabc(numbers),), follower.numbers)
     start = Starts.of(frames, lambda motion: pose.take(motion, axis=0), start_flange, after)
-    ignored = led.constant & any_column(np.abs((given - follower.numbers)[:, 3:]) > _SAME)
+    ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(led.constant)
+    ignored[constant] = any_column(np.abs(given[constant, 3:] - follower.numbers[constant, 3:]) > _SAME)
     _check_ignored(source, line, given, moves, led.constant, ignored)
     return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored, follower.circles)
 
