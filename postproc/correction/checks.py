@@ -26,6 +26,8 @@ _TURNS = 1e-9
 """A motion that turns the tool by less than this [rad] does not turn it."""
 _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
+_OPEN_WAY = 0.2 * RAD_PER_DEG
+"""Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
@@ -92,6 +94,27 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
         (jump & ~flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
     ):
         yield from _first(program, sample.motion, bad, kind, f"{what}. {advice}")
+
+
+def half_turns(program: Program, turn: Array) -> Iterator[Issue]:
+    """A motion must not turn the tool by half a circle: the last digit would say which way round, and change it.
+
+    :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
+    """
+    m = program.motions
+    free = m.kind != PTP
+    if program.swivel is not None:
+        free &= ~program.swivel.active
+    rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
+    open_way = free & (rotation > np.pi - _OPEN_WAY)
+    yield from _first(
+        program,
+        np.arange(len(m)),
+        open_way,
+        "half-turn",
+        "this move turns the tool by about 180°: which way round is left to the last digit, so that a corrected target "
+        "may send it the other way. Write a target between that says the way.",
+    )
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:

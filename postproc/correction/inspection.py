@@ -60,6 +60,7 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     found = [
         *checks.start_joints(program, robot, start),
         *checks.first_move(program, path.joints, start),
+        *checks.half_turns(program, path.motions.segments.turn),
         *checks.posture(program, robot, sample, path.joints, start),
         *checks.status_and_turn(program, robot, sample, path.joints.q),
         *checks.joint_limits(program, robot, sample, q),
