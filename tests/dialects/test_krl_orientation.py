@@ -124,6 +124,57 @@ def test_scirc_goes_by_the_auxiliary_point_which_way_the_tool_turns(word, short,
             read(body(*text[:2], arc), data and data % numbers)
 
 
+CHOICES = [  # A, B, C at start, auxiliary point and end; whether the shorter way comes closer
+    ((180, 0, 180), (90, 0, 180), (170, 0, 180), False),
+    ((0, 0, 180), (120, 0, 180), (90, 0, 180), False),
+    ((180, 0, 180), (180, -80, 180), (180, 10, 180), False),
+    ((0, 0, 180), (-1, 0, 180), (90, 0, 180), False),
+    ((0, 0, 180), (91, 0, 180), (90, 0, 180), False),
+    ((0, 0, 180), (0, 0, 180), (90, 0, 180), True),
+    ((0, 0, 180), (90.005, 0, 180), (90, 0, 180), True),
+    ((0, 0, 180), (1, 0, 180), (90, 0, 180), True),
+    ((0, 0, 180), (45, 30, 170), (90, 0, 180), True),
+    ((0, 0, 180), (0, 0, 180), (0, 0, 180), True),
+]
+
+
+def comes_closer(start, auxiliary, end):
+    """Whether the shorter way does, of orientations every 0.02° on both; None where that does not tell."""
+    one, via, other = (Rotation.from_euler("ZYX", angles, degrees=True) for angles in (start, auxiliary, end))
+    turn = (other * one.inv()).as_rotvec()
+    size = np.linalg.norm(turn)
+    if size == 0.0:
+        return True
+    places = np.linspace(size - 2.0 * np.pi, size, 18001)
+    apart = np.degrees((Rotation.from_rotvec(np.outer(places, turn / size)) * one * via.inv()).magnitude())
+    short, long = apart[places >= -1e-9].min(), apart[places <= 1e-9].min()
+    if short < 0.02 or abs(short - long) < 0.03:
+        return None
+    return short < long
+
+
+def test_scirc_turns_by_the_way_that_comes_closer_anywhere_on_it():
+    rng = np.random.default_rng(5)
+    drawn = [tuple(angles) for angles in rng.uniform((-180, -80, -180), (180, 80, 180), (180, 3)).round(3).tolist()]
+    groups = [drawn[i : i + 3] for i in range(0, len(drawn), 3)]
+    seen = set()
+    for start, auxiliary, end, closer in [*CHOICES, *((*group, comes_closer(*group)) for group in groups)]:
+        known = comes_closer(start, auxiliary, end)
+        assert known in (None, closer)
+        seen.add(known)
+        points = ["A {:.3f},B {:.3f},C {:.3f}".format(*angles) for angles in (start, auxiliary, end)]
+        lines = (
+            f"LIN {{X 0,Y 0,Z 0,{points[0]}}}",
+            f"SCIRC {{X 50,Y -50,Z 0,{points[1]}}},{{X 100,Y 0,Z 0,{points[2]}}}",
+        )
+        if closer is False:
+            with pytest.raises(ProgramError, match="closer to the longer way round"):
+                read(body(*lines))
+        elif closer:
+            assert len(read(body(*lines)).motions) == 2
+    assert seen == {None, True, False}
+
+
 HALF = "{X 50,Y -50,Z 0,A %g,B 0,C 180},{X 100,Y 0,Z 0,A %g,B 0,C 180}"
 MODE = "$CIRC_MODE.AUX_PT.ORI"
 LEADING = [  # the circle turns by 100°, half of it up to the auxiliary point
@@ -366,7 +417,7 @@ IGNORED = f"{MODE}=#IGNORE"
         (",A 100,B 0,C 180", 0, " c_spl", f" WITH {IGNORED} c_spl"),
         (",A 100,B 0,C 180", 0, " C_DIS C_DIS", f" WITH {IGNORED} C_DIS C_DIS"),
         (",A 17,B 0,C 180", 170, "", f" WITH {IGNORED}"),
-        (",A 70,B 0,C 180", 75, " C_SPL", " C_SPL"),
+        (",A 70,B 0,C 180", 75, " C_SPL", f" WITH {IGNORED} C_SPL"),
         (",A 100,B 0,C 180", 0, f" WITH {IGNORED}", f" WITH {IGNORED}"),
         ("", 100, " C_SPL", " C_SPL"),
     ],

@@ -1,9 +1,9 @@
 """Orientations of the auxiliary points of SCIRC: by which way the tool turns.
 
 KUKA, KSS 8.x, `$CIRC_MODE.AUX_PT.ORI`: under #CONSIDER, the default, the tool turns from the start to the end by the
-shorter or the longer rotation, whichever comes closer to the orientation of the auxiliary point. Under #INTERPOLATE it
-takes on that orientation there; how it turns on both sides is not published. Under #IGNORE, and under
-`$ORI_TYPE=#IGNORE`, it turns by the shorter rotation. CIRC disregards auxiliary orientations.
+shorter or the longer rotation, whichever comes closer to the orientation of the auxiliary point: anywhere on the way.
+Under #INTERPOLATE it takes on that orientation there; how it turns on both sides is not published. Under #IGNORE, and
+under `$ORI_TYPE=#IGNORE`, it turns by the shorter rotation. CIRC disregards auxiliary orientations.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from postproc.frames import (
     RAD_PER_DEG,
     Array,
     angle_between,
+    hat,
     norm,
     pose_from_xyzabc,
     rotation_from_vector,
@@ -42,13 +43,10 @@ _ADVICE = (
     "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC.",
     "Use #CONSIDER or #IGNORE, or divide the circle at its auxiliary point into two.",
 )
-_CLOSER = 1e-6
-"""Angle [rad] by which the longer way must come closer: less is rounding."""
+_STANDS = 1e-6
+"""A tool that turns by less than this [rad] keeps its orientation: a longer way has no axis."""
 _ON_THE_WAY = 0.01 * RAD_PER_DEG
-"""An orientation closer than this [rad] to where the tool turns anyway is on its way."""
-_NEAR = 80.0 * RAD_PER_DEG
-"""An auxiliary orientation closer than this [rad] to start and end asks for the shorter way on all pieces of the
-circle, also when it is corrected: where two rotations are within 90° of a third, so is all that is between them."""
+"""An orientation closer than this [rad] to where the tool turns anyway is on its way; one must come closer by this."""
 
 
 def left_out(
@@ -97,19 +95,36 @@ def left_out(
     back = np.where(with_path, -1.0, 0.0)[:, None] * axis  # as seen from the path, where that turns the tool
     via, last = rotation_from_vector(half[:, None] * back) @ via, rotation_from_vector(angle[:, None] * back) @ last
     short = rotation_vector(last @ np.swapaxes(first, 1, 2))
-    size = norm(short)
-    beyond = 1.0 - 2.0 * np.pi / np.maximum(size, _CLOSER)
-    shorter, longer = (
-        angle_between(rotation_from_vector((part * half / angle)[:, None] * short) @ first, via)
-        for part in (np.ones(len(own)), beyond)
-    )
-    turns = (longer < shorter - _CLOSER) & (size >= _CLOSER)
-    for i in np.flatnonzero(np.where(strict[own], shorter > _ON_THE_WAY, turns)).tolist():
+    passes = rotation_from_vector((half / angle)[:, None] * short) @ first
+    leads = np.where(strict[own], angle_between(passes, via) > _ON_THE_WAY, _longer(first, short, via))
+    for i in np.flatnonzero(leads).tolist():
         settings.refuse_uncertain(states[state[own[i]]], ["auxiliary"])
         line, through = int(rows.line[circular[own[i]]]), bool(strict[own[i]])
         raise source.line_error(_THROUGH if through else _LONGER, line, _ADVICE[through])
-    out[own] = strict[own] | (np.maximum(angle_between(first, via), angle_between(last, via)) > _NEAR)
+    out[own] = True  # what lies on the whole way need not lie on those of its pieces
     return out
+
+
+def _longer(first: Array, short: Array, via: Array) -> Bools:
+    """Return where the longer way round (n,) comes as close to an orientation as the shorter, or closer.
+
+    From R₀ by φ about k, cos of the angle to R_v is a + ρ·cos(φ − φ₀): the place of a way nearest φ₀ is the nearest.
+
+    :param first: R₀ (n, 3, 3); short: shorter rotation (n, 3) [rad], about k; via: R_v (n, 3, 3).
+    """
+    size = norm(short)
+    axis = short / np.maximum(size, _STANDS)[:, None]
+    apart = via @ np.swapaxes(first, 1, 2)
+    cosine = np.trace(apart, axis1=1, axis2=2) - np.einsum("ni,nij,nj->n", axis, apart, axis)
+    sine = -np.einsum("nij,nji->n", hat(axis), apart)
+    nearest = np.arctan2(sine, cosine)
+
+    def angle(middle: Array, half: Array) -> Array:
+        place = middle + np.clip((nearest - middle + np.pi) % (2.0 * np.pi) - np.pi, -half, half)
+        return angle_between(rotation_from_vector(place[:, None] * axis) @ first, via)
+
+    shorter, longer = angle(0.5 * size, 0.5 * size), angle(0.5 * size + np.pi, np.pi - 0.5 * size)
+    return (shorter > _ON_THE_WAY) & (shorter > longer - _ON_THE_WAY) & (size >= _STANDS)
 
 
 def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:

@@ -5,9 +5,9 @@ target, so that a correction of it, or of the one before, would be ignored; unde
 of its own. Such motions get ``$ORI_TYPE=#VAR`` for themselves alone: spline motions by WITH, others by lines around as
 many of them as stand one behind the other.
 
-The auxiliary point of a SCIRC keeps its A, B, C, which were meant for the whole circle as it was: where they might lead
-the tool elsewhere once the circle is corrected, or divided, it ignores them (``$CIRC_MODE.AUX_PT.ORI=#IGNORE``). What
-only SCIRC may set is left out where lines take its place.
+The auxiliary point of a SCIRC keeps its A, B, C, which were meant for the whole circle as it was: once the circle is
+corrected, or divided, it ignores them (``$CIRC_MODE.AUX_PT.ORI=#IGNORE``). What only SCIRC may set is left out where
+lines take its place.
 """
 
 from __future__ import annotations
