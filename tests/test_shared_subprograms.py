@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from postproc import cell, files
 from postproc.cli import main
 from postproc.dialects.krl.callers import callers
 from postproc.errors import InputError
 from postproc.files import write_whole
+from postproc.jobs import shared_files
+from postproc.jobs.inputs import find_jobs
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n"
@@ -168,6 +172,76 @@ def test_which_files_of_a_folder_others_call(files, called, end, tmp_path):
 def test_a_subprogram_that_is_also_a_program_of_the_run_is_named():
     told = run("convert", "one.src", "sub.src", "-o", "out", code=1).stderr
     assert "one.src calls sub.src, which is also converted as a program of its own" in told
+
+
+def test_those_that_may_correct_one_file_in_common_are_one_line():
+    Path("more").mkdir()
+    Path("two.src").write_text("DEF two()\ninner()\nEND\n")
+    Path("inner.src").write_text("DEF inner()\nSub ( )\nEND\n")
+    Path("four.src").write_text("DEF four()\ntools()\n; sub()\nLIN {X 1}\nEND\n")
+    Path("five.src").write_text("DEF five()\ntools()\nLast()\nEND\n")
+    Path("tools.src").write_text("DEF tools()\n$OUT[1]=TRUE\nEND\n")
+    Path("more/last.src").write_text("DEF last()\nPTP HOME\nEND\n")
+    Path("six.src").write_text("DEF six()\nlast()\nEND\n")
+    Path("cell.toml").write_text(CELL.read_text() + '\n[krl]\nsearch = ["more"]\n')
+
+    def lines(*names, **keywords):
+        found = shared_files.lines(find_jobs([f"{name}.src" for name in names], **keywords), cell.load("cell.toml"))
+        return [" ".join(job.program.stem for job in line) for line in found]
+
+    assert lines("five", "four", "one", "six", "two") == ["five six", "four", "one two"]
+    shutil.copy("four.src", "more/seven.src")
+    assert lines("four", "one", "more/seven", output=Path("out")) == ["four one seven"]
+    assert lines("four", "one", "more/seven") == ["four", "one", "seven"]
+
+
+def test_the_first_has_the_file_however_long_it_takes():
+    text = Path("one.src").read_text()
+    Path("one.src").write_text(text.replace("sub()\n", "sub()\n" + "LIN {X 20,Y 30}\nLIN {X 30,Y 30}\n" * 300))
+    for _ in range(2):
+        told = run("convert", "one.src", "two.src", "three.src", "-o", "out", "--jobs", "2", code=1).stderr
+        assert "sub.src: this file was written for one, which calls it too, and is corrected otherwise for two." in told
+        assert {path.name for path in Path("out").glob("*.src*")} == {"one.src", "three.src", "sub.src"}
+        run("predict", "out/one.src", "-o", "told")
+
+
+def test_what_is_seen_of_a_shared_file_stays_so_until_it_is_written(monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+    seen = []
+
+    def looked(function):
+        def call(*arguments, **keywords):
+            other = os.open("out", os.O_RDONLY)  # as another process
+            try:
+                fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                seen.append("free")
+            except BlockingIOError:
+                seen.append("waits")
+            finally:
+                os.close(other)
+            return function(*arguments, **keywords)
+
+        return call
+
+    monkeypatch.setattr(shared_files, "check_shared", looked(shared_files.check_shared))
+    monkeypatch.setattr(files, "write_whole", looked(files.write_whole))
+    run("convert", "one.src", "-o", "out")
+    assert seen == ["waits", "waits"]
+    program("four", 100)
+    Path("four.src").write_text(Path("four.src").read_text().replace("sub()\n", ""))
+    run("convert", "four.src", "-o", "out")
+    assert seen[2:] == ["free", "free"]
+
+
+def test_a_shared_file_that_was_changed_leaves_what_is_there():
+    run("convert", "one.src", "three.src", "-o", "out")
+    with Path("out/sub.src").open("a") as file:
+        file.write("; by hand\n")
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    told = run("convert", "one.src", "three.src", "-o", "out", code=1).stderr
+    assert told.count("not written by postproc, or changed since: out/sub.src. Nothing was written.") == 2
+    after = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    assert {**after, "index.html": b""} == {**before, "index.html": b""}
 
 
 def test_a_file_that_came_meanwhile_is_not_replaced_unless_it_is_the_same(tmp_path):

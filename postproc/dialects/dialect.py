@@ -111,3 +111,7 @@ class Calling(Protocol):
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
         """Return which of some files are but called by others of them, and by which."""
         ...
+
+    def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
+        """Return the files with motions that each of some programs of one folder may call, one through the other."""
+        ...

@@ -12,11 +12,11 @@ from postproc.files.records import (
     sealed,
     with_record,
 )
-from postproc.files.writing import MeanwhileError, remove_leftovers, toml, write_whole
+from postproc.files.writing import alone_in, remove_leftovers, toml, write_whole
 
 __all__ = [
     "FileEntry",
-    "MeanwhileError",
+    "alone_in",
     "convert",
     "foreign",
     "foreign_single",

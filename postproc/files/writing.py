@@ -23,6 +23,11 @@ if sys.platform == "win32":
 
     def _lock(_file: BinaryIO) -> None:
         """Nothing to do: an open file cannot be removed on Windows."""
+
+    @contextlib.contextmanager
+    def alone_in(_folder: Path) -> Iterator[None]:
+        """Nothing to do: folders cannot be locked on Windows."""
+        yield
 else:
     import fcntl
 
@@ -30,9 +35,23 @@ else:
         """Lock a file until it is closed, or its process ends however that may be; `OSError` if another has."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
+    @contextlib.contextmanager
+    def alone_in(folder: Path) -> Iterator[None]:
+        """Wait until no other process is in here with a folder, which is made if needed; each is let in alone.
 
-class MeanwhileError(InputError):
-    """A file came to a folder since it was looked at, which another process writes into."""
+        For files that several programs need: what was seen of them stays so until they are written. Where there are no
+        locks, as on some network drives, none waits.
+        """
+        descriptor = None
+        try:
+            with contextlib.suppress(OSError):
+                folder.mkdir(parents=True, exist_ok=True)
+                descriptor = os.open(folder, os.O_RDONLY)
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield
+        finally:
+            if descriptor is not None:
+                os.close(descriptor)
 
 
 _STAGE, _LOCK = (".postproc-", ".tmp"), "lock"
@@ -58,8 +77,7 @@ def write_whole(
     :param shared: files that another process may write at the same time, and what stood there when it was looked at
         (None: nothing). What came there since, and is not what is written here, is not replaced.
     :returns: the paths written.
-    :raises InputError: the folder or a file cannot be written; the message names it.
-    :raises MeanwhileError: a shared file came there since.
+    :raises InputError: the folder or a file cannot be written, or a shared file came there since; the message names it.
     """
     with interrupts.held_back():
         at = folder
@@ -78,7 +96,7 @@ def write_whole(
                 try:
                     _replace(stage, folder, list(contents), obsolete, shared or {})
                 except FileExistsError as cause:
-                    raise MeanwhileError(
+                    raise InputError(
                         "a file of another program came there meanwhile",
                         file=str(cause.filename),
                         advice="Nothing was written. Write this program into another folder with -o.",

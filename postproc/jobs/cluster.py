@@ -43,8 +43,8 @@ class Cluster(Struct, frozen=True):
     key: Path | None = None
 
 
-def convert_on_cluster(jobs: Sequence[Job], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
-    """Work through jobs on a cluster; yield each outcome as it comes.
+def convert_on_cluster(lines: Sequence[Sequence[Job]], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
+    """Work through jobs on a cluster, those of a line one after the other; yield each outcome as it comes.
 
     When a signal asks for the end (`interrupts.came`), what waits is cancelled; the cluster finishes what it has begun.
 
@@ -52,7 +52,7 @@ def convert_on_cluster(jobs: Sequence[Job], settings: Settings, cluster: Cluster
     """
     client = _connected(cluster)
     try:
-        yield from _outcomes(client, jobs, settings, cluster)
+        yield from _outcomes(client, lines, settings, cluster)
     finally:
         client.close(timeout=2)
 
@@ -106,21 +106,28 @@ def _security(cluster: Cluster) -> Any:
     return security
 
 
-def _outcomes(client: Any, jobs: Sequence[Job], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
+def _outcomes(client: Any, lines: Sequence[Sequence[Job]], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
     from postproc.jobs.pool import work_alone  # what runs processes is imported where there are some
 
     done: SimpleQueue[Any] = SimpleQueue()
     settings = replace(settings, cell=settings.cell.resolve())
-    waiting: dict[Any, Job] = {}
-    for job in jobs:
-        future = client.submit(work_alone, _absolute(job), settings, pure=False)
-        waiting[future] = job
+    waiting: dict[Any, Sequence[Job]] = {}
+
+    def begin(line: Sequence[Job]) -> None:
+        future = client.submit(work_alone, _absolute(line[0]), settings, pure=False)
+        waiting[future] = line
         future.add_done_callback(done.put)
+
+    for line in lines:
+        begin(line)
     alive = time.monotonic()
     while waiting:
         with suppress(Empty):
             future = done.get(timeout=_POLL)
-            yield _outcome(future, waiting.pop(future), cluster)
+            job, *later = waiting.pop(future)
+            if later and not interrupts.came():
+                begin(later)
+            yield _outcome(future, job, cluster)
             continue
         if interrupts.came():
             client.cancel(list(waiting))
@@ -128,7 +135,7 @@ def _outcomes(client: Any, jobs: Sequence[Job], settings: Settings, cluster: Clu
         if client.status == "running" and client.scheduler_info()["workers"]:
             alive = time.monotonic()
         elif time.monotonic() > alive + _PATIENCE:
-            for job in waiting.values():
+            for job in (job for line in waiting.values() for job in line):
                 yield _lost(job, cluster)
             return
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
     from postproc.machining import ProcessForces
 
 
-_TRIES = 20
-"""So often a program is written anew because another process came before it with a file that both need."""
-
-
 def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
     """Convert or predict one program and write its files, all or none.
 
@@ -41,15 +38,19 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
 
     :raises KeyboardInterrupt: nothing was written.
     """
-    mode, result, process = settings.mode, None, None
-    for left_to_try in reversed(range(_TRIES)):
+    mode = settings.mode
+    with contextlib.ExitStack() as turn:
         try:
             with interrupts.heard():
-                if result is None:
-                    name = None if job.keeps_text else job.stem
-                    program = read_program(job.program, robot, cell, job.dialect, name)
-                    result, process = _result(job, settings, cell, robot, program)
-                made = None if result.failed else _made(job, settings, cell, result, process)
+                name = None if job.keeps_text else job.stem
+                program = read_program(job.program, robot, cell, job.dialect, name)
+                result, process = _result(job, settings, cell, robot, program)
+                if result.failed:
+                    made = None
+                else:
+                    if result.program.needed or subprograms(result, job):
+                        turn.enter_context(files.alone_in(job.output))
+                    made = _made(job, settings, cell, result, process)
         except Exception as cause:
             if isinstance(cause, SubprogramError) and not job.named:
                 return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
@@ -61,10 +62,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
                 written = files.write_whole(job.output, made.contents, made.obsolete, made.shared)
             return _written(job, made, written, mode)
         except Exception as cause:
-            if isinstance(cause, files.MeanwhileError) and left_to_try:
-                continue  # what another program wrote there is looked at, as if it had been there before
             return replace(failure(job, cause), earlier=outputs.left([job], mode))
-    raise AssertionError("the last try returns")  # pragma: no cover
 
 
 def _written(job: Job, made: _Made, written: Sequence[Path], mode: Mode) -> Outcome:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,9 @@ def convert_all(
 
     A program that fails does not stop the others. After an interrupt (Ctrl-C) no program is begun; those that are being
     written are finished, of the others there is nothing, and `KeyboardInterrupt` is raised when all that is written has
-    been yielded. A cluster finishes the programs that its workers have begun. When all is done a folder of several
-    programs gets an overview, `index.html`.
+    been yielded. A cluster finishes the programs that its workers have begun. Programs that may correct one file in
+    common are worked on one after the other: the first of them has it, however many work. When all is done a folder of
+    several programs gets an overview, `index.html`.
 
     :param jobs: from `find_jobs`.
     :param settings: for all of them.
@@ -44,7 +46,10 @@ def convert_all(
         for folder in {job.output for job in own}:
             remove_leftovers(folder)
         done: list[Outcome] = []
-        for outcome in _outcomes(own, settings, workers, cluster, lambda job: convert_one(job, settings, cell, robot)):
+        apart = settings.mode == "predict" or (workers == 1 and cluster is None)
+        lines = [[job] for job in own] if apart else shared_files.lines(own, cell)
+        convert = partial(convert_one, settings=settings, cell=cell, robot=robot)
+        for outcome in _outcomes(lines, settings, workers, cluster, convert):
             done.append(outcome)
             yield outcome
         if len(done) == len(own):
@@ -71,22 +76,25 @@ def _with_callers(job: Job, done: Sequence[Outcome], settings: Settings) -> Outc
 
 
 def _outcomes(
-    jobs: Sequence[Job],
+    lines: Sequence[Sequence[Job]],
     settings: Settings,
     workers: int,
     cluster: Cluster | None,
     convert: Callable[[Job], Outcome],
 ) -> Iterator[Outcome]:
-    """Yield the outcomes of jobs; `convert` does one in this process."""
+    """Yield the outcomes of jobs, those of a line in its order; `convert` does one in this process."""
     if cluster is not None:
         from postproc.jobs.cluster import convert_on_cluster  # like what runs processes, imported where there is one
 
-        yield from convert_on_cluster(jobs, settings, cluster)
+        yield from convert_on_cluster(lines, settings, cluster)
         return
-    waiting = deque(jobs)
-    if workers > 1 and len(jobs) > 1:
+    waiting = deque(lines)
+    if workers > 1 and len(lines) > 1:
         from postproc.jobs.pool import Pool
 
-        yield from Pool(waiting, settings).outcomes(min(workers, len(jobs)))
+        yield from Pool(waiting, settings).outcomes(min(workers, len(lines)))
     while waiting and not interrupts.came():
-        yield convert(waiting.popleft())
+        job, *later = waiting.popleft()
+        if later:
+            waiting.appendleft(later)
+        yield convert(job)

@@ -118,11 +118,18 @@ def set_aside(job: Job, mode: Mode) -> str:
     """
     there = _there(job, _of_run(job, mode))
     shared = of_others(job, there, mode)
+    changed = _foreign(job, [name for name in there if name not in shared], mode)
+    changed += [
+        path
+        for name, other in shared.items()
+        for path in _foreign(job, [name], mode)
+        if foreign(job.output, [path.name], f"{other}.report.json")
+    ]
     there = [name for name in there if name not in shared]
     inputs = {_key(path) for path in job.reads()}
     if not there:
         return ""
-    if _foreign(job, there, mode) or any(_key(job.output / name) in inputs for name in there):
+    if changed or any(_key(job.output / name) in inputs for name in there):
         return left([job], mode)
     try:
         for path in (job.output / name for name in there):

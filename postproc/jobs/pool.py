@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -87,11 +87,11 @@ def work_alone(job: Job, settings: Settings) -> Outcome:
 class Pool:
     """Workers, each driven by a thread that gives it one job after the other.
 
-    :param waiting: jobs, taken from the left.
+    :param waiting: jobs, taken from the left; those of one line one after the other.
     :param settings: for all of them.
     """
 
-    def __init__(self, waiting: deque[Job], settings: Settings) -> None:
+    def __init__(self, waiting: deque[Sequence[Job]], settings: Settings) -> None:
         self._waiting, self._settings = waiting, settings
         self._outcomes: SimpleQueue[Outcome | None] = SimpleQueue()
         self._workers: set[Worker] = set()
@@ -132,22 +132,25 @@ class Pool:
         """Have jobs done until there are none, or the end is asked for."""
         worker = None
         try:
-            while (job := self._next()) is not None:
+            while (line := self._next()) is not None:
+                job, *later = line
                 try:
                     worker = worker or self._started()
                     self._outcomes.put(worker.work(job, self._settings))
                 except OSError:  # no process can be started: the others do it, or the process that waits
-                    self._waiting.appendleft(job)
+                    self._waiting.appendleft(line)
                     break
                 except EOFError:
                     code, worker = self._ended(worker), None
                     if not self._ending:
                         self._outcomes.put(_died(job, code))
+                if later:
+                    self._waiting.appendleft(later)
             self._ended(worker)
         finally:
             self._outcomes.put(None)
 
-    def _next(self) -> Job | None:
+    def _next(self) -> Sequence[Job] | None:
         try:
             return None if self._ending else self._waiting.popleft()
         except IndexError:

@@ -11,7 +11,10 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from postproc import provenance
+from postproc.cell import Cell
 from postproc.correction import Mode
+from postproc.dialects import registry
+from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import InputError, ProgramError
 from postproc.files import foreign, noted, recorded
@@ -132,6 +135,34 @@ def _other_reports(job: Job, mode: Mode) -> Iterator[Path]:
     for record in sorted(job.output.glob("*.report.json")):
         if record.name != job.report(mode):
             yield record
+
+
+def lines(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
+    """Return jobs in lines: those of one line may correct one file in common, and come one after the other.
+
+    Of programs that come from different folders into one, any may.
+    """
+    places: dict[tuple[Path, str], list[Job]] = {}
+    for job in jobs:
+        places.setdefault((job.output.resolve(), job.dialect), []).append(job)
+    line_of = {job.program: [job] for job in jobs}
+    for (_, dialect), there in places.items():
+        kind = registry.by_name(dialect)
+        if len(there) == 1 or not isinstance(kind, Calling):
+            continue
+        paths = [job.program for job in there]
+        one_folder = len({path.parent.resolve() for path in paths}) == 1
+        shared = kind.moving(paths, cell) if one_folder else {path: {there[0].output} for path in paths}
+        first: dict[Path, Job] = {}
+        for job in there:
+            for path in shared[job.program]:
+                one, other = line_of[first.setdefault(path, job).program], line_of[job.program]
+                if one is not other:
+                    one += other
+                    line_of |= dict.fromkeys((each.program for each in other), one)
+    unique = {id(line): line for line in line_of.values()}
+    order = {job.program: number for number, job in enumerate(jobs)}
+    return [sorted(line, key=lambda job: order[job.program]) for line in unique.values()]
 
 
 def with_earlier(jobs: Sequence[Job], mode: Mode) -> list[Job]:

@@ -1,4 +1,4 @@
-"""Which files of a folder are subprograms of others: found by the names in their texts, before any of them is read."""
+"""Which files are subprograms of others: found by the names in their texts, before any of them is read."""
 
 from __future__ import annotations
 

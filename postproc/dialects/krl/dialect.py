@@ -17,6 +17,7 @@ from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined, part_of
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
+from postproc.dialects.krl.read.folder_files import moving
 from postproc.dialects.text import decode
 from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
@@ -148,6 +149,10 @@ class Krl:
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
         """Return which of some files of a folder are but called by others of them, and by which."""
         return callers(paths)
+
+    def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
+        """Return the files with motions that each of some programs of one folder may call."""
+        return moving(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -21,6 +21,7 @@ _LARGEST = 20_000_000
 GLOBAL_ROUTINE = re.compile(rb"^[ \t]*GLOBAL[ \t]+DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 _NO_CODE = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*")
 _CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.ASCII)
+_MOTION = re.compile(r"\bS?(?:PTP|LIN|CIRC|SPL)", re.I)
 _OF_THE_CONTROLLER = PURE | STANDARD | RESERVED | {"BAS"}
 _OWN = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(\w+)", re.I | re.M)
 
@@ -101,6 +102,32 @@ class FolderFiles:
 def without_comments(text: str) -> str:
     """Return code without comments and strings."""
     return _NO_CODE.sub(" ", text)
+
+
+def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path]]:
+    """Return the files with motions that each of some programs of one folder may call, one through the other.
+
+    :param search: folders in which they are looked for after that of the programs.
+    """
+    files = FolderFiles([paths[0].parent, *search])
+
+    @cache
+    def called(path: Path) -> tuple[bool, set[Path]]:
+        try:
+            code = without_comments(decode(path.name, path.read_bytes()).text)
+        except (OSError, ProgramError):  # what calls it says so
+            return False, set()
+        return _MOTION.search(code) is not None, files.called(code)
+
+    found: dict[Path, set[Path]] = {}
+    for path in paths:
+        reached: set[Path] = set()
+        new = called(path)[1]
+        while new:
+            reached |= new
+            new = set().union(*(called(other)[1] for other in new)) - reached
+        found[path] = {other for other in reached if called(other)[0]}
+    return found
 
 
 def _listed(folders: Sequence[Path]) -> Iterator[Path]:
