@@ -96,7 +96,7 @@ def test_a_part_that_cannot_be_read_alone_is_told_as_a_part(marked):
 
 
 def subprograms(declared: str = "", inside: str = "", force: str = "") -> None:
-    head = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n;FORCE FX=100 FY=-150 FZ=80\n"
+    head = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n;FORCE FX=100 FY=-150 FZ=80\n"
     lines = "".join(f"LIN {{X {n},Y 0,Z 0,A 0,B 0,C 180}}\n" for n in range(30))
     Path("job.src").write_text(f"DEF job( )\n{declared}{head}{lines}{force}cut( )\nEND\n")
     Path("cut.src").write_text(f"DEF cut( )\n{inside}{lines}END\n")
@@ -212,7 +212,7 @@ def test_a_renamed_program():
     assert {"jobMain.src", "job1.src", "job2.src"} <= sources()
     Path("long.src").write_bytes(
         b"DEF long( )\r\n$VEL.CP=0.05\r\n"
-        + b"".join(b"LIN {X %d,Y 0,Z 0,A 0,B 0,C 180}\r\n" % n for n in range(40))
+        + b"".join(b"LIN {X %d,Y 0,Z 0,A 20,B 0,C 180}\r\n" % n for n in range(40))
         + b"END\r\n"
     )
     run("convert", "long.src", "-o", "out", "--name", "other")
@@ -231,7 +231,7 @@ def test_rapid_is_not_divided():
 def test_a_subprogram_of_another_file_is_written_beside_the_parts_and_read_back():
     pose = "Y 0,Z 0,A 0,B 0,C 180}"
     lines = "".join(f"LIN {{X {n},{pose} C_DIS\nsub()\n" for n in range(12))
-    joints = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+    joints = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}"
     Path("cut.src").write_text(
         f"DEF cut()\nBAS(#INITMOV,0)\n$VEL.CP=0.05\n{joints}\n;FORCE FX=200 FY=0 FZ=-100\n{lines}END\n"
     )

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from postproc.cli import main
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
-START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n"
+START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
 FRAMES = (
     b"\xef\xbb\xbf&ACCESS RVP\r\nDEF frames( )\r\n;f\xc3\xbcr alle\r\nmore( )\nEND\r\n"
     b"DEF never( )\r\nlate( )\r\nEND\r\n"
@@ -187,7 +187,7 @@ def test_what_is_not_followed_is_not_left_to_what_was_corrected_for_another():
     text = "GLOBAL INTERRUPT DECL 3 WHEN $IN[1]==TRUE DO halt3( )\n"
     Path("in/halt3.src").write_text("DEF halt3( )\nRESUME\nEND\n")
     Path("in/keeps.src").write_text(
-        f"DEF keeps( )\n{text}{START}sub( )\nPTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}\n"
+        f"DEF keeps( )\n{text}{START}sub( )\nPTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}}\n"
         ";FORCE FX=200 FY=0 FZ=0\nLIN {X 0,Y 0,Z 10,A 0,B 0,C 180}\nEND\n"
     )
     told = run("convert", "in/keeps.src", "-o", "out", code=1).stderr

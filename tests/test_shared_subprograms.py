@@ -19,7 +19,7 @@ from postproc.jobs import shared_files
 from postproc.jobs.inputs import find_jobs
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
-START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n"
+START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
 
 
 @pytest.fixture(autouse=True)
@@ -277,7 +277,7 @@ def test_a_routine_of_another_file_that_cannot_be_followed_is_refused_under_forc
 @pytest.mark.parametrize("motion", ["LIN $POS_ACT:{X 9}", "sub()"])
 def test_without_force_it_stays_with_a_warning_that_comes_first_and_names_the_cause(motion):
     Path("jobs").mkdir()
-    text = Path("one.src").read_text().replace("sub()", ";FORCE OFF\nsub()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}")
+    text = Path("one.src").read_text().replace("sub()", ";FORCE OFF\nsub()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}")
     Path("jobs/one.src").write_text(text)
     Path("jobs/sub.src").write_text(f"DEF sub()\nLIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\n{motion}\nEND\n")
     done = run("convert", "jobs", "-o", "out")
@@ -300,7 +300,7 @@ rpm = 8000
 box = { X = [0.0, 100.0], Y = [-40.0, 40.0], Z = [-20.0, 3.0] }
 resolution_mm = 1.0
 """
-AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}"
 
 
 @pytest.mark.parametrize("command", ["convert", "predict", "forces"])
@@ -348,9 +348,9 @@ def test_lines_of_a_table_that_take_in_what_cannot_be_followed_are_refused(comma
 
 
 def test_motions_that_carry_no_force_are_not_refused_under_one():
-    text = Path("one.src").read_text().replace("LIN {X 50", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nLIN {X 50")
+    text = Path("one.src").read_text().replace("LIN {X 50", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\nLIN {X 50")
     Path("one.src").write_text(text)
-    Path("sub.src").write_text("DEF sub()\nPTP {A1 9,A2 -70,A3 110,A4 0,A5 50,A6 0}\nPTP XUNKNOWN\nEND\n")
+    Path("sub.src").write_text("DEF sub()\nPTP {A1 9,A2 -70,A3 110,A4 0,A5 50,A6 20}\nPTP XUNKNOWN\nEND\n")
     run("convert", "one.src", "-o", "out")
 
 
@@ -377,7 +377,7 @@ def test_a_subprogram_that_was_changed_is_replaced_with_all_programs_of_the_run_
 
 def test_a_file_that_another_program_calls_stays_when_that_of_its_name_is_divided():
     Path("one.src").write_text(f"DEF one( )\n{START}sub()\nEND\n")
-    lines = "".join(f"LIN {{X {20 + k},Y 20,Z 0,A 0,B 0,C 180}}\n" for k in range(8))
+    lines = "".join(f"LIN {{X {20 + k},Y 20,Z 0,A 50,B 0,C 180}}\n" for k in range(8))
     Path("sub.src").write_text(f"DEF sub( )\n{lines}END\n")
     run("convert", "one.src", "-o", "out")
     run("convert", "sub.src", "-o", "out", "--overwrite")
