@@ -84,7 +84,8 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
         )
     knots = _joined(program, process, found)
     content = process_forces.summary(program, found, int(np.isnan(knots[1]).sum()))
-    contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, *knots)}
+    rows = machining.one_move_a_line(program, path, place.spindle, knots)
+    contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, *rows)}
     if request.stock_out is not None:
         if found is None:
             raise InputError("--stock-out without [material]", advice="What is left is known where the tool is swept.")

@@ -4,6 +4,7 @@
 them from a small table instead. Both start from `load`, which reads process.toml.
 """
 
+from postproc.machining.by_lines import one_move_a_line
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.material import Entry, table
 from postproc.machining.operations import OperationForces, by_operation
@@ -23,5 +24,6 @@ __all__ = [
     "by_operation",
     "estimate",
     "load",
+    "one_move_a_line",
     "table",
 ]

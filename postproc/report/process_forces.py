@@ -53,18 +53,16 @@ class ForcesSummary(TypedDict):
 
 
 def forces_csv(program: Program, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array) -> Iterator[bytes]:
-    """Yield forces.csv in pieces: places along motions in order, one line of the program being one motion.
+    """Yield forces.csv in pieces: places along motions in order.
 
-    Where several cutting motions start on one line (a drilling cycle), the one with the largest force stands for all.
-
-    :param motion: (K,) rows of `Motions`, t: (K,) places on them; t is NaN where a row is for the whole motion.
+    :param motion: (K,) rows of `Motions`, one for each line of the program, see `machining.one_move_a_line`.
+    :param t: (K,) places on them; NaN where a row is for the whole motion.
     :param wrench: (K, 6) [N, N·m] in the axes that `frame` (K,) names; sigma: (K, 6) standard deviations.
     """
     yield (",".join(COLUMNS) + "\n").encode()
-    rows = _one_motion_a_line(program, motion, wrench)
     lines = program.motions.line[motion]
-    for begin in range(0, len(rows), _ROWS):
-        part = rows[begin : begin + _ROWS]
+    for begin in range(0, len(motion), _ROWS):
+        part = slice(begin, begin + _ROWS)
         yield "".join(
             f"{line},{'' if place != place else format(place, '.6f')},"
             f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"
@@ -74,20 +72,6 @@ def forces_csv(program: Program, motion: Ints, t: Array, wrench: Array, frame: I
                 sigma[part].tolist(), strict=True,
             )
         ).replace("-0.000,", "0.000,").replace("-0.0000,", "0.0000,").encode()  # fmt: skip
-
-
-def _one_motion_a_line(program: Program, motion: Ints, wrench: Array) -> Ints:
-    """Return the rows (n,) that are written: of one motion for each line."""
-    lines = program.motions.line[motion]
-    several = np.flatnonzero((np.diff(motion) != 0) & (np.diff(lines) == 0))
-    if len(several) == 0:
-        return np.arange(len(motion))
-    size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
-    keep = np.ones(len(motion), dtype=bool)
-    for line in np.unique(lines[several]).tolist():
-        rows = np.flatnonzero(lines == line)
-        keep[rows] = motion[rows] == motion[rows[int(np.argmax(size[rows]))]]
-    return np.flatnonzero(keep)
 
 
 def summary(program: Program, found: ProcessForces | None, by_operation: int) -> ForcesSummary:
