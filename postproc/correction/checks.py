@@ -96,25 +96,28 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
         yield from _first(program, sample.motion, bad, kind, f"{what}. {advice}")
 
 
-def half_turns(program: Program, turn: Array) -> Iterator[Issue]:
+def half_turns(program: Program, turn: Array, corrected: Bools) -> Iterator[Issue]:
     """A motion must not turn the tool by half a circle: the last digit would say which way round, and change it.
 
     :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
+    :param corrected: (M,) whether the target of each is.
     """
     m = program.motions
     free = m.kind != PTP
     if program.swivel is not None:
         free &= ~program.swivel.active
     rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
+    before = np.arange(len(m)) - 1 if program.after is None else program.after
+    changed = corrected | (before >= 0) & corrected[before]
     open_way = free & (rotation > np.pi - _OPEN_WAY)
-    yield from _first(
-        program,
-        np.arange(len(m)),
-        open_way,
-        "half-turn",
-        "this move turns the tool by about 180°: which way round is left to the last digit, so that a corrected target "
-        "may send it the other way. Write a target between that says the way.",
+    what = "this move turns the tool by about 180°: which way round is left to the last digit"
+    advice = "Write a target between that says the way."
+    cases: tuple[tuple[Bools, Level, str], ...] = (
+        (open_way & changed, "error", "so that a corrected target may send it the other way"),
+        (open_way & ~changed, "warning", "and the joints were looked at for one of them"),
     )
+    for bad, level, then in cases:
+        yield from _first(program, np.arange(len(m)), bad, "half-turn", f"{what}, {then}. {advice}", level)
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:

@@ -224,18 +224,13 @@ def test_advice_for_g_code_is_not_given_for_krl():
         assert any("redundancy_deg" in issue.message for issue in issues) is given
 
 
-@pytest.mark.parametrize(
-    ("angle", "told"), [(180.0, True), (179.9, True), (-180.0, True), (179.5, False), (-120.0, False)]
-)
-def test_a_move_that_turns_the_tool_by_half_a_circle_is_refused(tmp_path, angle, told):
-    path = tmp_path / "half.src"
+@pytest.mark.parametrize("angle", [180.0, 179.9, -180.0, 179.5, -120.0])
+@pytest.mark.parametrize(("force", "level"), [(";FORCE FX=100 FY=0 FZ=300", "error"), ("; nothing acts", "warning")])
+def test_a_move_that_turns_the_tool_by_half_a_circle_is_refused_where_it_is_corrected(angle, force, level):
     moves = [("PTP", 0.0, 0.0), ("LIN", 20.0, 0.0), ("LIN", 60.0, angle), ("LIN", 100.0, angle)]
     lines = [f"{kind} {{X {x},Y 40,Z 10,A {a},B 0,C 180}}" for kind, x, a in moves]
-    path.write_text(
-        "\n".join(["DEF half()", "$VEL.CP=0.02", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}", *lines, "END", ""])
-    )
-    made = correction.read([decode(path.name, path.read_bytes())], MODEL, CELL, "half", "krl")
-    found = {issue.kind: issue for issue in correction.process(made, MODEL, CELL).issues}
-    assert ("half-turn" in found) == told
-    if told:
-        assert (found["half-turn"].level, found["half-turn"].source_line) == ("error", 6)
+    home = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+    text = "\n".join(["DEF half()", "$VEL.CP=0.02", home, force, *lines, "END", ""])
+    made = correction.read([decode("half.src", text.encode())], MODEL, CELL, "half", "krl")
+    found = [issue for issue in correction.process(made, MODEL, CELL).issues if issue.kind == "half-turn"]
+    assert [(issue.level, issue.source_line) for issue in found] == ([(level, 7)] if abs(angle) > 179.8 else [])
