@@ -42,14 +42,12 @@ def by_operation(program: Program, process: Process) -> OperationForces:
     the block in which it begins, N120. It holds until another one begins, a comment says that it is finished, or
     the tool is changed.
 
-    :raises ForceError: an entry names nothing in the program.
+    :raises ForceError: an entry names nothing in the program; there are several operations, and loops or subprograms.
     :raises ProgramError: a routine that cuts is not followed.
     """
     refuse_unseen(program)
     m = program.motions
     names = list(process.operations)
-    place = np.full(len(m), -1)
-    used: set[int] = set()
     tools = {match[1]: k for k, name in enumerate(names) if (match := _TOOL.fullmatch(name.strip()))}
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
     titles = {_plain(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
@@ -70,9 +68,19 @@ def by_operation(program: Program, process: Process) -> OperationForces:
     for event in program.events:
         if event.kind == "tool_change":
             starts.append((event.line, tools.get(str(int(event.value)), -1)))
-    for line, which in sorted(starts, key=lambda start: start[0]):
-        place[np.searchsorted(m.line, line) :] = which
-        used.add(which)
+    starts.sort(key=lambda start: start[0])
+    region = np.searchsorted([line for line, _ in starts], m.line, side="right")
+    place = np.array([-1, *(which for _, which in starts)])[region]
+    used = {which for _, which in starts}
+    back = np.flatnonzero(np.diff(m.line) < 0)
+    if len(back) and len(set(place[~m.rapid].tolist())) > 1:
+        raise ForceError(
+            "the program comes back to earlier lines, by a loop or a subprogram: which motions belong to which of "
+            "several operations is not certain",
+            file=program.documents[0].name,
+            line=int(m.line[back[0]]),
+            advice="Give the stock ([material] in the process), or the forces by line in a CSV.",
+        )
     unused = [name for k, name in enumerate(names) if k not in used]
     if unused:
         advice = "Name an operation as a comment of the program does, a tool as T3, or a block as N120."

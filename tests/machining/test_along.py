@@ -93,6 +93,20 @@ def test_forces_by_operation(tmp_path):
     assert own.sigma[0, 0] == pytest.approx(11.0)
 
 
+def test_operations_and_subprograms(tmp_path):
+    one = ("G0 X0 Y0 Z5", "(rough)", "G1 Z-3 F2400", "M98 P1", "X30", "M98 P1")
+    below = "O1\nY9\nY0\nM99\n"
+    (tmp_path / "process.toml").write_text("[operations.rough]\nFx = -110\n")
+    process = machining.load(tmp_path / "process.toml")
+    whole = read(tmp_path, gcode(*one) + below)
+    assert machining.by_operation(whole, process).wrench[:, 0].tolist() == [-110.0] * 6
+    (tmp_path / "process.toml").write_text("[operations.rough]\nFx = -110\n[operations.finish]\nFx = -20\n")
+    two = read(tmp_path, gcode(*one[:4], "(finish)", *one[4:]) + below)
+    with pytest.raises(ForceError, match="not certain") as caught:
+        machining.by_operation(two, machining.load(tmp_path / "process.toml"))
+    assert caught.value.line == 14
+
+
 def test_an_operation_that_is_not_there(tmp_path):
     program = read(tmp_path, gcode(*WAYS))
     (tmp_path / "process.toml").write_text("[operations.Pocket]\nFx = -110\n")
