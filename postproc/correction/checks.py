@@ -99,6 +99,8 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
 def half_turns(program: Program, turn: Array, corrected: Bools) -> Iterator[Issue]:
     """A motion must not turn the tool by half a circle: the last digit would say which way round, and change it.
 
+    From the start, or from an axis target, the way is left to the controller in any case: a warning.
+
     :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
     :param corrected: (M,) whether the target of each is.
     """
@@ -108,7 +110,7 @@ def half_turns(program: Program, turn: Array, corrected: Bools) -> Iterator[Issu
         free &= ~program.swivel.active
     rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
     before = np.arange(len(m)) - 1 if program.after is None else program.after
-    changed = corrected | (before >= 0) & corrected[before]
+    changed = (corrected | corrected[before]) & (before >= 0) & np.isnan(m.joints[before, 0])
     open_way = free & (rotation > np.pi - _OPEN_WAY)
     what = "this move turns the tool by about 180°: which way round is left to the last digit"
     advice = "Write a target between that says the way."

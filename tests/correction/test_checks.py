@@ -224,6 +224,14 @@ def test_advice_for_g_code_is_not_given_for_krl():
         assert any("redundancy_deg" in issue.message for issue in issues) is given
 
 
+def test_half_a_turn_from_home_is_a_warning():
+    text = "DEF home()\n$VEL.CP=0.02\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n;FORCE FX=100 FY=0 FZ=300\n"
+    text += "LIN {X 0,Y 40,Z 10,A 0,B 0,C 180}\nLIN {X 60,Y 40,Z 10,A 0,B 0,C 180}\nEND\n"
+    made = correction.read([decode("home.src", text.encode())], MODEL, CELL, "home", "krl")
+    found = [issue for issue in correction.process(made, MODEL, CELL).issues if issue.kind == "half-turn"]
+    assert [(issue.level, issue.source_line) for issue in found] == [("warning", 5)]
+
+
 @pytest.mark.parametrize("angle", [180.0, 179.9, -180.0, 179.5, -120.0])
 @pytest.mark.parametrize(("force", "level"), [(";FORCE FX=100 FY=0 FZ=300", "error"), ("; nothing acts", "warning")])
 def test_a_move_that_turns_the_tool_by_half_a_circle_is_refused_where_it_is_corrected(angle, force, level):
