@@ -26,6 +26,8 @@ _TURNS = 1e-9
 """A motion that turns the tool by less than this [rad] does not turn it."""
 _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
+_MOVED = 1e-9
+"""Targets that are commanded nearer than this to where they were [m, rad] are as they were."""
 _OPEN_WAY = 0.2 * RAD_PER_DEG
 """Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
@@ -96,30 +98,34 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
         yield from _first(program, sample.motion, bad, kind, f"{what}. {advice}")
 
 
-def half_turns(program: Program, turn: Array, corrected: Bools) -> Iterator[Issue]:
+def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Array) -> Iterator[Issue]:
     """A motion must not turn the tool by half a circle: the last digit would say which way round, and change it.
 
     From the start, or from an axis target, the way is left to the controller in any case: a warning.
 
     :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
-    :param corrected: (M,) whether the target of each is.
+    :param pose: (N, 4, 4) commanded, of the samples in `$BASE`.
     """
     m = program.motions
     free = m.kind != PTP
     if program.swivel is not None:
         free &= ~program.swivel.active
     rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
-    before = np.arange(len(m)) - 1 if program.after is None else program.after
-    changed = (corrected | corrected[before]) & (before >= 0) & np.isnan(m.joints[before, 0])
-    open_way = free & (rotation > np.pi - _OPEN_WAY)
+    motion = np.flatnonzero(free & (rotation > np.pi - _OPEN_WAY))
+    if not len(motion):
+        return
+    before = motion - 1 if program.after is None else program.after[motion]
+    ends = np.flatnonzero(sample.ends)[np.stack([motion, before])]
+    corrected = np.abs(twist_between(sample.pose[ends], pose[ends])).max(axis=2) > _MOVED
+    changed = corrected.any(axis=0) & (before >= 0) & np.isnan(m.joints[before, 0])
     what = "this move turns the tool by about 180°: which way round is left to the last digit"
     advice = "Write a target between that says the way."
     cases: tuple[tuple[Bools, Level, str], ...] = (
-        (open_way & changed, "error", "so that a corrected target may send it the other way"),
-        (open_way & ~changed, "warning", "and the joints were looked at for one of them"),
+        (changed, "error", "so that a corrected target may send it the other way"),
+        (~changed, "warning", "and the joints were looked at for one of them"),
     )
     for bad, level, then in cases:
-        yield from _first(program, np.arange(len(m)), bad, "half-turn", f"{what}, {then}. {advice}", level)
+        yield from _first(program, motion, bad, "half-turn", f"{what}, {then}. {advice}", level)
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:

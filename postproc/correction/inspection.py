@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from postproc.compensation import Compensation
 from postproc.correction import checks, closely
 from postproc.correction.result import Mode
@@ -12,9 +10,6 @@ from postproc.errors import Issue
 from postproc.frames import M_PER_MM, norm
 from postproc.program import Program
 from postproc.under_load import PathUnderLoad
-
-_MOVED = 1e-9
-"""Targets that are commanded nearer than this to where they were [m] are as they were."""
 
 
 def of_origin(program: Program, mode: Mode) -> list[Issue]:
@@ -61,13 +56,11 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
     speed = checks.joint_speed(program, sample, path.motions.segments.turn, q, position)
     arcs, lines = closely.stretches(path, q, speed)
-    ends = np.flatnonzero(sample.ends)
-    moved = norm(position[ends] - sample.pose[ends, :3, 3])
     allowed = cell.output.max_correction_mm * M_PER_MM
     found = [
         *checks.start_joints(program, robot, start),
         *checks.first_move(program, path.joints, start),
-        *checks.half_turns(program, path.motions.segments.turn, moved > _MOVED),
+        *checks.half_turns(program, sample, path.motions.segments.turn, command.pose),
         *checks.posture(program, robot, sample, path.joints, start),
         *checks.status_and_turn(program, robot, sample, path.joints.q),
         *checks.joint_limits(program, robot, sample, q),
