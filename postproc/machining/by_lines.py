@@ -42,6 +42,7 @@ def one_move_a_line(program: Program, path: Segments, axis: str, places: Places)
     cutting = np.flatnonzero(~m.rapid)
     cutting = cutting[np.argsort(m.line[cutting], kind="stable")]
     _, begin, count = np.unique(m.line[cutting], return_index=True, return_counts=True)
+    texts = program.documents[0].text.splitlines()
     size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
     for row in np.flatnonzero(count > 1).tolist():
         moves = cutting[begin[row] : begin[row] + count[row]]
@@ -53,8 +54,9 @@ def one_move_a_line(program: Program, path: Segments, axis: str, places: Places)
         odd = [k for k in range(1, len(moves)) if not _same(first, _course(places, low[k], high[k]))]
         chosen = int(np.argmax(given))
         if odd:
-            if not _is_cycle(program, path, "XYZ".index(axis[1]), moves):
-                raise _differing(program, moves[[0, odd[0]]], len(moves))
+            text = texts[int(m.line[moves[0]]) - 1]
+            if not _is_cycle(program, path, "XYZ".index(axis[1]), moves, text):
+                raise _differing(program, moves[[0, odd[0]]], len(moves), text)
             chosen = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
         for k in np.flatnonzero(given).tolist():
             keep[low[k] : high[k]] = k == chosen
@@ -83,20 +85,19 @@ def _same(one: _Course, other: _Course) -> bool:
     return bool(np.abs(apart).max() <= _SAME)
 
 
-def _is_cycle(program: Program, path: Segments, column: int, moves: Ints) -> bool:
+def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: str) -> bool:
     """Whether a line is one of a drilling cycle: rapid moves and cuts along the spindle, at one go, without a call."""
     m = program.motions
-    rows = np.flatnonzero(m.line == m.line[moves[0]])
-    text = _text(program, int(m.line[moves[0]]))
     if program.keeps_text or _CALL.search(_COMMENT.sub("", text)):
         return False
+    rows = np.flatnonzero(m.line == m.line[moves[0]])
     if len(rows) != rows[-1] - rows[0] + 1 or not m.rapid[rows].any():
         return False
     along = np.einsum("ni,ni->n", tangent(program, path, moves, np.ones(len(moves))), m.target[moves, :3, column])
     return bool(((m.kind[moves] == LIN) & (np.abs(along) > _ALONG)).all())
 
 
-def _differing(program: Program, two: Ints, count: int) -> ForceError:
+def _differing(program: Program, two: Ints, count: int, text: str) -> ForceError:
     line, file = int(program.motions.line[two[0]]), program.documents[0].name
     found = program.places(two)
     at = [f"{name}:{number}" for name, number in map(found.of, range(2)) if (name, number) != (file, line)]
@@ -104,8 +105,4 @@ def _differing(program: Program, two: Ints, count: int) -> ForceError:
     problem = (
         f"the {count} cutting moves of this line{where} have different forces: a force CSV has one for all of them"
     )
-    return ForceError(problem, file=file, line=line, text=_text(program, line), advice=_ADVICE)
-
-
-def _text(program: Program, line: int) -> str:
-    return program.documents[0].text.splitlines()[line - 1]
+    return ForceError(problem, file=file, line=line, text=text, advice=_ADVICE)
