@@ -15,7 +15,7 @@ from msgspec import Struct
 from postproc import kinematics, toolpath
 from postproc.correction import checks
 from postproc.errors import Issue
-from postproc.frames import RAD_PER_DEG, Array
+from postproc.frames import RAD_PER_DEG, Array, any_column
 from postproc.program import CIRC, LIN, Bools, Ints, distinct
 from postproc.under_load import PathUnderLoad, unreachable
 
@@ -147,7 +147,7 @@ def look(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, a
         close = toolpath.at(program, path.motions.segments, motion, t)
         flange = toolpath.flange_from_tcp(program, motion, close.pose, t)
         exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
-        bad = np.asarray(np.isnan(exact).any(axis=1))
+        bad = any_column(np.isnan(exact))
         if bad.any():
             yield unreachable(program, motion[bad])
             return

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.chunks import in_chunks
 from postproc.errors import PostprocError
-from postproc.frames import Array
+from postproc.frames import Array, any_column
 from postproc.kinematics.closed_form import closed_form, status_of
 from postproc.kinematics.components import components
 from postproc.program import Bools, Ints
@@ -78,7 +78,7 @@ def follow(
 
     q = in_chunks(solved, np.arange(len(branch)), branch)[0]
     q[jumps[by_axes]] = axis_target[by_axes]
-    unreached = np.flatnonzero(np.isnan(q).any(axis=1))
+    unreached = np.flatnonzero(any_column(np.isnan(q)))
     if len(unreached):
         raise UnreachableError(unreached.tolist())
     told = np.flatnonzero(~by_axes & (turn >= 0))
