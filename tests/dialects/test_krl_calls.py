@@ -69,13 +69,78 @@ def test_what_called_code_and_assignments_change_is_followed(lines, subs, expect
     assert x_y_z(program(*lines, subs=subs)) == expected
 
 
+NUMBERS = DATA.replace(
+    "ENDDAT",
+    "DECL INT N=1\r\nDECL INT K[2]\r\nSTRUC PT INT N,REAL V,W\r\nDECL PT S={N 1,V 1,W 1}\r\nDECL E6POS Q[2,2]\r\n"
+    "Q[1,1]={X 1,Y 2,Z 3,A 0,B 0,C 0}\r\nQ[1,2]={X 2,Y 2,Z 3,A 0,B 0,C 0}\r\nENDDAT",
+)
+RAISE = "DEF RAISE(PX)\nDECL E6POS PX\nPX.Z=PX.Z+100\nN=2\nEND\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs"),
+    [
+        (["RAISE(P[N])", "LIN P[1]", "LIN P[2]"], RAISE),
+        (["RAISE(Q[1,N])", "LIN Q[1,1]", "LIN Q[1,2]"], RAISE),
+        (["RAISE(P[N])", "LIN P[1]", "LIN P[2]"], RAISE.replace("N=2", f"N=2\n{FULL}")),
+        (["BOTH(N,P[N])", "LIN P[1]", "LIN P[2]"], RAISE.replace("RAISE(PX)", "BOTH(M,PX)").replace("N=2", "M=2")),
+    ],
+)
+def test_an_argument_is_the_element_that_its_index_named_when_the_call_began(lines, subs):
+    found = program(*lines, subs=subs, data=NUMBERS)
+    assert x_y_z(found, -2)[2] == 103
+    assert x_y_z(found, -1)[2] == 3
+
+
+def test_an_element_whose_index_is_changed_by_the_call_that_gives_its_value_is_not_known():
+    function = "DEFFCT E6POS NEWP()\nN=2\nRETURN({X 77,Y 0,Z 0,A 0,B 0,C 0})\nENDFCT\n"
+    with pytest.raises(ProgramError, match=r"which element P\[N\] is.*line 8") as caught:
+        program("P[N]=NEWP()", "LIN P[2]", subs=function, data=NUMBERS)
+    assert "(line 4:" in caught.value.problem
+    assert x_y_z(program("P[N]=NEWP()", "LIN XP1", subs=function, data=NUMBERS)) == UNTOUCHED
+
+
+SPOT = "LIN {X SPD*10,Y 2,Z 3,A 0,B 0,C 0}"
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs"),
+    [
+        (["COUNT(?)", "LIN XP1"], "DEF COUNT(N:IN)\nINT N\nXP1.X=N*10\nEND\n"),
+        (["SPD=COUNT(?)", SPOT], "DEFFCT INT COUNT(V:IN)\nREAL V\nRETURN(V)\nENDFCT\n"),
+        (["S.N=?", SPOT.replace("SPD", "S.N")], ""),
+        (["S={N ?,V 1,W 1}", SPOT.replace("SPD", "S.N")], ""),
+        (["K[2]=?", SPOT.replace("SPD", "K[2]")], ""),
+        (["SPD=?", "COUNT(SPD)", SPOT], "DEF COUNT(N:OUT)\nINT N\nEND\n"),
+        (["FOR I=? TO 2", SPOT.replace("SPD", "I"), "ENDFOR"], ""),
+    ],
+)
+def test_whatever_enters_an_int_must_be_a_whole_number(lines, subs):
+    fitting = "2" if lines[0].startswith("FOR") else "2.0"
+    assert x_y_z(program(*(line.replace("?", fitting) for line in lines), subs=subs, data=NUMBERS))[0] == 20
+    with pytest.raises(ProgramError):
+        program(*(line.replace("?", "2.5") for line in lines), subs=subs, data=NUMBERS)
+
+
+def test_members_and_results_that_are_real_keep_their_fraction():
+    assert x_y_z(program("S.W=2.5", SPOT.replace("SPD", "S.W"), data=NUMBERS))[0] == 25
+    half = "DEFFCT REAL HALF(N:IN)\nINT N\nRETURN(N)\nENDFCT\n"
+    assert x_y_z(program("SPD=HALF(5)", "SPD=SPD/2", SPOT, subs=half, data=NUMBERS))[0] == 25
+
+
 @pytest.mark.parametrize(
     ("lines", "subs", "base_x", "tool_z", "feed"),
     [
         (["SETB()", "$BASE=FR"], "DEF SETB()\nFR.X=9\nEND\n", 9, 350, 2),
         (["SETB()", "$BASE=BASE_DATA[3]"], "DEF SETB()\nBASE_DATA[3]={X 7,Y 0,Z 0,A 0,B 0,C 0}\nEND\n", 7, 350, 2),
         (["SETB()", "BAS(#TOOL,2)"], "DEF SETB()\nTOOL_DATA[2].Z=99\nEND\n", 1500, 99, 2),
-        (["SETB()"], "DEF SETB()\n$BASE=BASE_DATA[3]\n$TOOL={Z 5}\n$VEL.CP=0.25\nEND\n", 1200, 5, 0.25),
+        (
+            ["SETB()"],
+            "DEF SETB()\n$BASE=BASE_DATA[3]\n$TOOL={X 0,Y 0,Z 5,A 0,B 0,C 0}\n$VEL.CP=0.25\nEND\n",
+            1200,
+            5,
+            0.25,
+        ),
         (["SETB(3,0.1)"], "DEF SETB(N:IN,V:IN)\nINT N\nREAL V\nBAS(#BASE,N)\nBAS(#VEL_CP,V)\nEND\n", 1200, 350, 0.1),
         (["SPD=1.5", "$VEL.CP=SPD"], "", 1500, 350, 1.5),
         (["FAST()", "$VEL.CP=SPD"], "DEF FAST()\nSPD=SPD*3\nEND\n", 1500, 350, 1.5),
@@ -339,8 +404,14 @@ OPEN = replace(CELL, krl=Krl())
 def test_frames_left_to_initmov_are_told():
     found = program(FULL, cell=OPEN)
     assert about(found, "initial-frames") == [("$BASE", 4), ("$TOOL", 4)]
-    assert about(program("$TOOL={Z 5}", FULL, cell=OPEN), "initial-frames") == [("$BASE", 5)]
-    assert about(program("$TOOL={Z 5}", "$BASE={X 5}", FULL, cell=OPEN), "initial-frames") == []
+    assert about(program("$TOOL={X 0,Y 0,Z 5,A 0,B 0,C 0}", FULL, cell=OPEN), "initial-frames") == [("$BASE", 5)]
+    assert (
+        about(
+            program(*(f"{name}={{X 5,Y 0,Z 0,A 0,B 0,C 0}}" for name in ("$TOOL", "$BASE")), FULL, cell=OPEN),
+            "initial-frames",
+        )
+        == []
+    )
     assert about(program("PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}", cell=OPEN), "initial-frames") == []
     assert about(program(FULL, cell=CELL), "initial-frames") == []
     assert about(read("DEF part()\r\n" + FULL + "\r\nEND\r\n", cell=OPEN), "initial-frames") == []

@@ -298,7 +298,7 @@ UNKNOWN = [
     (["Z=$ANIN[1]", "LIN {X 1,Y 1,Z Z,A 0,B 0,C 0}", "LIN P[2]"], [6], [7]),
     (["FOR I=1 TO 3", "LIN P[I]", "IF $IN[I] THEN", "EXIT", "ENDIF", "ENDFOR", "LIN P[4]"], [6], [11]),
     (["SUB(3)", "LIN P[4]"], [5], [6]),
-    (["$BASE=$POS_ACT", "LIN P[4]", "$BASE={X 5}", "LIN P[4]"], [6], [8]),
+    (["$BASE=$POS_ACT", "LIN P[4]", "$BASE={X 5,Y 0,Z 0,A 0,B 0,C 0}", "LIN P[4]"], [6], [8]),
 ]
 LOST = "DEF SUB(n:IN)\r\nDECL INT n\r\nIF $IN[n] THEN\r\nRETURN\r\nENDIF\r\nLIN P[5]\r\nEND\r\n"
 

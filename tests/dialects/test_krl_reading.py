@@ -18,6 +18,7 @@ from tests.dialects.krl_programs import CELL, DATA, body, forward, numbers, read
 from tests.effort import calls_for_each
 
 FULL = "LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}"
+FIVE = "{X 5,Y 0,Z 0,A 0,B 0,C 0}"
 SLOW = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -316,10 +317,12 @@ def test_missing_components_of_the_first_target_are_those_of_the_start_position(
 
 def test_missing_components_right_after_a_change_of_frames_are_refused():
     with pytest.raises(ProgramError, match="not certain") as caught:
-        read(body(FULL, "$BASE={X 5}", "LIN {X 7}"))
+        read(body(FULL, f"$BASE={FIVE}", "LIN {X 7}"))
     assert caught.value.line == 6
-    read(body(FULL, "$BASE={X 5}", FULL, "LIN {X 7}"))
-    read(body(FULL, "$BASE={X 1500,Y -200,Z 700}", "LIN {X 7}"))  # the same frame as before: nothing changed
+    read(body(FULL, f"$BASE={FIVE}", FULL, "LIN {X 7}"))
+    read(
+        body(FULL, "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "LIN {X 7}")
+    )  # the same frame as before: nothing changed
 
 
 def test_relative_targets_add_to_the_previous_position():
@@ -427,18 +430,18 @@ def test_a_program_that_sets_no_frames_uses_those_of_the_cell():
     ("lines", "expected"),
     [
         (["$BASE={X 1,Y 2,Z 3,A 4,B 5,C 6}"], [1, 2, 3, 4, 5, 6]),
-        (["$BASE={FRAME: X 1,Y 2,Z 3}"], [1, 2, 3, 0, 0, 0]),
+        (["$BASE={FRAME: X 1,Y 2,Z 3,A 0,B 0,C 0}"], [1, 2, 3, 0, 0, 0]),
         (["$BASE=$NULLFRAME"], [0, 0, 0, 0, 0, 0]),
         (["$BASE = BASE_DATA[3]"], [1200, 100, 650, 30, 0, 0]),
         (["BAS (#BASE,3)"], [1200, 100, 650, 30, 0, 0]),
         (["BAS(#BASE,0)"], [0, 0, 0, 0, 0, 0]),
         (["INT n", "n=3", "$BASE=BASE_DATA[n]"], [1200, 100, 650, 30, 0, 0]),
-        (["BASE_DATA[7]={X 5}", "$BASE=BASE_DATA[7]"], [5, 0, 0, 0, 0, 0]),
+        ([f"BASE_DATA[7]={FIVE}", "$BASE=BASE_DATA[7]"], [5, 0, 0, 0, 0, 0]),
         (["$BASE={A 90}:{X 10}"], [0, 10, 0, 90, 0, 0]),
         (["$BASE=BASE_DATA[3]:{X 0,Y 0,Z 5,A 0,B 0,C 0}"], [1200, 100, 655, 30, 0, 0]),
-        (["$BASE={X 5}", "$BASE=$BASE:{Y 2}"], [5, 2, 0, 0, 0, 0]),
-        (["$BASE={X 5}", "$BASE.Z=7"], [5, 0, 7, 0, 0, 0]),
-        (["DECL FRAME F1", "F1={X 9}", "$BASE=F1"], [9, 0, 0, 0, 0, 0]),
+        ([f"$BASE={FIVE}", "$BASE=$BASE:{Y 2}"], [5, 2, 0, 0, 0, 0]),
+        ([f"$BASE={FIVE}", "$BASE.Z=7"], [5, 0, 7, 0, 0, 0]),
+        (["DECL FRAME F1", f"F1={FIVE}", "$BASE=F1"], [5, 0, 0, 0, 0, 0]),
         (["FDAT_ACT={TOOL_NO 0,BASE_NO 3,IPO_FRAME #BASE}", "BAS(#FRAMES)"], [1200, 100, 650, 30, 0, 0]),
     ],
 )
@@ -446,8 +449,24 @@ def test_bases_by_literal_by_number_and_by_chain(lines, expected):
     np.testing.assert_allclose(base_of(*lines, FULL), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("lines", "line", "problem"),
+    [
+        (["$BASE={X 1505}", FULL], 4, r"\$BASE is not known: Y, Z, A, B, C are not given"),
+        (["$TOOL={X 1,Y 0,Z 5,A 0,B 0}", FULL], 4, r"\$TOOL is not known: C is not given"),
+        (["BASE_DATA[7]={X 5}", "BAS(#BASE,7)", FULL], 5, r"Y, Z, A, B, C are not given in BASE_DATA\[7\]"),
+        (["FRAME OFF", "OFF={Z 5}", "$BASE=OFF", FULL], 6, "X, Y, A, B, C are not given"),
+        (["FRAME OFF", "OFF={Z 5}", "LIN OFF:{X 1,Y 2,Z 3,A 4,B 5,C 6}"], 6, "not all components of OFF are given"),
+    ],
+)
+def test_components_of_a_frame_that_are_not_given_are_not_zero(lines, line, problem):
+    with pytest.raises(ProgramError, match=problem) as caught:
+        read(body(*lines))
+    assert caught.value.line == line
+
+
 def test_frames_change_from_motion_to_motion():
-    program = read(body(FULL, "$TOOL={X 5}", FULL, "$BASE=$NULLFRAME", FULL, "$TOOL={X 5}", FULL))
+    program = read(body(FULL, f"$TOOL={FIVE}", FULL, "$BASE=$NULLFRAME", FULL, f"$TOOL={FIVE}", FULL))
     assert program.motions.tool.tolist() == [0, 1, 1, 1]
     assert program.motions.base.tolist() == [0, 0, 1, 1]
     assert len(program.tools) == 2
@@ -479,7 +498,7 @@ def test_a_frame_number_that_nobody_knows_names_the_line_that_sets_it():
 
 def test_initialising_after_frames_were_set_leaves_them_unknown():
     with pytest.raises(ProgramError, match="INITMOV"):
-        read(body("$BASE={X 5}", "BAS(#INITMOV,0)", FULL), cell=replace(CELL, krl=Krl()))
+        read(body(f"$BASE={FIVE}", "BAS(#INITMOV,0)", FULL), cell=replace(CELL, krl=Krl()))
 
 
 # --- speed and approximation -------------------------------------------------------------------------------------
@@ -603,7 +622,7 @@ def test_modes_that_are_not_known_are_no_matter_where_nothing_depends_on_them(li
 
 
 def test_settings_behind_with_hold_for_one_motion_only():
-    program = read(body("$VEL.CP=0.3", "SLIN XP2 WITH $VEL=SVEL_CP(0.2,,LCPDAT1), $BASE={X 5}", "LIN XP2"), INLINE_DATA)
+    program = read(body("$VEL.CP=0.3", f"SLIN XP2 WITH $VEL=SVEL_CP(0.2,,L), $BASE={FIVE}", "LIN XP2"), INLINE_DATA)
     assert program.motions.feed.tolist() == [0.2, 0.3]
     assert program.motions.base.tolist() == [1, 0]
 
@@ -617,7 +636,7 @@ def test_settings_behind_with_hold_for_one_motion_only():
         (["LIN P[2]"], [11.5, -2, 33, 4, 5, 6]),
         (["INT I", "I=1", "LIN P[I]"], [1, 2, 3, 4, 5, 6]),
         (["LIN {X 10,Y 0,Z 0,A 90,B 0,C 0}:{X 1,Y 2,Z 3,A 0,B 0,C 0} C_VEL"], [8, 1, 3, 90, 0, 0]),
-        (["FRAME OFF", "OFF={Z 5}", "LIN P[1] : OFF"], None),
+        (["FRAME OFF", "OFF={X 0,Y 0,Z 5,A 0,B 0,C 0}", "LIN P[1] : OFF"], None),
     ],
 )
 def test_points_by_name_by_index_and_by_chain(lines, expected):
@@ -977,11 +996,11 @@ def test_a_constant_orientation_that_does_not_change_is_accepted():
 
 def test_frames_close_to_each_other_are_not_one():
     cell = replace(CELL, base=Frame(X=1500.0, Y=-200.0, Z=700.0001))
-    assert read(body("$BASE={X 1500,Y -200,Z 700}", FULL), cell=cell).motions.base.tolist() == [1]
+    assert read(body("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", FULL), cell=cell).motions.base.tolist() == [1]
 
 
 def test_a_chain_has_the_status_the_turn_and_the_external_axes_of_its_last_operand():
-    data = "DEFDAT part\nDECL E6POS XP1={X 1,Y 2,Z 3,A 0,B 0,C 0,S 6,T 27,E1 3.5}\nFRAME FR={X 10}\nENDDAT\n"
+    data = f"DEFDAT part\nDECL E6POS XP1={{X 1,Y 2,Z 3,A 0,B 0,C 0,S 6,T 27,E1 3.5}}\nFRAME FR={FIVE}\nENDDAT\n"
     program = read(body("PTP FR:XP1", "PTP XP1:FR"), data)
     assert program.motions.status.tolist() == [6, -1]
     assert program.motions.turn.tolist() == [27, -1]

@@ -127,7 +127,7 @@ class Course(Struct, frozen=True, eq=False):
     :param body: the lines of the main routine.
     :param live: (L,) False for lines that do not run: branches that are not taken; None: all may.
     :param inlined: routines that stand in it, and no longer where they stood.
-    :param pinned: True where they may also run as they stood: in what is kept as it is.
+    :param pinned: those of them that are also reached by a call that is not followed: it must find them as they were.
     :param files: other files than that of the program from which these are, and their data.
     :param taken: names, upper case, of programs and GLOBAL routines of all folders, as far as new names are needed.
     :param users: file of a routine that stands in it → other programs of the folders that name it.
@@ -139,7 +139,7 @@ class Course(Struct, frozen=True, eq=False):
     body: Body
     live: Bools | None = None
     inlined: frozenset[Routine] = frozenset()
-    pinned: bool = False
+    pinned: frozenset[Routine] = frozenset()
     files: tuple[Document, ...] = ()
     taken: frozenset[str] = frozenset()
     users: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
+from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
 
@@ -69,6 +71,24 @@ def _value_stop(source: Source, start: int, stop: int) -> int:
         return parse(source, start, stop)[1]
     except ProgramError:
         return stop
+
+
+def structure(source: Source, start: int, stop: int) -> tuple[str, dict[str, str]] | None:
+    """Return name and members (name → type, upper case) of a ``STRUC PT INT N,FRAME F``; None if it is something else.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    pieces = [NAME.findall(source.text, *span) for span in split(source, start, stop)]
+    while pieces and pieces[0][:1] and pieces[0][0].upper() in ("GLOBAL", "DECL"):
+        del pieces[0][0]
+    if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":
+        return None
+    name, pieces[0] = pieces[0][1].upper(), pieces[0][2:]
+    kind, members = "", dict[str, str]()
+    for words in pieces:
+        kind = words[0].upper() if len(words) > 1 else kind
+        members |= {word.upper(): kind for word in words[-1:]}
+    return name, members
 
 
 def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:

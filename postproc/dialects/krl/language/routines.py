@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePath
 
 from msgspec import Struct
@@ -15,7 +15,7 @@ from postproc.dialects.krl.language.statements import MOTION_WORDS, declares, wo
 from postproc.errors import ProgramError
 
 _DEF = re.compile(
-    r"(GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)[ \t]*(?:\(([^)]*)\)?)?", re.I | re.A
+    r"(GLOBAL[ \t]+)?DEF(?:FCT[ \t]+(\w+)(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)[ \t]*(?:\(([^)]*)\)?)?", re.I | re.A
 )
 _PARAMETER = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*(?::[ \t]*(IN|OUT)\b)?", re.I | re.A)
 _INCOMPLETE = "Check that the file was transferred completely."
@@ -41,6 +41,8 @@ class Routine(Struct, frozen=True, eq=False):
     :param settings: lines of plain settings.
     :param others: other lines with code.
     :param local: names that it declares, parameters included.
+    :param types: declared type of these by name, upper case; a parameter may have none.
+    :param result: type of what a function returns, upper case; empty for DEF.
     """
 
     source: Source
@@ -53,6 +55,8 @@ class Routine(Struct, frozen=True, eq=False):
     settings: Sequence[int]
     others: Sequence[int]
     local: frozenset[str]
+    types: Mapping[str, str]
+    result: str
 
     @property
     def lines(self) -> Sequence[int]:
@@ -93,6 +97,7 @@ class _Begun(Struct, eq=False):
     line: int
     parameters: tuple[Parameter, ...]
     public: bool
+    result: str
     lines: list[int] = []
 
 
@@ -118,7 +123,13 @@ def routines(
             if begun is not None:
                 faults.append(source.line_error(f"DEF {begun.name} (line {begun.line}) has no END", line))
                 found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
-            begun = _Begun(match[2].upper(), line, tuple(_parameters(match[3] or "")), match[1] is not None)
+            begun = _Begun(
+                match[3].upper(),
+                line,
+                tuple(_parameters(match[4] or "")),
+                match[1] is not None,
+                (match[2] or "").upper(),
+            )
         elif word in ("END", "ENDFCT") and begun is not None:
             found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
             begun = None
@@ -139,11 +150,11 @@ def _parameters(text: str) -> Iterator[Parameter]:
 
 
 def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int], settings: Sequence[int]) -> Routine:
-    local = {parameter.name for parameter in begun.parameters}
+    types: dict[str, str] = {}
     for inside in begun.lines:
         start, stop = source.code_span(inside)
         if declares(source.text, start, stop):
-            local |= {one.name for one in declared(source, start, stop)}
+            types |= {one.name: one.kind for one in declared(source, start, stop)}
     plain, settings = (some[bisect_left(some, begun.line) : bisect_left(some, line)] for some in (plain, settings))
     return Routine(
         source,
@@ -155,5 +166,7 @@ def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int], setti
         plain,
         settings,
         begun.lines,
-        frozenset(local),
+        frozenset({parameter.name for parameter in begun.parameters} | types.keys()),
+        types,
+        begun.result,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -18,6 +19,7 @@ from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT
+from postproc.dialects.krl.read.variables import converted
 from postproc.errors import Issue, ProgramError
 
 _DEEPEST = 20
@@ -75,6 +77,11 @@ class Calls:
         self._forget_arguments(at, call, found[1])
         self._may_have_run(at, call.name, effects)
         return unknown
+
+    def writer(self, call: Call, name: str) -> Place | None:
+        """Return where a called routine may write a variable, by its stored name; None if it does not."""
+        found = self.run.library.find(call.name, self.run.level.module)
+        return None if found is None else self.run.analysis.of(*found).writes.get(name)
 
     def _absent(self, at: Place, call: Call) -> None:
         """Follow a call of what is in no file: it writes its arguments at most."""
@@ -135,6 +142,9 @@ class Calls:
         if place is None or not self.run.in_main:
             return
         problem = f"{call.name} is called, which moves the robot ({place})"
+        self.run.unfollowed |= self.run.analysis.reached(module, routine)
+        if self.run.routine in self.run.unfollowed:
+            raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
         if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
             self.run.unresolved.append((self.run.line, at.error(problem)))
             return
@@ -216,14 +226,24 @@ class Calls:
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls)
         given: dict[int, Known] = {}
+        arguments = [
+            _Argument(index, reference, self.run.variables.key_of(at.source, reference))  # as they are before the call
+            for index, reference in written
+            if index < len(routine.parameters)
+        ]
         for index, (start, stop) in enumerate(call.arguments):
             given[index] = self.value(at, start, stop) if at.source.text[start:stop].strip() else NOTHING
-        return _Bound(at, module, routine, scope, written, given, self.run.level, self.run.variables.scope)
+        return _Bound(at, module, routine, scope, arguments, given, self.run.level, self.run.variables.scope)
 
     def _begin(self, bound: _Bound, *, traced: bool) -> Level:
         """Run in a routine from now on."""
         for index, parameter in enumerate(bound.routine.parameters):
-            self.run.variables.put(bound.scope.stored(parameter.name), bound.given.get(index, NOTHING))
+            stored, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
+            if kind:
+                self.run.variables.types[stored] = kind
+            given = bound.given.get(index, NOTHING)
+            value = converted(given, kind) if kind else given
+            self.run.variables.put(stored, given if value == given else value)
         self.run.level = Level(bound.module, bound.routine, bound.scope, traced=traced)
         self.run.stack.append(bound.routine)
         self.run.variables.scope = bound.scope
@@ -237,19 +257,28 @@ class Calls:
         """Run behind a call again, with what it has left in its arguments."""
         self._back(bound)
         at, variables = bound.at, self.run.variables
-        for index, reference in bound.written:
-            if index >= len(bound.routine.parameters):
-                continue
+        for index, reference, key in bound.written:
             value = variables.value(bound.scope.stored(bound.routine.parameters[index].name))
             if value is bound.given[index] or value is None:
                 continue
-            key = variables.key_of(at.source, reference)
             if key is None:
                 variables.forget(self.run.stored(reference.name), str(at))
             elif reference.field is not None:
                 variables.set_field(key, reference.field, value, str(at))
             else:
                 variables.set(key, value, str(at))
+
+
+class _Argument(NamedTuple):
+    """An argument that a routine may write.
+
+    :ivar place: its number among the arguments.
+    :ivar key: the variable that it named when the call began; None if that is not known.
+    """
+
+    place: int
+    reference: Reference
+    key: str | None
 
 
 class _Bound(Struct, frozen=True, eq=False):
@@ -262,7 +291,7 @@ class _Bound(Struct, frozen=True, eq=False):
     module: Module
     routine: Routine
     scope: Scope
-    written: list[tuple[int, Reference]]
+    written: list[_Argument]
     given: dict[int, Known]
     caller: Level
     caller_scope: Scope

@@ -7,7 +7,7 @@ from collections.abc import Set
 
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared
+from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared, structure
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.known import Unread
 from postproc.dialects.krl.read.variables import Variables
@@ -78,6 +78,8 @@ def _declare(
         if only is not None and one.name not in only:
             continue
         name = _noted(variables, replace(one, public=one.public or shared), fill=fill)
+        if one.kind == "STRUC" and (found := structure(source, *source.code_span(line))):
+            variables.structures.setdefault(*found)
         if one.value >= 0 and not (fill and name in variables):
             variables.initial.add(variables.scope.stored(one.name))
             variables.put(name, Unread(source, one.value, stop))
@@ -86,6 +88,8 @@ def _declare(
 def declare(variables: Variables, source: Source, start: int, stop: int) -> list[Declared]:
     """Take one declaration of a `.src`, with initial values; return what it declares."""
     names = list(declared(source, start, stop))
+    if found := structure(source, start, stop):
+        variables.structures[found[0]] = found[1]
     for one in names:
         name = _noted(variables, one)
         if one.value >= 0:

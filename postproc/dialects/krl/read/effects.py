@@ -126,6 +126,10 @@ class Analysis:
             self._all[routine] = total
         return self._all[routine]
 
+    def reached(self, module: Module, routine: Routine) -> set[Routine]:
+        """Return a routine and all that it calls, actions of interrupts and triggers included."""
+        return {other for _, other in self._reached([(module, routine)])}
+
     def names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the names, as they are stored, of all variables in the code of a routine and of all that it calls."""
         found: set[str] = set()

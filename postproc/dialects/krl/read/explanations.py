@@ -17,8 +17,11 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
         return "it is computed while the program runs"
     if isinstance(value, Chain):
         for operand in value.operands:
-            if variables.position(source, operand) is None:
+            position = variables.position(source, operand)
+            if position is None:
                 return why_unknown(variables, source, operand)
+            if isinstance(operand, Reference) and not position.complete:
+                return f"not all components of {source.text[operand.start : operand.stop]} are given"
     text = source.text[value.start : value.stop].strip()[:80]
     if not text and isinstance(value, Reference):  # one that a program of the controller reads
         text = value.name if value.field is None else f"{value.name}.{value.field}"

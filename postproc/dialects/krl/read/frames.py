@@ -60,6 +60,8 @@ class Frames:
             position = self.variables.position(at.source, value)
         if position is None or position.axis:
             return self.unknown(state, name, at, why_unknown(self.variables, at.source, value))
+        if not position.complete:
+            return self.unknown(state, name, at, _lacking(position))
         if position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
         return self._put(state, name, position)
@@ -110,6 +112,8 @@ class Frames:
             if isinstance(known, Unknown) and known.where:
                 why = f"is changed while the program runs ({known.where})"
             return self.unknown(state, name, at, f"{key} {why}")
+        if not position.complete:
+            return self.unknown(state, name, at, f"{_lacking(position)} in {key}")
         return self._put(state, name, position)
 
     def _put(self, state: State, name: str, position: Position) -> State:
@@ -122,6 +126,12 @@ class Frames:
                 frames.append(pose)
             self._rows[name, position.values] = row
         return state.with_known(**{FIELDS[name]: row})
+
+
+def _lacking(position: Position) -> str:
+    """Return which components of a frame are not given: the controller does not take them for 0."""
+    names = [name for name, value in zip(CARTESIAN, position.values, strict=True) if value != value]
+    return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not given"
 
 
 def out_of_reach(at: Place, number: float) -> ProgramError:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 
 from postproc.dialects.krl.language.expressions import operand, parse
-from postproc.dialects.krl.language.names import DECLARING, OPENING, TYPES, WITHOUT_MOTION
+from postproc.dialects.krl.language.names import DECLARING, NAME, OPENING, TYPES, WITHOUT_MOTION
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.statements import (
     MOTION_WORDS,
@@ -32,6 +32,7 @@ from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, State
+from postproc.dialects.krl.read.variables import converted
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
@@ -138,7 +139,7 @@ class Interpreter:
         start, stop = at.source.code_span(at.line)
         start += len("RETURN")
         if at.source.text[start:stop].strip():
-            level.result = self.calls.value(at, start, stop)
+            level.result = converted(self.calls.value(at, start, stop), level.routine.result)
         level.returned = level.returned or at.line
 
     def _condition(self, at: Place, word: str) -> None:
@@ -162,6 +163,8 @@ class Interpreter:
         elif match := IMPORTED.match(text, start, stop):
             self.run.changes_always(at, self.run.stored(match[1]))
             self.run.changes_always(at, match[2].upper())
+        elif word == "STRUC":
+            self._declare(at, start, stop)
         elif word in DECLARING:
             return
         elif word == "EXIT":
@@ -225,6 +228,7 @@ class Interpreter:
         if name in RELEVANT:
             self._set_to(at, target, start, stop)
             return
+        before = self.run.variables.key_of(at.source, target)
         value = self.calls.value(at, start, stop)
         if name in _SUPERPOSED and target.field == "MODE" and not (isinstance(value, Word) and value.text == "#OFF"):
             raise at.error(
@@ -235,7 +239,9 @@ class Interpreter:
         if target.field is None and self.run.in_main:
             self.run.understood.add(target.start)
         key = self.run.variables.key_of(at.source, target)
-        if not self.run.certain or key is None or target.element == "":
+        if key != before:
+            self.run.variables.forget(self.run.stored(name), self._which_element(at, target, start, stop))
+        elif not self.run.certain or key is None or target.element == "":
             self.run.variables.forget(self.run.stored(name), str(at))
         elif target.field is not None:
             self.run.variables.set_field(key, target.field, value, str(at))
@@ -245,6 +251,22 @@ class Interpreter:
             given = at.source.text[start:stop].strip()[:80]
             why = "not known" if "(" in given else "in no file of the program"
             self.run.variables.set(key, Unknown(f"{at}: {given} is {why}"), str(at))
+
+    def _which_element(self, at: Place, target: Reference, start: int, stop: int) -> str:
+        """Return why it is not known which element an assignment writes: what it calls changes the index.
+
+        KUKA does not say whether the index is evaluated before the value or after it.
+        """
+        indices = {name.upper() for name in NAME.findall(at.source.text, *target.inside)}
+        places = {
+            place
+            for call in calls(at.source, start, stop)
+            for index in indices
+            if (place := self.calls.writer(call, self.run.stored(index))) is not None
+        }
+        changed = ", ".join(sorted(map(str, places))) or "an argument"
+        element = at.source.text[target.start : target.stop]
+        return f"{at}: which element {element} is, is not known, because the call changes its index: {changed}"
 
     def _set_to(self, at: Place, target: Reference, start: int, stop: int) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""

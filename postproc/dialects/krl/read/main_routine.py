@@ -71,7 +71,7 @@ def course_of(
     if not run.level.returned:
         trace.run_to(main.last - 1)
     trace.pass_to(main.last - 1, live=False)
-    course = replace(trace.course(), taken=taken)
+    course = replace(trace.course(run.unfollowed), taken=taken)
     others = {routine for routine in course.inlined if routine.source is not main.source}
     return replace(course, taken=library.names(), users=library.users(others)) if others else course
 

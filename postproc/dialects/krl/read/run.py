@@ -95,6 +95,7 @@ class Run:
     :ivar resumed: RESUME that goes back to the program, or to where it is not known; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: calls behind which it is not known where the robot stands.
+    :ivar unfollowed: routines reached by calls that move the robot and are not followed.
     :ivar unforced: line → reason: behind such a line it is not known which force acts.
     :ivar understood: offsets of names in the main routine whose use is followed.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
@@ -118,6 +119,7 @@ class Run:
         self.resumed: Place | None = None
         self.triggers: list[int] = []
         self.moved: list[Apart] = []
+        self.unfollowed: set[Routine] = set()
         self.unforced: dict[int, str] = {}
         self.understood: set[int] = set()
         self.absent: list[tuple[str, int]] = []

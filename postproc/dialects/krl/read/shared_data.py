@@ -30,7 +30,7 @@ def read_shared(variables: Variables, code: str, own: Collection[str], files: Fo
         return
     times = Counter(name for names in declared.values() for name in names)
     used = set().union(*(NAME.findall(reached) for reached in files.reached(code)))
-    known = {name.upper() for name in used} - variables.types.keys()
+    known = ({name.upper() for name in used} | set(variables.types.values())) - variables.types.keys()
     wanted = {name for name in known if times[name] == 1}
     for path, names in declared.items():
         if not wanted.isdisjoint(names):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Set
 from typing import Any
 
 import numpy as np
@@ -166,8 +167,11 @@ class Trace:
         self._standing[-1].cursor = block.last + 1
         loop.last = self.count + 1
 
-    def course(self) -> Course:
-        """Return the whole of it."""
+    def course(self, reached: Set[Routine]) -> Course:
+        """Return the whole of it.
+
+        :param reached: routines that calls reach which are not followed.
+        """
         main = self.main
         self.body.last = self.count + 1
         line = main.last
@@ -193,7 +197,7 @@ class Trace:
             self.body,
             live.astype(np.bool_),
             frozenset(self._inlined),
-            self.pinned,
+            frozenset(self._inlined if self.pinned else self._inlined & reached),
             tuple(self._files),
         )
 

@@ -52,6 +52,7 @@ class Variables:
 
     :ivar changes: how often a value was replaced by another one.
     :ivar types: declared type by name, upper case.
+    :ivar structures: types of the members of each STRUC, upper case.
     :ivar public: names declared GLOBAL.
     :ivar scope: which variables the names of the present routine mean.
     :ivar changing: names that may change at any time, and what changes them.
@@ -65,6 +66,7 @@ class Variables:
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
         self.changes = 0
         self.types: dict[str, str] = {}
+        self.structures: dict[str, dict[str, str]] = {}
         self.public: set[str] = set()
         self.scope = Scope()
         self.changing: dict[str, Unknown] = {}
@@ -93,7 +95,7 @@ class Variables:
         name = key.partition("[")[0]
         self.changed.setdefault(name, where)
         if isinstance(value, Number):
-            value = self._typed(name, value)
+            value = converted(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
             value = Unknown(f"{where}: not all of its components are given, and it had others")
         self.put(key, value)
@@ -111,14 +113,6 @@ class Variables:
         if not missing or old is None or old == NOTHING:
             return False
         return not isinstance(old, Aggregate) or any(name in old.items for name in missing)
-
-    def _typed(self, name: str, number: Number) -> Known:
-        kind = self.types.get(name)
-        if kind == "REAL":
-            return replace(number, integer=False)
-        if kind == "INT" and number.value != int(number.value):
-            return Unknown("where it is rounded")
-        return replace(number, integer=number.value == int(number.value))
 
     def set_field(self, key: str, field: str, value: Known, where: str) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
@@ -212,7 +206,7 @@ class Variables:
             parsed, _ = parse(value.source, value.start, value.stop)
             value = self.evaluate(value.source, parsed)
             if isinstance(value, Number):
-                value = self._typed(key.partition("[")[0], value)
+                value = converted(value, self.types.get(key.partition("[")[0], ""))
             self._values[key] = value
         return value
 
@@ -278,7 +272,7 @@ class Variables:
         pose, part = np.eye(4), None
         for operand in chain.operands:
             part = self.position(source, operand)
-            if part is None or part.axis:
+            if part is None or part.axis or (isinstance(operand, Reference) and not part.complete):
                 return NOTHING
             pose = pose @ part.pose()
         if part is None:
@@ -317,9 +311,17 @@ class Variables:
         if reference.field is not None and not isinstance(value, Unknown):
             item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
             value = self.evaluate(source, item) if item is not None else None
-            if isinstance(value, Number) and reference.field in _REAL:
-                value = replace(value, integer=False)
+            if isinstance(value, Number):
+                value = self._member(reference, value)
         return value if value is not None else NOTHING
+
+    def _member(self, reference: Reference, number: Number) -> Known:
+        """Return what a member of a structure makes of a number."""
+        if reference.field in _REAL:
+            return replace(number, integer=False)
+        members = self.structures.get(self.types.get(self.scope.stored(reference.name), ""), {})
+        kind = members.get(reference.field or "")
+        return number if kind is None else converted(number, kind)
 
     def position(self, source: Source, value: Value | Known) -> Position | None:
         """Return the position that a value gives, or None when it is not known before the program runs.
@@ -368,6 +370,19 @@ class Variables:
         """Refuse a name that is longer than the controller accepts."""
         if len(reference.name) > MAX_LENGTH:
             raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
+
+
+def converted(value: Known, kind: str) -> Known:
+    """Return what a variable makes of a value that it is given.
+
+    :param kind: its type, upper case; empty if that is not known.
+    """
+    if not isinstance(value, Number) or kind == "REAL":
+        return replace(value, integer=False) if isinstance(value, Number) else value
+    whole = value.value == int(value.value)
+    if kind == "INT" and not whole:
+        return Unknown(f"{value.value:g} is rounded to an INT")
+    return replace(value, integer=whole)
 
 
 def _span(value: Value) -> tuple[int, int]:

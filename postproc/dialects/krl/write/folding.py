@@ -25,7 +25,9 @@ from postproc.errors import Issue
 from postproc.program import Document, Ints
 
 _INDENT = re.compile(r"[ \t]*")
-_HEAD = re.compile(r"(GLOBAL[ \t]+)?(DEF[ \t]+)([A-Za-z_$][\w$]*)", re.IGNORECASE)
+_HEAD = re.compile(
+    r"(GLOBAL[ \t]+)?(DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+)([A-Za-z_$][\w$]*)", re.IGNORECASE
+)
 
 
 class Folded(Struct, frozen=True):
@@ -174,8 +176,8 @@ class _Folder(Struct, eq=False):
     def _version(self, called: Called, pieces: list[_Piece]) -> str:
         """Return the name under which a routine reads like some pieces."""
         versions = self.versions[called.routine]
-        if self.course.pinned and not versions:
-            routine = called.routine
+        routine = called.routine
+        if routine in self.course.pinned and not versions:
             own = [_Piece(_text(routine.source, line, line)) for line in range(routine.first + 1, routine.last)]
             versions.append(_Version(routine.name, own))
         texts = [piece.text for piece in pieces]
@@ -197,7 +199,10 @@ class _Folder(Struct, eq=False):
         spelt = head[3] if head else routine.name
         name = unused(spelt, self.taken)
         self.taken.add(name.upper())
-        message = f"{spelt}() is corrected differently from call to call: this one calls its copy {name}()."
+        why = "is corrected differently from call to call"
+        if routine in self.course.pinned:
+            why = "is also called where calls are not followed, and stays as it is there"
+        message = f"{spelt}() {why}: this one calls its copy {name}()."
         line = int(self.course.source.shown(np.array([called.line]))[0])
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name

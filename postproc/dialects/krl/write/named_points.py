@@ -144,7 +144,7 @@ def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapp
             start, stop = source.code_span(line)
             for match in NAME.finditer(source.text, start, stop):
                 places[match[0].upper()].append(match.start())
-    for routine in course.inlined if course.pinned else ():
+    for routine in course.pinned:
         for line in range(routine.first + 1, routine.last):
             for name in NAME.findall(routine.source.text, *routine.source.code_span(line)):
                 places[name.upper()].append(-1)

@@ -1,0 +1,73 @@
+"""Routines reached by a call that is followed and by one that is not: the second finds them as they were."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.dialects import krl
+from postproc.dialects.text import decode
+from postproc.errors import ProgramError
+from tests.attack.krl import confirmed
+from tests.attack.krl import read as read_files
+from tests.dialects.krl_programs import CELL, forward, targets
+
+FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
+HOME = "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
+CUT = "DEF CUT()\nLIN {X 110,Y 20,Z 30,A 10,B 20,C 170}\nEND\n"
+FUNCTION = "DEFFCT INT FN()\nCUT()\nRETURN(1)\nENDFCT\n"
+UNKNOWN = f"DEF AWAY()\nIF $IN[1] THEN\nCUT()\n{HOME}\nENDIF\nEND\n"
+
+
+def main(*lines, subs=""):
+    return "\n".join(["DEF part()", "INT I", "BAS(#INITMOV,0)", FULL, *lines, "END", ""]) + subs
+
+
+def corrected(folder, files, *, keep):
+    """What is written with all targets moved by 1 mm, and the issues."""
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    cell = replace(CELL, folder=str(folder), krl=replace(CELL.krl, keep_unresolved=keep))
+    document = replace(decode("part.src", files["part.src"].encode()), folder=str(folder))
+    program = krl.read_program([document], cell, forward, "part")
+    written = krl.rewrite(program, targets(program, np.tile([1e-3, 0, 0], (len(program.motions), 1))))
+    return {document.name: document.text for document in written.documents}, written.issues
+
+
+@pytest.mark.parametrize(
+    ("files", "keep", "file"),
+    [
+        ({"part.src": main("CUT()", "I=FN()", FULL, subs=CUT + FUNCTION)}, True, "part.src"),
+        ({"part.src": main("CUT()", "I=FN()", FULL, subs=FUNCTION), "cut.src": CUT}, True, "cut.src"),
+        ({"part.src": main("CUT()", "AWAY()", HOME, FULL), "cut.src": CUT, "away.src": UNKNOWN}, False, "cut.src"),
+        ({"part.src": main("CUT()", "AWAY()", HOME, FULL), "cut.src": CUT, "away.src": UNKNOWN}, True, "cut.src"),
+        ({"part.src": main("CUT()", "WHILE $IN[1]", "CUT()", "ENDWHILE", FULL, subs=CUT)}, True, "part.src"),
+    ],
+)
+def test_what_a_call_reaches_that_is_not_followed_stays_and_corrected_calls_get_a_copy(tmp_path, files, keep, file):
+    written, issues = corrected(tmp_path, files, keep=keep)
+    before, behind = written[file].upper().split("DEF CUT_2()")
+    assert CUT.split("\n", 1)[1].upper() in before
+    assert "LIN {X 111.0000," in behind
+    assert "\nCUT_2()\n" in written["part.src"]
+    assert files["part.src"].count("I=FN()") == written["part.src"].count("I=FN()")
+    (told,) = (issue.message for issue in issues if issue.kind == "routine-copied")
+    assert told == (
+        "CUT() is also called where calls are not followed, and stays as it is there: this one calls its copy CUT_2()."
+    )
+
+
+def test_a_call_that_is_not_followed_and_reaches_the_program_itself_is_refused(tmp_path):
+    function = FUNCTION.replace("CUT", "part")
+    files = {"part.src": main("AWAY()", HOME, FULL), "away.src": f"DEF AWAY()\nINT I\nI=FN()\nEND\n{function}"}
+    with pytest.raises(ProgramError, match="calls this program again"):
+        corrected(tmp_path, files, keep=False)
+
+
+def test_copies_of_functions_are_functions(tmp_path):
+    function = "DEFFCT INT FN(N:IN)\nINT N\nLIN {X N*10,Y 2,Z 3,A 0,B 0,C 0}\nRETURN(1)\nENDFCT\n"
+    files = {"part.src": main("FN(1)", "FN(2)", subs="GLOBAL " + function), "part.dat": "DEFDAT part\nENDDAT\n"}
+    program = read_files(files, tmp_path)
+    assert confirmed(program, files, tmp_path, np.random.default_rng(0)) == "accepted"
+    written, _ = corrected(tmp_path, {"part.src": files["part.src"]}, keep=False)
+    assert "GLOBAL DEFFCT INT FN_2(N:IN)\n" in written["part.src"]
+    assert written["part.src"].count(" FN(N:IN)") == 1
