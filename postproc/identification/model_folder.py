@@ -56,6 +56,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
                 source=f"prior, not observable in {source}: {old.source}",
                 assumed=True,
                 compliance_urad_per_Nm=old.compliance_urad_per_Nm,
+                sigma_percent=old.sigma_percent,
             )
     kept = [index for index, parameter in enumerate(parameters) if parameter not in unknown]
     return ModelFile(
@@ -103,6 +104,7 @@ def _compensator(
         L_mm=law.L * MM_PER_M,
         a_x_mm=law.ax * MM_PER_M,
         a_y_mm=law.ay * MM_PER_M,
+        sigma_percent=None if old is None or identified else old.sigma_percent,
         spread_percent=CompensatorEntry.spread_percent if old is None else old.spread_percent,
         geometry_source=geometry_source or ("" if old is None else old.geometry_source),
         **spring,

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.summary import Distances, Summary
-from postproc.report.text import millimetres, number, percent
+from postproc.report.text import millimetres, number, percent, rounded
 
 _STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
 """From the one in most trouble."""
@@ -66,7 +66,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
         unknown = len(written) - len(bounds)
         note = f"unknown for {unknown} of {len(written)}" if unknown else ""
         tiles.append(
-            Tile("On the part (95 %)", millimetres(max(bounds)) if bounds else "unknown", "mm" if bounds else "", note)
+            Tile("On the part (95 %)", rounded(max(bounds)) if bounds else "unknown", "mm" if bounds else "", note)
         )
     parts: list[Part] = [Tiles(tuple(tiles)), _table(ordered, written)]
     failed = [entry for entry in ordered if entry.state == "nothing"]
@@ -122,7 +122,7 @@ def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
                     str(content["targets"]),
                     millimetres(content["before"]["max_mm"]),
                     millimetres(content["after"]["max_mm"]),
-                    "unknown" if content["u95"] is None else millimetres(content["u95"]["max_mm"]),
+                    "unknown" if content["u95"] is None else rounded(content["u95"]["max_mm"]),
                     percent(content["compensated_percent"]),
                     number(content["limits"]["min_joint_margin_deg"], 1),
                 )

@@ -34,10 +34,16 @@ class Distances(TypedDict):
 
 
 class Bound(TypedDict):
-    """Largest and mean of a length over cutting targets: of the 95 % bound of what will remain, say."""
+    """Largest and mean of a length over cutting targets."""
 
     max_mm: float
     rms_mm: float
+
+
+class Expected(Bound):
+    """Expected error on the part (95 %) over cutting targets; `basis` says where the model's uncertainty comes from."""
+
+    basis: str
 
 
 class Judged(TypedDict):
@@ -102,7 +108,7 @@ class Summary(TypedDict):
     inserted_targets: int
     before: Distances
     after: Distances
-    u95: Bound | None  # None where the model states no uncertainty
+    u95: Expected | None  # None where the model states no uncertainty
     improvement: Ratios
     compensated_percent: float | None
     between_max_mm: float | None
@@ -143,7 +149,7 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         inserted_targets=result.inserted,
         before=_distances(before),
         after=_distances(after),
-        u95=_bound(bound),
+        u95=None if bound is None else _expected(bound, result.robot.basis),
         improvement={
             "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
             "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
@@ -230,6 +236,10 @@ def to_json(content: object) -> bytes:
 
 def _bound(values: Statistics | None) -> Bound | None:
     return None if values is None else {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M}
+
+
+def _expected(values: Statistics, basis: str) -> Expected:
+    return {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M, "basis": basis}
 
 
 def _distances(values: Statistics) -> Distances:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
@@ -58,9 +59,11 @@ def _facts(content: Summary) -> list[str]:
     if nothing_to_correct(content) is None and content["targets"]:
         bound = content["u95"]
         told = (
-            "unknown, the model states no uncertainty" if bound is None else f"up to {millimetres(bound['max_mm'])} mm"
+            "unknown, the model states no uncertainty"
+            if bound is None
+            else f"up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
         )
-        facts.append(f"to be expected on the part (95 %): {told}")
+        facts.append(f"expected error on the part (95 %): {told}")
     if content["mode"] == "convert" and content["compensated_percent"] is not None:
         facts.append(f"compensated {percent(content['compensated_percent'])}")
         facts.append(f"largest correction {number(content['max_correction_mm'], 3)} mm")
@@ -159,6 +162,26 @@ def millimetres(value: float) -> str:
     ('8.2800', '0.0000', '<0.0001')
     """
     return "<0.0001" if 0.0 < value < ROUNDING_MM else f"{value:.4f}"
+
+
+def rounded(value_mm: float) -> str:
+    """Return a bound or an estimate in mm as text, with two significant digits.
+
+    >>> rounded(0.2752), rounded(0.01234), rounded(12.7), rounded(250.4), rounded(0.0), rounded(0.00002)
+    ('0.28', '0.012', '13', '250', '0', '<0.0001')
+    """
+    if value_mm == 0.0:
+        return "0"
+    return "<0.0001" if value_mm < ROUNDING_MM else f"{float(f'{value_mm:.2g}'):.{places(value_mm)}f}"
+
+
+def places(value_mm: float) -> int:
+    """Return how many decimals show two significant digits.
+
+    >>> places(0.2752), places(0.0999), places(3.0), places(25.0)
+    (2, 2, 1, 0)
+    """
+    return max(0, 1 - math.floor(math.log10(float(f"{value_mm:.2g}"))))
 
 
 def times(before_mm: float, after_mm: float) -> str:

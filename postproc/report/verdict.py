@@ -109,7 +109,9 @@ def _expected(content: Summary) -> list[str]:
         return ["how far the part will be off is unknown: the robot model states no uncertainty of its parameters"]
     if tolerance is not None and bound["max_mm"] > tolerance:
         told = above(bound["max_mm"], tolerance)
-        return [f"on the part up to {told} mm (95 %) may remain, more than {tolerance:g} mm"]
+        return [
+            f"the expected error on the part is up to {told} mm (95 %), more than {tolerance:g} mm: {bound['basis']}"
+        ]
     return []
 
 

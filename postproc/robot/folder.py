@@ -23,6 +23,7 @@ from postproc.robot.model_file import (
     Masses,
     ModelFile,
 )
+from postproc.robot.parameter import Parameter
 from postproc.robot.spring_parameters import LinkSpring
 from postproc.robot.transmission import Transmission
 from postproc.robot.value_sources import sourced_values
@@ -103,7 +104,8 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     actual = replace(nominal, placement=placement, flange=flange)
     if (carried := content.payload) is not None:
         actual = actual.with_payload(carried.mass_kg, np.array([carried.X_mm, carried.Y_mm, carried.Z_mm]) * M_PER_MM)
-    values, table, covered = parameters.stated(content), content.covariance, content.measured
+    values, covered = parameters.stated(content), content.measured
+    covariance, stated_spread = _covariance(content)
     rigid = RobotModel(
         name=name,
         title=content.name,
@@ -117,7 +119,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         lower=nominal.lower,
         upper=nominal.upper,
         speed=nominal.speed,
-        covariance=None if table is None else Covariance.of(table.parameters, table.matrix),
+        covariance=covariance,
         sources=tuple(sourced_values(content, nominal)),
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
@@ -127,9 +129,35 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         transmission=Transmission.of(content.transmission),
         mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
         compensator_spread=0.0 if content.compensator is None else content.compensator.spread_percent / 100.0,
+        stated_spread=stated_spread,
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
     return rigid.with_link_springs(springs).with_values(values)
+
+
+def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter, ...]]:
+    """Return the covariance of the parameters, and those whose variance is a stated spread instead of readings.
+
+    `sigma_percent` counts for parameters that [covariance] does not name, independent of all others. K_c and s_0 are
+    identified together: where the table names one of them, the spread of K_c is not used.
+    """
+    table, law = content.covariance, content.compensator
+    names = [] if table is None else table.parameters
+    spreads: dict[Parameter, float] = {
+        parameter: spring.sigma_percent / 100.0 * spring.compliance_urad_per_Nm
+        for parameter in parameters.JOINT_COMPLIANCES
+        if (spring := content.joints[parameter.joint]).sigma_percent is not None and parameter.name not in names
+    }
+    if law is not None and law.sigma_percent is not None and law.stiffness_N_per_m > 0.0:
+        stiffness, preload = parameters.COMPENSATOR
+        if not {stiffness.name, preload.name} & set(names):
+            spreads[stiffness] = law.sigma_percent / 100.0 * law.stiffness_N_per_m
+    if table is None and not spreads:
+        return None, ()
+    matrix = np.diag([0.0] * len(names) + [sigma**2 for sigma in spreads.values()])
+    if table is not None and names:
+        matrix[: len(names), : len(names)] = table.matrix
+    return Covariance.of([*names, *(parameter.name for parameter in spreads)], matrix), tuple(spreads)
 
 
 def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:

@@ -32,6 +32,9 @@ _SAME = 1e-3
 _ROUND = 7
 """Decimals of lengths [m]: what is behind them is rounding of the file."""
 _REFERENCE = "kuka_kr270"
+_SCALED_SIGMA = 40.0
+"""Standard deviation [%] of a compliance scaled from another arm: published values of one class of arms differ by 20 to
+50 %."""
 _LIGHTEST = 0.01
 """A link below this [kg] has no mass: some files need a number larger than zero there."""
 
@@ -76,7 +79,12 @@ def adopt(text: str, file: str) -> Adopted:
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         language="krl",
         joints={
-            joint: JointSpring(source=f"no published value: {scaled}", assumed=True, compliance_urad_per_Nm=value)
+            joint: JointSpring(
+                source=f"no published value: {scaled}",
+                assumed=True,
+                compliance_urad_per_Nm=value,
+                sigma_percent=_SCALED_SIGMA,
+            )
             for joint, value in zip(JOINTS, compliance, strict=True)
         },
         masses=Masses(source=f"{file}: none given" if len(missing) == len(JOINTS) else file, assumed=bool(missing)),

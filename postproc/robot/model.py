@@ -107,6 +107,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param transmission: errors of the gears' transmission, or None.
     :param mass_spread: standard deviation of what the mass of each link is off by, as a share.
     :param compensator_spread: the same of the size of the compensator's torque.
+    :param stated_spread: parameters of `covariance` whose variance is the spread of published or assumed values.
     """
 
     name: str
@@ -133,6 +134,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     transmission: Transmission | None = None
     mass_spread: float = 0.0
     compensator_spread: float = 0.0
+    stated_spread: tuple[Parameter, ...] = ()
 
     @cached_property
     def compliance(self) -> Array:
@@ -152,6 +154,18 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
                 continue
             out[parameter.row(self)] += value * parameter.effect(zero, zero)[1][0]
         return out
+
+    @cached_property
+    def basis(self) -> str:
+        """What the covariance rests on, in words; empty without covariance."""
+        if self.covariance is None:
+            return ""
+        if len(self.stated_spread) == len(self.covariance.parameters) and self.stated_spread:
+            return "from published values, not measured on this robot"
+        if self.stated_spread:
+            names = ", ".join(parameter.symbol for parameter in self.stated_spread)
+            return f"measured on this robot, but for {names}: from published values"
+        return "measured on this robot"
 
     @cached_property
     def passive(self) -> tuple[int, ...]:

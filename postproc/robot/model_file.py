@@ -52,9 +52,11 @@ class JointSpring(Sourced, frozen=True, kw_only=True):
     """Compliance of one virtual joint spring, at small torque, the spring of its link about the same axis included.
 
     `stiffening` says which parts of it fade with load, `knees` which end beyond a torque (`parameters.Knee`).
+    `sigma_percent`: standard deviation of the whole compliance where readings on this robot give none.
     """
 
     compliance_urad_per_Nm: Positive
+    sigma_percent: Positive | None = None
     ci95: NotNegative | None = None
     stiffening: list[Stiffening] = []
     knees: list[Stiffening] = []
@@ -88,7 +90,8 @@ class LinkSprings(Sourced, frozen=True, kw_only=True):
 class CompensatorEntry(Sourced, frozen=True, kw_only=True):
     """Gravity compensator at joint A2, paper Eq. (3)–(4).
 
-    `spread_percent`: standard deviation of what the size of its torque is off by.
+    `sigma_percent`: standard deviation of K_c at this free length, where readings on this robot give none; it goes
+    into the bound. `spread_percent`: standard deviation of the size of its torque, about which a fit looks for K_c.
     """
 
     L_mm: Positive
@@ -96,6 +99,7 @@ class CompensatorEntry(Sourced, frozen=True, kw_only=True):
     a_y_mm: Finite
     stiffness_N_per_m: NotNegative
     free_length_mm: NotNegative
+    sigma_percent: Positive | None = None
     geometry_source: str = ""
     spread_percent: NotNegative = 15.0
 

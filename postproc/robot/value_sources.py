@@ -30,7 +30,7 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
     for name in JOINTS:
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
-        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m)"
+        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma(spring.sigma_percent)}"
         if spring.fades:
             value += f", of which {spring.fades:.3g} fade with load"
         if spring.backlash is not None:
@@ -43,7 +43,8 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         geometry_source = spring_law.geometry_source or spring_law.source
         assumed = spring_law.assumed and not spring_law.geometry_source
         yield SourcedValue("compensator geometry", value, geometry_source, assumed)
-        value = f"K_c {spring_law.stiffness_N_per_m:g} N/m, s_0 {spring_law.free_length_mm:g} mm"
+        stiffness = f"K_c {spring_law.stiffness_N_per_m:g} N/m{_sigma(spring_law.sigma_percent)}"
+        value = f"{stiffness}, s_0 {spring_law.free_length_mm:g} mm"
         yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
     if (carried := content.payload) is not None:
         value = f"{carried.mass_kg:g} kg at {carried.X_mm:g}, {carried.Y_mm:g}, {carried.Z_mm:g} mm of the flange"
@@ -83,3 +84,7 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         source = entry_source or Sourced(source="not stated", assumed=True)
         yield SourcedValue(label, value, source.source, source.assumed)
     yield SourcedValue("gravity reference", content.gravity.reference, "model.toml", assumed=False)
+
+
+def _sigma(percent: float | None) -> str:
+    return "" if percent is None else f" (σ {percent:g} %)"

@@ -121,7 +121,9 @@ def test_the_bound_counts_the_deviation_of_the_forces(tmp_path):
 
 def test_a_model_that_knows_nothing_of_itself_has_no_bound_but_tells(tmp_path):
     text = f"line,Fx,Fy,Fz,sigma_percent\n{LINE},300,-100,150,15\n"
-    result = convert("part.nc", TEXT, rows=source(tmp_path, text))
+    unsure = replace(ROBOT, covariance=None)
+    program = correction.read([decode("part.nc", TEXT.encode())], unsure, CELL, "part", "gcode")
+    result = correction.process(program, unsure, CELL, source(tmp_path, text))
     assert result.bound is None
     assert [issue.level for issue in result.issues if issue.kind == "no-bound"] == ["info"]
 

@@ -55,11 +55,12 @@ def test_the_table_says_what_the_report_says():
 
 def test_what_the_model_leaves_and_what_is_to_be_expected_stand_apart():
     base = fabricated.result()
-    assert "To be expected on the part unknown" in _read(base).text("numbers")
+    assert "Expected error on the part unknown" in _read(base).text("numbers")
     bounded = fabricated.with_changes(base, bound=np.where(base.rapid, 9.0, 1.23e-4))
     text = _read(bounded).text("numbers")
     assert "What the model leaves, largest 0.0002 mm" in text
-    assert "To be expected on the part, up to 0.1230 mm" in text
+    assert "Expected error on the part, up to 0.12 mm" in text
+    assert "from published values, not measured on this robot" in text
 
 
 def test_every_place_has_the_numbers_of_its_target():
@@ -131,8 +132,8 @@ def test_the_worst_lines_are_listed_once_each_the_worst_first():
 
 def test_values_of_the_model_are_told_with_their_sources_assumed_ones_flagged():
     text = _read(fabricated.result()).text("model")
-    assert "compliance A2 0.302 µrad/(N·m) assumed" in text
-    assert "compliance A1 0.623 µrad/(N·m) stated" in text
+    assert "compliance A2 0.302 µrad/(N·m) (σ 25 %) assumed" in text
+    assert "compliance A1 0.623 µrad/(N·m) (σ 40 %) stated" in text
 
 
 def test_joint_near_its_limit_is_marked_and_doubtful():

@@ -29,7 +29,7 @@ def test_programs_in_trouble_come_first_the_worst_of_them_first():
     assert places == sorted(places)
     assert "gone.nc: gone.nc:3: A3 <beyond> its limit" in read.text("failed")
     assert "nothing written 1 do not run 1 no forces 1 look first 3" in text
-    assert "On the part (95 %) 0.5000 mm unknown for 3 of 5" in text
+    assert "On the part (95 %) 0.50 mm unknown for 3 of 5" in text
     assert "500 targets in 5 programs" in text
 
 

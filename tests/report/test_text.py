@@ -21,7 +21,7 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
         "  mean            1.0042  0.0002         5021\n"
         "  95 %            1.4950  0.0002         7475\n"
         "\n"
-        "  to be expected on the part (95 %): unknown, the model states no uncertainty\n"
+        "  expected error on the part (95 %): unknown, the model states no uncertainty\n"
         "  compensated 99.98 %\n"
         "  largest correction 1.500 mm\n"
         "  between targets at most 0.0040 mm (tolerance 0.01 mm, held)\n"

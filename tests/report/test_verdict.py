@@ -35,7 +35,7 @@ def test_a_program_of_which_all_is_known_and_held_is_good():
     ("changes", "reason"),
     [
         ({"bound": None}, "unknown: the robot model states no uncertainty"),
-        ({"bound": np.full(100, 2e-5)}, "on the part up to 0.020 mm (95 %) may remain, more than 0.01 mm"),
+        ({"bound": np.full(100, 2e-5)}, "the expected error on the part is up to 0.020 mm (95 %), more than 0.01 mm"),
         ({"rounding": np.full(100, 5e-5)}, "line 3: approximation (C_DIS) rounds corners by up to 0.050 mm"),
         ({"joint_margin": np.radians([9.0, 4.0, 9, 9, 9, 9])}, "A2 comes within 4.0° of a limit"),
         ({"wrench": np.zeros((100, 6))}, "no cutting move carries a force"),

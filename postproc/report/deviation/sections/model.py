@@ -21,5 +21,7 @@ def section(told: Deviation) -> Section:
         parts.append(Notes((Note(text, "warning"),)))
     else:
         names = ", ".join(parameter.symbol for parameter in robot.covariance.parameters)
-        parts.append(Notes((Note(f"The covariance of these parameters is known: {names}."),)))
+        parts.append(
+            Notes((Note(f"The expected error on the part counts the uncertainty of {names}: {robot.basis}."),))
+        )
     return Section("model", "Robot model", tuple(parts))

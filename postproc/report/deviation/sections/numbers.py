@@ -4,7 +4,7 @@ from typing import Literal
 
 from postproc.report.deviation.content import Deviation
 from postproc.report.kit import Note, Notes, Part, Row, Section, Table, Tile, Tiles
-from postproc.report.text import millimetres, percent, times
+from postproc.report.text import millimetres, percent, rounded, times
 
 _MEASURES: tuple[tuple[str, Literal["max_mm", "rms_mm", "mean_mm", "p95_mm"]], ...] = (
     ("Maximum", "max_mm"),
@@ -30,11 +30,10 @@ def section(told: Deviation) -> Section | None:
         tiles.append(Tile("What the model leaves, largest", millimetres(after["max_mm"]), "mm", note))
     if bound is None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
-        tiles.append(Tile("To be expected on the part", "unknown", "", note, "warning"))
+        tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
     else:
-        rms = millimetres(bound["rms_mm"])
-        note = f"95 % bound, RMS {rms} mm: uncertainty of the model, and of forces that state theirs"
-        tiles.append(Tile("To be expected on the part, up to", millimetres(bound["max_mm"]), "mm", note))
+        note = f"95 % bound, RMS {rounded(bound['rms_mm'])} mm; {bound['basis']}"
+        tiles.append(Tile("Expected error on the part, up to", rounded(bound["max_mm"]), "mm", note))
     parts: list[Part] = [Tiles(tuple(tiles)), _table(told)]
     share = content["compensated_percent"]
     if content["mode"] == "convert" and share is not None:

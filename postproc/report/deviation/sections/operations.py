@@ -3,7 +3,7 @@
 from postproc.frames import MM_PER_M
 from postproc.report.deviation.content import Deviation
 from postproc.report.kit import Row, Section, Table
-from postproc.report.text import millimetres
+from postproc.report.text import millimetres, rounded
 
 
 def section(told: Deviation) -> Section | None:
@@ -23,7 +23,7 @@ def section(told: Deviation) -> Section | None:
         if told.compared:
             cells.append(millimetres(operation.after.largest * MM_PER_M))
         if operation.bound is not None:
-            cells.append(millimetres(operation.bound.largest * MM_PER_M))
+            cells.append(rounded(operation.bound.largest * MM_PER_M))
         rows.append(Row(tuple(cells), told.places.of(operation.first), operation.line))
     head = [
         "Operation",

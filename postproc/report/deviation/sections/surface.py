@@ -5,7 +5,7 @@ import numpy as np
 from postproc.frames import MM_PER_M
 from postproc.report.deviation.content import Deviation
 from postproc.report.kit import Note, Notes, Part, Row, Section, Table, Tile, Tiles, View
-from postproc.report.text import millimetres
+from postproc.report.text import millimetres, rounded
 
 _MOST = 40
 
@@ -29,7 +29,7 @@ def section(told: Deviation) -> Section | None:
         tiles.append(_depth("Gouged after, at most", -after[touched].min(), "as the model predicts it"))
         tiles.append(_depth("Left after, at most", after[touched].max()))
     if surface.bound is not None:
-        tiles.append(Tile("To be expected (95 %), up to", millimetres(surface.bound[touched].max() * MM_PER_M), "mm"))
+        tiles.append(Tile("Expected error (95 %), up to", rounded(surface.bound[touched].max() * MM_PER_M), "mm"))
     share = 100.0 * _area(surface.corners[touched]) / _area(surface.corners)
     tiles.append(Tile("Of the surface touched", f"{share:.0f}", "%"))
     label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"

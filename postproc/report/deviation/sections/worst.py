@@ -7,7 +7,7 @@ from postproc.program import Ints, distinct
 from postproc.report.deviation.content import Deviation
 from postproc.report.deviation.places import correction
 from postproc.report.kit import Row, Section, Table
-from postproc.report.text import millimetres
+from postproc.report.text import millimetres, rounded
 
 _EACH = 12
 
@@ -18,18 +18,20 @@ def section(told: Deviation) -> Section | None:
     if not len(result) or told.nothing is not None:
         return None
     measures = [result.before] + ([result.after] if told.compared else [])
-    measures += [] if result.bound is None else [result.bound]
-    rows = distinct(np.concatenate([_worst(measure, result.rapid, result.source_line) for measure in measures]))
+    bound = [] if result.bound is None else [result.bound]
+    every = (_worst(measure, result.rapid, result.source_line) for measure in measures + bound)
+    rows = distinct(np.concatenate([*every]))
     rows = rows[np.argsort(-result.before[rows], kind="stable")]
     force, moved = norm(result.wrench[rows, :3]), norm(correction(result)[rows]) * MM_PER_M
     head = ["Source line", "Output line", "On the move", "Before, mm" if told.compared else "Predicted, mm"]
     head += ["After, mm"] if told.compared else []
-    head += ["On the part (95 %), mm"] if result.bound is not None else []
+    head += ["On the part (95 %), mm"] if bound else []
     head += ["Force, N"] + (["Correction, mm"] if told.compared else [])
     out = []
     for index, row in enumerate(rows.tolist()):
         cells = [str(result.source_line[row]), str(result.output_line[row]), f"{result.t[row]:.3f}"]
         cells += [millimetres(float(measure[row]) * MM_PER_M) for measure in measures]
+        cells += [rounded(float(each[row]) * MM_PER_M) for each in bound]
         cells += [f"{force[index]:.0f}"] + ([f"{moved[index]:.4f}"] if told.compared else [])
         out.append(Row(tuple(cells), told.places.of(row), int(result.source_line[row])))
     table = Table(tuple(head), tuple(out), "The worst places, one for each line of the program", sortable=True)
