@@ -38,8 +38,10 @@ def identify() -> None:
 def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> None:
     """Geometry of the gravity compensator: L, a_x, a_y.
 
-    MARKERS is a CSV file with columns q2,marker,repeat,X,Y,Z: deg, mm, in any frame of the tracker. Marker P1 sits on
-    link 2 where the spring is attached, P01, P02, … on the spring, best on opposite sides of its axis.
+    MARKERS is a CSV file with columns q2,marker,repeat,X,Y,Z: deg, mm, in any frame of the tracker. Marker P1 is on
+    link 2 where the spring is attached; P01, P02, … are on the spring, best spread evenly around its swivel axis P0.
+    Prints the paper's condition on their places (Σ R cos β = Σ R sin β = 0), the bias that they leave, and the
+    intervals that evenly spread markers would give. `postproc plan compensator` proposes angles and places.
     Eq. (6) and (7) of the paper.
 
     \b
@@ -48,15 +50,15 @@ def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> 
     """  # noqa: D301 - click: keep these lines as they are
     import json
 
-    from postproc.identification.compensator_geometry import as_data
+    from postproc.identification.compensator_geometry import as_data, text_lines
     from postproc.jobs.identification_files import identify_compensator
 
     result = identify_compensator(markers, output, overwrite=overwrite)
     if as_json:
         click.echo(json.dumps(as_data(result, markers.name), indent=2, ensure_ascii=False))
         return
-    for name, value, half in zip(("L", "a_x", "a_y"), result.value, result.ci95, strict=True):
-        click.echo(f"{name:>4} = {value * 1e3:8.3f} ± {half * 1e3:.3f} mm")
+    for line in text_lines(result):
+        click.echo(line)
     for warning in result.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"written: {output}")

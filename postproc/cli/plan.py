@@ -1,4 +1,4 @@
-"""`postproc plan`."""
+"""`postproc plan`: poses and loads to identify the robot by, and readings of the gravity compensator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,67 @@ if TYPE_CHECKING:
 _PATH = click.Path(path_type=Path)
 
 
-@click.command()
+class _PlanGroup(click.Group):
+    """A group whose command `poses` is the default: ``plan --experiment …`` is ``plan poses --experiment …``."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the default command in front of arguments that name none."""
+        if args and args[0] not in {*self.commands, *ctx.help_option_names}:
+            args = ["poses", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(cls=_PlanGroup)
+def plan() -> None:
+    """Plan what to measure.
+
+    `poses` is the default: `postproc plan --experiment …` is `postproc plan poses --experiment …`.
+
+    \b
+    Examples:
+      postproc plan --experiment experiment.toml --cell cell.toml --program part.nc -o plan.csv
+      postproc plan compensator --experiment experiment.toml -o compensator.csv
+    """  # noqa: D301 - click: keep these lines as they are
+
+
+@plan.command()
+@click.option("--experiment", type=_PATH, required=True, help="Experiment file: robot, sigma_mm.")
+@click.option("--angles", type=click.IntRange(3, 40), default=6, show_default=True, help="Angles of A2 to measure at.")
+@click.option(
+    "--markers", type=click.IntRange(1, 20), default=4, show_default=True, help="Markers on the compensator, P01 …"
+)
+@click.option("--repeats", type=click.IntRange(1, 100), default=3, show_default=True, help="Readings of each marker.")
+@click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To limits of A2, in deg.")
+@click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .json next to it.")
+def compensator(as_json: bool, **request: Any) -> None:
+    """Choose angles of A2 and places of the compensator's markers.
+
+    For `identify compensator`: they make the intervals of L, a_x, a_y smallest (trace of the covariance by Eq. (6) and
+    (7) of the paper). Writes the CSV file that `identify compensator` reads, one row for each reading, with X, Y, Z to
+    be filled in, and a JSON file of the plan. L, a_x, a_y of the robot in the experiment are the prior.
+
+    \b
+    Example:
+      postproc plan compensator --experiment experiment.toml --angles 8 -o compensator.csv
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.plan_files import CompensatorRequest, make_compensator_plan
+    from postproc.plan.compensator import text_lines
+
+    asked = CompensatorRequest(**request)
+    if asked.output.suffix.lower() != ".csv":
+        raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
+    made = make_compensator_plan(asked)
+    if as_json:
+        click.echo(made.written[-1].read_text(encoding="utf-8"), nl=False)
+        return
+    for line in text_lines(made.plan):
+        click.echo(line)
+    click.echo("written: " + ", ".join(str(path) for path in made.written))
+
+
+@plan.command()
 @click.option("--experiment", type=_PATH, required=True, help="How it is measured: experiment.toml with [rig].")
 @click.option("--cell", type=_PATH, required=True, help="Cell file of the programs.")
 @click.option(
@@ -52,7 +112,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json beside it.")
-def plan(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **request: Any) -> None:
+def poses(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **request: Any) -> None:
     """Choose poses and loads to identify the robot by.
 
     The plan makes the error that remains after compensation smallest where the PROGRAMs mill, under their forces. For
@@ -64,7 +124,7 @@ def plan(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **requ
 
     \b
     Examples:
-      postproc plan --experiment experiment.toml --cell cell.toml --program part.nc -o plan.csv
+      postproc plan poses --experiment experiment.toml --cell cell.toml --program part.nc -o plan.csv
       postproc plan --experiment experiment.toml --cell cell.toml --program "parts/*.nc" --forces forces/ \\
           --configurations 20 --q2-levels 6 --seed 7 -o plan.csv
       postproc plan --experiment experiment.toml --cell cell.toml --poses tests.csv --grouped -o plan.csv

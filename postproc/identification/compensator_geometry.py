@@ -21,12 +21,17 @@ from postproc.frames import DEG_PER_RAD, M_PER_MM, MM_PER_M, RAD_PER_DEG, Array
 from postproc.program import Ints
 
 P1 = "P1"
+_KEYS = ("L_mm", "a_x_mm", "a_y_mm")
 _COLUMNS = ("q2", "marker", "repeat", "X", "Y", "Z")
 _OUTLIER = 6.0
 _SMALL_TURN = 10.0 * RAD_PER_DEG
 _Groups = dict[tuple[str, float], Ints]
 _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
+_WIDE = 0.05
+"""Half width of a_x or a_y over the distance P0 … P2 from which on it is warned of."""
+_WORTH = 0.8
+"""Half width with evenly spread markers over the present one below which spreading them is advised."""
 
 
 class MarkerReadings(Struct, frozen=True, eq=False):
@@ -53,15 +58,45 @@ class MarkerReadings(Struct, frozen=True, eq=False):
     warnings: tuple[str, ...] = ()
 
 
+class MarkerPlacement(Struct, frozen=True, eq=False):
+    """How the markers sit around the swivel axis P0, and what that costs. Body-fixed polar coordinates about P0.
+
+    The condition of the paper, Σ R cos β = Σ R sin β = 0, concerns the bias of Eq. (7), which grows with the square of
+    the noise; the intervals depend on how evenly the directions of the markers are spread.
+
+    :param names: of the k markers.
+    :param radius: (k,) R [m].
+    :param angle: (k,) β from the line P0 → P1, positive as q2 [rad].
+    :param bias: (3,) of L, a_x, a_y that this placement leaves [m]; contained in their intervals.
+    :param ci95_even: (3,) half widths with as many markers spread evenly around P0, all else equal [m].
+    """
+
+    names: tuple[str, ...]
+    radius: Array
+    angle: Array
+    bias: Array
+    ci95_even: Array
+
+    @property
+    def sums(self) -> Array:
+        """Σ R cos β and Σ R sin β (2,) [m]: zero where the paper's condition holds."""
+        return np.array([np.sum(self.radius * np.cos(self.angle)), np.sum(self.radius * np.sin(self.angle))])
+
+    @property
+    def imbalance(self) -> float:
+        """Length of `sums` over Σ R: 0 where the condition holds, 1 with all markers in one direction."""
+        return float(np.linalg.norm(self.sums) / self.radius.sum())
+
+
 class CompensatorGeometry(Struct, frozen=True, eq=False):
     """L, a_x, a_y of Eq. (3) with their uncertainty.
 
     :param value: (3,) L, a_x, a_y [m].
-    :param covariance: (3, 3) [m²].
+    :param covariance: (3, 3) of the noise and of the bias of Eq. (7) [m²].
     :param ci95: (3,) half widths of the 95 % intervals [m].
-    :param sigma: noise of one coordinate of one reading, from the residuals [m].
-    :param dof: degrees of freedom behind `sigma`.
-    :param turn: angle by which the compensator turned over the readings [rad].
+    :param sigma: noise of one coordinate of one reading [m], and `dof` its degrees of freedom.
+    :param turn: angle by which the compensator turned [rad].
+    :param markers: how the markers sit around P0.
     :param warnings: what the user should know.
     """
 
@@ -71,53 +106,64 @@ class CompensatorGeometry(Struct, frozen=True, eq=False):
     sigma: float
     dof: int
     turn: float
+    markers: MarkerPlacement
     warnings: tuple[str, ...]
 
 
-def joint_axis_radius(q2: Array, p1: Array) -> tuple[float, Array, Array]:
-    """Return L by Eq. (6), the axes R of the mechanism in the tracker frame (3, 3), and P2 (3,) [m].
+def joint_axis_radius(q2: Array, p1: Array) -> tuple[Array, Array, Array]:
+    """Return L (...) by Eq. (6), the axes R of the mechanism in the tracker frame (..., 3, 3), and P2 (..., 3) [m].
 
     As printed, with the transpose that is missing there: the SVD is of Σ û p̂ᵀ. R is made right-handed.
 
     :param q2: (m,) [rad].
-    :param p1: (m, 3) [m].
+    :param p1: (..., m, 3) [m].
     """
-    u = np.column_stack([np.cos(q2), np.sin(q2), np.zeros_like(q2)])
-    u_hat, p_hat = u - u.mean(axis=0), p1 - p1.mean(axis=0)
+    u = _unit(q2)
+    mean = p1.mean(axis=-2)
+    u_hat, p_hat = u - u.mean(axis=0), p1 - mean[..., None, :]
     left, _, right = np.linalg.svd(u_hat.T @ p_hat)
-    handed = np.diag([1.0, 1.0, np.linalg.det(right.T @ left.T)])
-    axes = right.T @ handed @ left.T
-    length = float(np.sum(p_hat * (u_hat @ axes.T)) / np.sum(u_hat**2))
-    return length, axes, p1.mean(axis=0) - length * axes @ u.mean(axis=0)
+    left, right = left.swapaxes(-1, -2), right.swapaxes(-1, -2)
+    handed = np.ones(left.shape[:-1])
+    handed[..., 2] = np.linalg.det(right @ left)
+    axes = (right * handed[..., None, :]) @ left
+    length = np.sum(p_hat * (u_hat @ axes.swapaxes(-1, -2)), axis=(-2, -1)) / np.sum(u_hat**2)
+    return length, axes, mean - length[..., None] * (axes @ u.mean(axis=0))
 
 
 def swivel_axis(p0: Array) -> tuple[Array, Array]:
-    """Return the point P0 (3,) [m] about which the markers turn, by Eq. (7), and the normal n (3,) of their plane.
+    """Return the point P0 (..., 3) [m] about which the markers turn, by Eq. (7), and the normal n (..., 3) of their
+    plane.
 
     Three corrections of print: ŝ subtracts the mean of pᵀp; the last term takes p itself, not p̂; and the inverse is
     the pseudo-inverse of rank 2, because the points lie in planes.
 
-    :param p0: (k, m, 3) k markers at m angles [m].
+    :param p0: (..., k, m, 3) k markers at m angles [m].
+    :raises MeasurementError: the markers moved along a straight line.
     """
-    origin = p0.mean(axis=(0, 1))  # Eq. (7) does not depend on the origin; near the points it loses no digits
-    p = p0 - origin
-    p_hat = p - p.mean(axis=1, keepdims=True)
-    squared = np.sum(p**2, axis=2)
-    s_hat = squared - squared.mean(axis=1, keepdims=True)
-    eigenvalues, vectors = np.linalg.eigh(np.einsum("kmi,kmj->ij", p_hat, p_hat))
-    normal, plane = vectors[:, 0], vectors[:, 1:]
-    if eigenvalues[1] <= 1e-16 * eigenvalues[2]:
+    origin = p0.mean(axis=(-3, -2))  # Eq. (7) does not depend on the origin; near the points it loses no digits
+    p = p0 - origin[..., None, None, :]
+    p_hat = p - p.mean(axis=-2, keepdims=True)
+    squared = np.sum(p**2, axis=-1)
+    s_hat = squared - squared.mean(axis=-1, keepdims=True)
+    eigenvalues, vectors = np.linalg.eigh(np.einsum("...kmi,...kmj->...ij", p_hat, p_hat))
+    normal, plane = vectors[..., 0], vectors[..., 1:]
+    if np.any(eigenvalues[..., 1] <= 1e-16 * eigenvalues[..., 2]):
         raise MeasurementError(
             "the markers on the compensator moved along a straight line: their centre of rotation cannot be found",
             advice="Measure a wider range of q2, and markers on opposite sides of P0.",
         )
-    inverse = plane @ np.diag(1.0 / eigenvalues[1:]) @ plane.T
-    centre = 0.5 * inverse @ np.einsum("km,kmi->i", s_hat, p_hat) + normal * (normal @ p.mean(axis=(0, 1)))
-    return centre + origin, normal
+    moment = np.einsum("...km,...kmi->...i", s_hat, p_hat)
+    in_plane = np.einsum("...ia,...ja,...j->...ia", plane, plane, moment) / eigenvalues[..., None, 1:]
+    height = np.einsum("...i,...i->...", normal, p.mean(axis=(-3, -2)))
+    return 0.5 * in_plane.sum(axis=-1) + normal * height[..., None] + origin, normal
 
 
 def geometry(q2: Array, p1: Array, p0: Array) -> Array:
-    """Return (3,) L, a_x, a_y [m] of Eq. (3) from mean positions; see the module for the axes.
+    """Return (..., 3) L, a_x, a_y [m] of Eq. (3) from mean positions; see the module for the axes.
+
+    :param q2: (m,) [rad].
+    :param p1: (..., m, 3) [m].
+    :param p0: (..., k, m, 3) [m].
 
     >>> angle = np.radians([0.0, -50.0, -100.0, -140.0])
     >>> circle = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
@@ -128,15 +174,112 @@ def geometry(q2: Array, p1: Array, p0: Array) -> Array:
     """
     length, axes, centre_p2 = joint_axis_radius(q2, p1)
     centre_p0, _ = swivel_axis(p0)
-    x, y, _ = axes.T @ (centre_p0 - centre_p2)
-    return np.array([length, -x, -y])
+    across = np.einsum("...ji,...j->...i", axes, centre_p0 - centre_p2)
+    return np.stack([length, -across[..., 0], -across[..., 1]], axis=-1)
+
+
+def mechanism(value: Array, q2: Array, radius: Array, angle: Array) -> tuple[Array, Array]:
+    """Return the positions of P1 (m, 3) and of markers on the compensator (k, m, 3) [m], axes of the mechanism.
+
+    :param value: (3,) L, a_x, a_y [m].
+    :param q2: (m,) [rad].
+    :param radius: (k,) of the markers about P0 [m].
+    :param angle: (k,) of the markers from the line P0 → P1, positive as q2 [rad].
+    """
+    p1, pivot = value[0] * _unit(q2), np.array([-value[1], -value[2], 0.0])
+    return p1, pivot + radius[:, None, None] * _unit(spring_direction(value, q2) + angle[:, None])
+
+
+def spring_direction(value: Array, q2: Array) -> Array:
+    """Return the angle (m,) [rad] of the line P0 → P1 from the x axis of the mechanism, at angles q2 (m,) [rad]."""
+    angle = np.arctan2(value[0] * np.sin(q2) + value[2], value[0] * np.cos(q2) + value[1])
+    return np.asarray(np.unwrap(angle))
+
+
+def noise_covariance(q2: Array, p1: Array, p0: Array, variance_p1: Array, variance_p0: Array) -> Array:
+    """Return the covariance (3, 3) of L, a_x, a_y by Eq. (6), (7) due to noise, to first order [m²].
+
+    By central differences with respect to every coordinate.
+
+    :param p1: (m, 3) [m], with the variance (m,) of one coordinate [m²].
+    :param p0: (k, m, 3), with the variance (k, m).
+    """
+    m, k, step = len(q2), len(p0), 1e-5
+    data = np.concatenate([p1.ravel(), p0.ravel()])
+    variance = np.repeat(np.concatenate([variance_p1.ravel(), variance_p0.ravel()]), 3)
+    moved = data + step * np.concatenate([np.eye(len(data)), -np.eye(len(data))])
+    found = geometry(q2, moved[:, : 3 * m].reshape(-1, m, 3), moved[:, 3 * m :].reshape(-1, k, m, 3))
+    sensitivity = (found[: len(data)] - found[len(data) :]) / (2.0 * step)
+    return np.asarray((sensitivity.T * variance) @ sensitivity)
+
+
+def pivot_bias(p0: Array, variance: Array) -> Array:
+    """Return the bias (3,) [m] of P0 by Eq. (7): the mean of its error, to second order in the noise.
+
+    The square of the noise of a point enters ŝ p̂ᵀ along its radius r. With M = Σ p̂ p̂ᵀ the bias is
+
+        M⁻¹ Σ σ² ((1 − 1/m − p̂ᵀM⁻¹p̂) r − p̂ (p̂ᵀM⁻¹r))
+
+    Its largest part is σ²(m − 1) M⁻¹ Σ_j R_j (cos β_j, sin β_j): hence the paper's condition on the markers.
+
+    :param p0: (k, m, 3) [m].
+    :param variance: (k, m) of one coordinate [m²].
+    """
+    centre, normal = swivel_axis(p0)
+    _, _, axes = np.linalg.svd(normal[None])
+    r = (p0 - centre) @ axes[1:].T
+    p_hat = r - r.mean(axis=1, keepdims=True)
+    inverse = np.linalg.inv(np.einsum("kmi,kmj->ij", p_hat, p_hat))
+    own = p_hat @ inverse
+    along = (1.0 - 1.0 / p0.shape[1] - np.sum(own * p_hat, axis=2))[..., None] * r
+    along -= p_hat * np.sum(own * r, axis=2)[..., None]
+    return np.asarray(inverse @ np.einsum("km,kmi->i", variance, along) @ axes[1:])
+
+
+def even_angles(count: int) -> Array:
+    """Return the angles β (count,) [rad] around P0 that determine it best.
+
+    From three markers on evenly around: Σ cos β = Σ sin β = 0 (no bias) and Σ cos 2β = Σ sin 2β = 0 (all directions
+    determined alike), so four are the paper's two opposite pairs, a quarter turn apart. Two markers cannot do both;
+    opposite ones leave the direction of their line open, so they are a quarter turn apart.
+    """
+    return np.asarray(np.arange(count) * (np.pi / 2.0 if count < 3 else 2.0 * np.pi / count), dtype=np.float64)
+
+
+def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, variance: float) -> Array:
+    """Return the covariance (3, 3) of L, a_x, a_y [m²] to be expected of readings, bias of Eq. (7) included.
+
+    :param value: (3,) L, a_x, a_y [m].
+    :param q2: (m,) angles to be measured at [rad].
+    :param radius: (k,) of the markers [m], at `angle` (k,) from the line P0 → P1 [rad].
+    :param variance: of one coordinate of the mean of the repeats [m²].
+    """
+    p1, p0 = mechanism(value, q2, radius, angle)
+    each = np.full(p0.shape[:2], variance)
+    bias = np.concatenate([[0.0], -pivot_bias(p0, each)[:2]])
+    return np.asarray(noise_covariance(q2, p1, p0, each[0], each) + np.outer(bias, bias))
+
+
+def degrees_of_freedom(angles: int, markers: int) -> int:
+    """Return the degrees of freedom that the two circle fits leave.
+
+    Unknowns: 7 of the circle of P1; radius and height of each marker, and together centre (2) and tilt (2).
+    """
+    return (3 * angles - 7) + (2 * markers * angles - 2 * markers - 4)
+
+
+def student_95(dof: int) -> float:
+    """Return the 97.5 % quantile of Student's t."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(dof, 0.975))
 
 
 def identify(readings: MarkerReadings) -> CompensatorGeometry:
     """Identify L, a_x, a_y with 95 % intervals.
 
-    The noise comes from the scatter of the repeats and from what the two fits leave; the intervals from the sensitivity
-    of the estimate to every coordinate (central differences) and Student's t.
+    The noise comes from the scatter of the repeats and from the residuals of the two fits; the intervals from the
+    sensitivity of the estimate to every coordinate, the bias of Eq. (7) and Student's t.
 
     :raises MeasurementError: the readings do not belong to one such mechanism.
     """
@@ -144,53 +287,64 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     value = geometry(q2, p1, p0)
     left_p1, left_p0 = _residuals(readings)
     _refuse_impossible(readings, left_p1, left_p0)
-    m, k = len(q2), len(p0)
-    # unknowns: 7 of the circle of P1; per marker radius and height, and together centre (2) and tilt (2)
-    dof = readings.scatter_dof + (3 * m - 7) + (2 * k * m - 2 * k - 4)
+    dof = readings.scatter_dof + degrees_of_freedom(len(q2), len(p0))
     squares = readings.scatter + float(
         np.sum(readings.count_p1[:, None] * left_p1**2) + np.sum(readings.count_p0[..., None] * left_p0**2)
     )
     sigma = float(np.sqrt(squares / dof))
-    data = np.concatenate([p1.ravel(), p0.ravel()])
-    variance = sigma**2 / np.repeat(np.concatenate([readings.count_p1, readings.count_p0.ravel()]), 3)
-    step = 1e-5
-    sensitivity = np.empty((3, len(data)))
-    for column in range(len(data)):
-        moved = np.repeat(data[None], 2, axis=0)
-        moved[0, column] += step
-        moved[1, column] -= step
-        plus, minus = (geometry(q2, row[: 3 * m].reshape(m, 3), row[3 * m :].reshape(k, m, 3)) for row in moved)
-        sensitivity[:, column] = (plus - minus) / (2.0 * step)
-    covariance = (sensitivity * variance) @ sensitivity.T
-    from scipy.stats import t as student
-
-    ci95 = student.ppf(0.975, dof) * np.sqrt(np.diag(covariance))
-    turn = _turn(value, q2)
-    warnings = list(readings.warnings)
-    if np.any(ci95 > np.array([0.05, 0.05, 0.05]) * np.hypot(value[1], value[2])):
-        warnings.append(
-            f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
-            f"{turn * DEG_PER_RAD:.1f}°. Measure markers on opposite sides of P0, more angles q2, more repeats."
-        )
     if np.hypot(value[1], value[2]) <= value[0]:
         raise MeasurementError(
             f"P0 comes out {np.hypot(value[1], value[2]) * MM_PER_M:.1f} mm from P2, inside the circle of P1 "
             f"({value[0] * MM_PER_M:.1f} mm)",
             advice="Check the sign of q2 (KUKA: negative upwards), and that the markers P01… sit on the compensator.",
         )
-    return CompensatorGeometry(value, covariance, ci95, sigma, dof, turn, tuple(warnings))
+    variance = sigma**2 / readings.count_p0
+    _, axes, _ = joint_axis_radius(q2, p1)
+    bias = np.concatenate([[0.0], -(axes.T @ pivot_bias(p0, variance))[:2]])
+    covariance = noise_covariance(q2, p1, p0, sigma**2 / readings.count_p1, variance) + np.outer(bias, bias)
+    reach = student_95(dof)
+    ci95 = reach * np.sqrt(np.diag(covariance))
+    radius, angle = _polar(value, readings, axes)
+    even = np.full(len(p0), radius.mean()), even_angles(len(p0)) + float(angle[0])
+    even_covariance = expected_covariance(value, q2, *even, sigma**2 / float(readings.count_p0.mean()))
+    markers = MarkerPlacement(readings.markers, radius, angle, bias, reach * np.sqrt(np.diag(even_covariance)))
+    turn = float(np.ptp(spring_direction(value, q2)))
+    warnings = list(readings.warnings)
+    if np.any(ci95 > _WIDE * np.hypot(value[1], value[2])):
+        warnings.append(
+            f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
+            f"{turn * DEG_PER_RAD:.1f}°. {_remedy(markers, ci95)}"
+        )
+    return CompensatorGeometry(value, covariance, ci95, sigma, dof, turn, markers, tuple(warnings))
 
 
-def _turn(value: Array, q2: Array) -> float:
-    direction = np.unwrap(np.arctan2(value[0] * np.sin(q2) + value[2], value[0] * np.cos(q2) + value[1]))
-    return float(np.ptp(direction))
+def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
+    even = markers.ci95_even[1:]
+    if np.linalg.norm(even) > _WORTH * np.linalg.norm(ci95[1:]):
+        return "Measure more markers, more repeats, and the angles q2 that `postproc plan compensator` proposes."
+    return (
+        f"Spread the markers evenly around P0: a_x ± {even[0] * MM_PER_M:.1f} mm, a_y ± {even[1] * MM_PER_M:.1f} mm "
+        "with as many readings."
+    )
+
+
+def _polar(value: Array, readings: MarkerReadings, axes: Array) -> tuple[Array, Array]:
+    """Return radius (k,) [m] and angle β (k,) [rad] of the markers about P0, from the line P0 → P1."""
+    centre, _ = swivel_axis(readings.p0)
+    plane = (readings.p0 - centre) @ axes[:, :2]
+    body = plane @ np.array([1.0, 1.0j]) * np.exp(-1.0j * spring_direction(value, readings.q2))
+    mean = body.mean(axis=1)
+    return np.abs(mean), np.angle(mean)
+
+
+def _unit(angle: Array) -> Array:
+    return np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
 
 
 def _residuals(readings: MarkerReadings) -> tuple[Array, Array]:
     """Return what the fits leave: of P1 (m, 3), of the other markers (k, m, 2): radial and along the normal [m]."""
     length, axes, centre_p2 = joint_axis_radius(readings.q2, readings.p1)
-    u = np.column_stack([np.cos(readings.q2), np.sin(readings.q2), np.zeros_like(readings.q2)])
-    left_p1 = readings.p1 - centre_p2 - length * u @ axes.T
+    left_p1 = readings.p1 - centre_p2 - length * _unit(readings.q2) @ axes.T
     centre_p0, normal = swivel_axis(readings.p0)
     height = (readings.p0 - centre_p0) @ normal
     radius = np.linalg.norm((readings.p0 - centre_p0) - height[..., None] * normal, axis=2)
@@ -336,8 +490,13 @@ def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_
 
 
 def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
-    """Return the result as it stands in its file [mm, deg]; `source`: where the readings came from."""
-    values = zip(("L_mm", "a_x_mm", "a_y_mm"), result.value * MM_PER_M, result.ci95 * MM_PER_M, strict=True)
+    """Return the content of the result's file [mm, deg].
+
+    :param source: where the readings came from.
+    """
+    markers = result.markers
+    sums = markers.sums * MM_PER_M
+    values = zip(_KEYS, result.value * MM_PER_M, result.ci95 * MM_PER_M, strict=True)
     return {
         "source": source,
         "sigma_mm": result.sigma * MM_PER_M,
@@ -345,7 +504,36 @@ def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
         "covariance_mm2": (result.covariance * MM_PER_M**2).tolist(),
         "warnings": list(result.warnings),
         **{name: {"value": float(value), "ci95": float(half)} for name, value, half in values},
+        "markers": {
+            "names": list(markers.names),
+            "R_mm": (markers.radius * MM_PER_M).tolist(),
+            "beta_deg": (markers.angle * DEG_PER_RAD).tolist(),
+            "sum_R_cos_beta_mm": float(sums[0]),
+            "sum_R_sin_beta_mm": float(sums[1]),
+            "imbalance": markers.imbalance,
+            "bias_mm": (markers.bias * MM_PER_M).tolist(),
+            "ci95_even_mm": (markers.ci95_even * MM_PER_M).tolist(),
+        },
     }
+
+
+def text_lines(result: CompensatorGeometry) -> list[str]:
+    """Return the values with their intervals, and what the places of the markers cost, for a terminal."""
+    lines = [
+        f"{name.removesuffix('_mm'):>4} = {value * MM_PER_M:8.3f} ± {half * MM_PER_M:.3f} mm"
+        for name, value, half in zip(_KEYS, result.value, result.ci95, strict=True)
+    ]
+    markers = result.markers
+    count = f"{len(markers.names)} marker{'s' if len(markers.names) > 1 else ''}"
+    cosine, sine = np.round(markers.sums * MM_PER_M, 1) + 0.0
+    bias, even = np.round(markers.bias * MM_PER_M, 4) + 0.0, markers.ci95_even * MM_PER_M
+    return [
+        *lines,
+        f"markers around P0: Σ R cos β = {cosine:.1f} mm, Σ R sin β = {sine:.1f} mm; the best is 0, all on one side "
+        f"would give {markers.radius.sum() * MM_PER_M:.1f} mm",
+        f"bias of Eq. (7) due to that: a_x {bias[1]:.4f} mm, a_y {bias[2]:.4f} mm, contained in the intervals",
+        f"{count} spread evenly around P0, as many readings: a_x ± {even[1]:.3f} mm, a_y ± {even[2]:.3f} mm",
+    ]
 
 
 class _Value(msgspec.Struct, frozen=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path, PurePath
 
@@ -13,7 +14,7 @@ from postproc import forces, interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError
-from postproc.files import foreign, refuse, with_record, write_whole
+from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.experiment import read_experiment
 from postproc.identification.readings import read
@@ -21,7 +22,8 @@ from postproc.jobs.conversion import read_program
 from postproc.jobs.inputs import find_jobs
 from postproc.jobs.outputs import protect
 from postproc.jobs.setup import load_robot
-from postproc.plan import Options, PlanResult, milling, plan_measurements
+from postproc.plan import Options, PlanResult, compensator, milling, plan_measurements
+from postproc.plan.compensator import CompensatorOptions, CompensatorPlan, plan_compensator
 from postproc.plan.krl_program import krl_program
 from postproc.plan.milling import TestPoses
 from postproc.plan.planning import Progress
@@ -118,6 +120,56 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     contents[html] = plan_page(result, stem)
     written = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
     return PlanFiles(result, tuple(written))
+
+
+class CompensatorRequest(Struct, frozen=True, kw_only=True):
+    """What a plan of the compensator's readings is made from, and where it is written.
+
+    :param experiment: experiment.toml: robot and sigma_mm.
+    :param output: CSV file to write, to be filled in with readings; `.json` next to it.
+    :param margin: distance to keep from the limits of A2 [deg].
+    :param overwrite: replace files that postproc did not write.
+    """
+
+    experiment: Path
+    output: Path
+    angles: int = 6
+    markers: int = 4
+    repeats: int = 3
+    margin: float = 5.0
+    overwrite: bool = False
+
+
+class CompensatorPlanFiles(Struct, frozen=True, eq=False):
+    """A plan of the compensator's readings as it was written.
+
+    :param plan: the plan.
+    :param written: its files, the CSV first and the JSON last.
+    """
+
+    plan: CompensatorPlan
+    written: tuple[Path, ...]
+
+
+def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
+    """Plan the readings that determine L, a_x, a_y and write the plan, whole or not at all.
+
+    :raises PostprocError: an input is unusable, or an output must not be written.
+    """
+    setup = read_experiment(request.experiment)
+    robot = load_robot(setup.robot, request.experiment.parent)
+    folder, csv, record = request.output.parent, request.output.name, f"{request.output.stem}.json"
+    protect([request.experiment], folder, (csv, record))
+    if not request.overwrite:
+        refuse(foreign(folder, (csv, record), record))
+    options = CompensatorOptions(request.angles, request.markers, request.repeats, request.margin * RAD_PER_DEG)
+    plan = plan_compensator(robot, setup.sigma, options)
+
+    def as_json(files: list[FileEntry]) -> bytes:
+        return (json.dumps({**compensator.summary(plan), "files": files}, indent=2, ensure_ascii=False) + "\n").encode()
+
+    contents: dict[str, bytes | Iterable[bytes]] = {csv: compensator.template(plan)}
+    return CompensatorPlanFiles(plan, tuple(write_whole(folder, with_record(contents, record, as_json))))
 
 
 def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:

@@ -149,7 +149,7 @@ def results(readme, tmp_path_factory):
     q, f = simulator["plan"](rng, 20, tilt=50.0)
     simulator["write"](folder, q, f, simulator["measure"](true, q, f, rng)[1])
     (folder / "experiment.toml").write_text((folder / "experiment.toml").read_text() + "\n[rig]\nmass_kg = 275\n")
-    of = {name: str(folder / name) for name in ("measurements.csv", "experiment.toml", "model", "plan.csv")}
+    of = {name: str(folder / name) for name in ("measurements.csv", "experiment.toml", "model", "plan.csv", "p.csv")}
     experiment = ["--experiment", of["experiment.toml"]]
     samples = ROOT / "samples"
     cell = (samples / "cell_kr270.toml").read_text(encoding="utf-8").replace('"kuka_kr270"', '"model"')
@@ -168,6 +168,7 @@ def results(readme, tmp_path_factory):
             *("--program", str(ROOT / "samples" / "pocket.nc"), "--measured", of["measurements.csv"]),
             *("--configurations", "2", "--q2-levels", "2", "--test-poses", "4", "-o", of["plan.csv"]),
         ],
+        ["plan", "compensator", *experiment, "--angles", "3", "-o", of["p.csv"]],
     ):
         result = CliRunner().invoke(main, arguments)
         assert result.exit_code == 0, result.output
@@ -191,6 +192,7 @@ def results(readme, tmp_path_factory):
             folder / "model" / "identification.json",
         ],
         "plan.json": [readme[0] / "plan.json", folder / "plan.json"],
+        "compensator.json": [folder / "p.json"],
         "plan.csv": [readme[0] / "plan.csv"],
     }
 
@@ -219,7 +221,15 @@ def _forces_with_a_warning(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "title", ["forces.json", "part.report.json", "part.compare.report.json", "identification.json", "plan.json"]
+    "title",
+    [
+        "forces.json",
+        "part.report.json",
+        "part.compare.report.json",
+        "identification.json",
+        "plan.json",
+        "compensator.json",
+    ],
 )
 def test_every_key_of_a_result_is_described(results, title):
     found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}

@@ -1,6 +1,7 @@
 import json
 import tomllib
 
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -148,3 +149,81 @@ def test_json_is_what_is_written(tmp_path):
     shown, content = json.loads(done.stdout), tomllib.loads((tmp_path / "out.toml").read_text())
     assert shown.keys() == content.keys()
     assert shown["L_mm"]["value"] == pytest.approx(content["L_mm"]["value"], rel=1e-9)
+
+
+def simulated(beta, sigma, runs, q2=PAPER_Q2, radius=0.15, seed=0):
+    """Estimates of many runs from positions by complex numbers, in the axes of the mechanism, one reading each."""
+    rng = np.random.default_rng(seed)
+    L, ax, ay = TRUE
+    pivot = -(ax + 1j * ay)
+    p1 = L * np.exp(1j * q2)
+    body = np.exp(1j * np.angle(p1 - pivot))
+    points = np.stack([p1, *(pivot + radius * np.exp(1j * b) * body for b in beta)])
+    exact = np.stack([points.real, points.imag, 0 * points.real], axis=-1)
+    noisy = exact + rng.normal(0.0, sigma, (runs, *exact.shape))
+    return exact, cg.geometry(q2, noisy[:, 0], noisy[:, 1:]) - TRUE
+
+
+@pytest.mark.parametrize("beta", [[0.0, 0.3, 0.6, 0.9], [0.0, np.pi / 2]])
+def test_the_bias_of_eq_7_is_the_mean_error_of_simulated_readings(beta):
+    sigma, runs = 0.3e-3, 40_000
+    exact, error = simulated(beta, sigma, runs)
+    bias = -cg.pivot_bias(exact[1:], np.full((len(beta), len(PAPER_Q2)), sigma**2))[:2]
+    standard_error = error[:, 1:].std(axis=0) / np.sqrt(runs)
+    assert np.all(np.abs(error[:, 1:].mean(axis=0) - bias) < 3.5 * standard_error + 0.05 * np.abs(bias))
+    assert np.linalg.norm(bias) > 8.0 * np.linalg.norm(standard_error)  # else nothing is compared
+
+
+def test_markers_that_fulfil_the_paper_condition_leave_no_bias():
+    for beta in ([0.5, 1.9, 0.5 + np.pi, 1.9 + np.pi], cg.even_angles(3)):
+        exact, _ = simulated(beta, 0.0, 1)
+        assert np.abs(cg.pivot_bias(exact[1:], np.full((len(beta), 6), 1e-8))).max() < 1e-12
+
+
+@pytest.mark.parametrize("beta", [[0.5, 1.9, 0.5 + np.pi, 1.9 + np.pi], [0.0, 0.6], [0.0, np.pi]])
+def test_the_expected_covariance_is_that_of_simulated_readings(beta):
+    _, error = simulated(beta, 0.03e-3, 4000)
+    expected = cg.expected_covariance(TRUE, PAPER_Q2, np.full(len(beta), 0.15), np.array(beta), 0.03e-3**2)
+    # standard deviation of a standard deviation over 4000 runs: 1.1 %
+    np.testing.assert_allclose(error.std(axis=0), np.sqrt(np.diag(expected)), rtol=0.06)
+
+
+def test_the_places_of_the_markers_are_found_from_the_readings():
+    markers = cg.identify(readings()[0]).markers
+    np.testing.assert_allclose(markers.radius, [0.15, 0.12, 0.15, 0.12], atol=1e-3)
+    np.testing.assert_allclose(markers.angle, [0.5, 1.9, 0.5 - np.pi, 1.9 - np.pi], atol=1e-2)
+    assert np.linalg.norm(markers.sums) < 1e-3
+    assert markers.imbalance < 2e-3
+
+
+def test_markers_on_one_side_are_told_their_condition_its_bias_and_the_intervals_of_spread_ones():
+    one_sided = cg.identify(readings(markers=2)[0])
+    expected = 0.15 * np.exp(0.5j) + 0.12 * np.exp(1.9j)
+    np.testing.assert_allclose(one_sided.markers.sums, [expected.real, expected.imag], atol=2e-3)
+    assert one_sided.markers.imbalance == pytest.approx(abs(expected) / 0.27, abs=0.01)
+    text = "\n".join(cg.text_lines(one_sided))
+    assert f"Σ R cos β = {one_sided.markers.sums[0] * 1e3:.1f} mm" in text
+    assert f"a_x ± {one_sided.markers.ci95_even[1] * 1e3:.3f} mm" in text
+
+
+def test_intervals_of_evenly_spread_markers_are_those_that_such_readings_give():
+    close, _ = simulated([0.0, 0.5, 1.0], 0.0, 1)
+    even, _ = simulated(cg.even_angles(3), 0.0, 1)
+    count = np.ones((4, 6))
+    found = [
+        cg.identify(cg.MarkerReadings(PAPER_Q2, ("P01", "P02", "P03"), e[0], e[1:], count[0], count[1:], 1e-7, 100))
+        for e in (close, even)
+    ]
+    np.testing.assert_allclose(found[0].markers.ci95_even, found[1].ci95, rtol=1e-3)
+    assert found[0].ci95[1] > 1.5 * found[1].ci95[1]
+
+
+def test_a_bias_as_large_as_the_noise_widens_the_intervals():
+    exact, _ = readings(markers=1, sigma=0.0)
+    noisy = msgspec.structs.replace(exact, scatter=exact.scatter_dof * (0.1e-3) ** 2)
+    result = cg.identify(noisy)
+    variance = np.full(exact.count_p0.shape, result.sigma**2) / exact.count_p0
+    noise = cg.noise_covariance(PAPER_Q2, exact.p1, exact.p0, result.sigma**2 / exact.count_p1, variance)
+    grown = np.diag(result.covariance) - np.diag(noise)
+    np.testing.assert_allclose(grown, result.markers.bias**2, rtol=1e-6, atol=1e-16)
+    assert result.markers.bias[1] ** 2 > 0.01 * noise[1, 1]

@@ -1,0 +1,197 @@
+"""Plan of the readings that determine the geometry of the gravity compensator: angles of A2 and places of markers.
+
+The criterion is the trace of the covariance of L, a_x, a_y by Eq. (6), (7) as corrected
+(`identification.compensator_geometry`). The angles are chosen by exchange (Fedorov 1972), in whole degrees. Where the
+markers go does not depend on the angles: evenly around P0, see `even_angles`. Their radii cancel: markers on a larger
+circle move more, but the angle of a given error of the distance from P0 does not change.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.compensator import Compensator
+from postproc.errors import PlanError
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
+from postproc.identification import compensator_geometry as geometry
+from postproc.robot import RobotModel
+
+_APART = 10.0
+"""Least difference of two angles of A2 [deg]: readings at different angles check each other."""
+_RADIUS = 0.15
+"""Radius [m] for which the numbers are computed; they hardly depend on it."""
+
+
+class CompensatorOptions(Struct, frozen=True):
+    """Size of the plan.
+
+    :param angles: number of angles of A2.
+    :param markers: number of markers on the compensator.
+    :param repeats: readings of each marker at each angle.
+    :param margin: distance to keep from the limits of A2 [rad].
+    """
+
+    angles: int = 6
+    markers: int = 4
+    repeats: int = 3
+    margin: float = 5.0 * RAD_PER_DEG
+
+
+class CompensatorPlan(Struct, frozen=True, eq=False):
+    """Angles and places to measure, and what they will determine.
+
+    :param robot: name of the model whose compensator is the prior.
+    :param options: size of the plan.
+    :param sigma: noise of one coordinate of one reading [m].
+    :param value: (3,) L, a_x, a_y of the prior [m].
+    :param q2: (m,) angles of A2, descending [rad].
+    :param beta: (k,) angles of the markers around P0, from the line P0 → P1, positive as q2 [rad].
+    :param turn: angle by which the compensator turns [rad].
+    :param ci95: (3,) expected half widths of the 95 % intervals of L, a_x, a_y [m].
+    :param ci95_even: (3,) the same for angles of A2 evenly over the range.
+    """
+
+    robot: str
+    options: CompensatorOptions
+    sigma: float
+    value: Array
+    q2: Array
+    beta: Array
+    turn: float
+    ci95: Array
+    ci95_even: Array
+
+
+def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOptions) -> CompensatorPlan:
+    """Choose angles of A2 and places of markers.
+
+    :param sigma: noise of one coordinate of one reading [m].
+    :raises PlanError: the robot has no compensator, or its A2 has no room for the angles.
+    """
+    law = robot.compensator
+    if law is None:
+        raise PlanError(
+            f"robot {robot.name} has no gravity compensator",
+            advice="Give the robot in the experiment a [compensator] in its model.toml, with rough L, a_x, a_y.",
+        )
+    value = _value(law)
+    lower, upper = (
+        (limit + side * options.margin) * DEG_PER_RAD for limit, side in ((robot.lower[1], 1.0), (robot.upper[1], -1.0))
+    )
+    grid = np.arange(np.ceil(lower - 1e-9), np.floor(upper + 1e-9) + 1.0)
+    if len(grid) < 1 + _APART * (options.angles - 1):
+        raise PlanError(
+            f"A2 can turn from {lower:g}° to {upper:g}°: no room for {options.angles} angles {_APART:g}° apart",
+            advice="Ask for fewer with --angles, or for a smaller --margin.",
+        )
+    beta = geometry.even_angles(options.markers)
+    even = grid[np.round(np.linspace(0, len(grid) - 1, options.angles)).astype(np.int64)]
+    chosen = _exchanged(value, grid, even, beta)
+    q2 = np.sort(chosen)[::-1] * RAD_PER_DEG
+    return CompensatorPlan(
+        robot=robot.name,
+        options=options,
+        sigma=sigma,
+        value=value,
+        q2=q2,
+        beta=beta,
+        turn=float(np.ptp(geometry.spring_direction(value, q2))),
+        ci95=expected_intervals(value, q2, beta, sigma, options.repeats),
+        ci95_even=expected_intervals(value, even * RAD_PER_DEG, beta, sigma, options.repeats),
+    )
+
+
+def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repeats: int) -> Array:
+    """Return the expected half widths (3,) of the 95 % intervals of L, a_x, a_y [m].
+
+    :param value: (3,) L, a_x, a_y [m].
+    :param q2: (m,) [rad].
+    :param beta: (k,) angles of the markers around P0 [rad].
+    :param sigma: noise of one coordinate of one reading [m].
+    """
+    m, k = len(q2), len(beta)
+    dof = geometry.degrees_of_freedom(m, k) + 3 * (repeats - 1) * m * (k + 1)
+    covariance = geometry.expected_covariance(value, q2, np.full(k, _RADIUS), beta, sigma**2 / repeats)
+    return np.asarray(geometry.student_95(dof) * np.sqrt(np.diag(covariance)))
+
+
+def _exchanged(value: Array, grid: Array, start: Array, beta: Array) -> Array:
+    """Return angles (m,) [deg] of the grid that the exchange of no single one improves."""
+    chosen, radius = start.copy(), np.full(len(beta), _RADIUS)
+
+    def cost(angles: Array) -> float:
+        # noise of a typical tracker: it scales all but the bias
+        return float(np.trace(geometry.expected_covariance(value, angles * RAD_PER_DEG, radius, beta, 1e-9)))
+
+    best, improved = cost(chosen), True
+    while improved:
+        improved = False
+        for place in range(len(chosen)):
+            others = np.delete(chosen, place)
+            for angle in grid[np.abs(grid[:, None] - others).min(axis=1) >= _APART]:
+                trial = np.append(others, angle)
+                found = cost(trial)
+                if found < best * (1.0 - 1e-6):
+                    chosen[place], best, improved = angle, found, True
+    return chosen
+
+
+def _value(law: Compensator) -> Array:
+    return np.array([law.L, law.ax, law.ay])
+
+
+def template(plan: CompensatorPlan) -> bytes:
+    """Return `compensator.csv` with every reading to be taken; X, Y, Z are to be filled in."""
+    names = [geometry.P1, *marker_names(plan)]
+    rows = ["q2,marker,repeat,X,Y,Z"]
+    for angle in np.round(plan.q2 * DEG_PER_RAD).astype(int) + 0:
+        rows += [f"{angle},{name},{turn + 1},,," for name in names for turn in range(plan.options.repeats)]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def marker_names(plan: CompensatorPlan) -> list[str]:
+    """Return the names of the markers on the compensator: P01, P02, …."""
+    return [f"P0{number + 1}" for number in range(len(plan.beta))]
+
+
+def summary(plan: CompensatorPlan) -> dict[str, object]:
+    """Return the plan as plain data; mm and degrees."""
+    sides = {"L_mm": 0, "a_x_mm": 1, "a_y_mm": 2}
+    return {
+        "robot": plan.robot,
+        "sigma_mm": round(plan.sigma * MM_PER_M, 9),
+        "q2_deg": [float(angle) for angle in np.round(plan.q2 * DEG_PER_RAD) + 0.0],
+        "turn_deg": plan.turn * DEG_PER_RAD,
+        "repeats": plan.options.repeats,
+        "markers": [
+            {"name": name, "beta_deg": float(angle)}
+            for name, angle in zip(marker_names(plan), np.round(plan.beta * DEG_PER_RAD, 6), strict=True)
+        ],
+        **{
+            key: {
+                "prior": float(plan.value[row]) * MM_PER_M,
+                "ci95": float(plan.ci95[row]) * MM_PER_M,
+                "ci95_even_angles": float(plan.ci95_even[row]) * MM_PER_M,
+            }
+            for key, row in sides.items()
+        },
+    }
+
+
+def text_lines(plan: CompensatorPlan) -> list[str]:
+    """Return the plan for a terminal."""
+    angles = ", ".join(f"{angle:.0f}" for angle in np.round(plan.q2 * DEG_PER_RAD) + 0.0)
+    places = ", ".join(
+        f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)
+    )
+    ci, even = plan.ci95 * MM_PER_M, plan.ci95_even * MM_PER_M
+    opposite = "; opposite markers at equal radius" if len(plan.beta) >= 4 and len(plan.beta) % 2 == 0 else ""
+    return [
+        f"A2 at {angles}°: the compensator turns by {plan.turn * DEG_PER_RAD:.1f}°",
+        "P1 on link 2 where the spring is attached; markers on the compensator around its swivel axis P0, from the "
+        f"line P0 → P1, positive as A2 turns: {places}; any radius{opposite}",
+        f"{plan.options.repeats} readings each with {plan.sigma * MM_PER_M:g} mm noise: L ± {ci[0]:.3f} mm, "
+        f"a_x ± {ci[1]:.3f} mm, a_y ± {ci[2]:.3f} mm (95 %)",
+        f"angles of A2 evenly over the range: L ± {even[0]:.3f} mm, a_x ± {even[1]:.3f} mm, a_y ± {even[2]:.3f} mm",
+    ]
