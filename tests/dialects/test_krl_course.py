@@ -157,9 +157,43 @@ def test_a_program_that_does_not_end_is_refused_with_the_line():
 
 
 def test_a_count_without_end_stops_with_a_message(monkeypatch):
-    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 1000)
-    with pytest.raises(ProgramError, match=r"does not end: 10\d\d statements"):
+    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_UNCOUNTED", 1000)
+    with pytest.raises(ProgramError, match="WHILE has not ended after 1000 statements") as caught:
         read(body(FULL, "WHILE K>-1", "K=K+1", FULL, "ENDWHILE"), DATA)
+    assert caught.value.line == 5
+    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 1000)
+    with pytest.raises(ProgramError, match=r"too long: 10\d\d statements"):
+        read(body(FULL, "FOR I=1 TO 40", "FOR K=1 TO 40", FULL, "ENDFOR", "ENDFOR"), DATA)
+    read(body(FULL, "FOR K=1 TO 900", "ENDFOR", "FOR I=1 TO 900", FULL, "ENDFOR"), DATA)
+
+
+def test_a_count_that_is_too_high_is_not_followed_first():
+    with pytest.raises(ProgramError, match="FOR has 2000000000 rounds, more than") as caught:
+        read(body(FULL, "FOR K=1 TO 2000000000", FULL, "ENDFOR"), DATA)
+    assert caught.value.line == 5
+    read(body(FULL, "FOR K=1 TO 2000000000", FULL, "IF K==3 THEN", "EXIT", "ENDIF", "ENDFOR"), DATA)
+
+
+DEEP_OR_LONG = {
+    "brackets": (["K=" + "(" * 101 + "1" + ")" * 101], "more than 100 brackets are nested"),
+    "brackets of a target": (["LIN {X " + "(" * 101 + "1" + ")" * 101 + "}"], "more than 100 brackets are nested"),
+    "terms": (["K=1" + "+1" * 200], "more than 200 terms"),
+    "factors": (["LIN {X 1" + "*1" * 200 + "}"], "more than 200 terms"),
+    "characters": (["K=1" + "+1" * 500_000], "has 1000003 characters, 10000 are allowed"),
+    "structures": (["IF $IN[1] THEN"] * 101 + ["ENDIF"] * 101, "more than 100 control structures are nested"),
+}
+
+
+@pytest.mark.parametrize("what", DEEP_OR_LONG)
+def test_what_no_robot_reads_is_refused_at_once(what):
+    lines, problem = DEEP_OR_LONG[what]
+    with pytest.raises(ProgramError, match=problem):
+        read(body(FULL, *lines, FULL), DATA)
+
+
+def test_what_is_just_not_too_deep_is_read():
+    lines = ["K=" + "(" * 99 + "3" + ")" * 99, *["IF K==3 THEN"] * 99, "LIN {X 1" + "+1" * 199 + "}", *["ENDIF"] * 99]
+    assert numbers(read(body(FULL, *lines), DATA))[-1, 0] == 200
 
 
 def test_reals_that_are_too_close_to_tell_decide_no_loop():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from postproc.dialects.krl.language.source import Source
 
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
+_DEEPEST = 100
 
 
 def matching(source: Source, start: int, stop: int) -> int:
@@ -23,6 +24,10 @@ def matching(source: Source, start: int, stop: int) -> int:
                 break
         elif char in _PAIRS:
             open_.append(_PAIRS[char])
+            if len(open_) > _DEEPEST:
+                raise source.error(
+                    f"more than {_DEEPEST} brackets are nested", start, "Write it as several statements."
+                )
         elif char in ")]}":
             if open_.pop() != char:
                 break

@@ -34,6 +34,7 @@ _TAG = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:", re.ASCII)
 _INTEGER_LITERAL = re.compile(r"'(?:[Bb]([01]+)|[Hh]([0-9A-Fa-f]+))'")
 _STRING = re.compile(r'"[^"]*"')
 _ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
+_MOST_TERMS = 200
 _LONGEST = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
@@ -84,8 +85,11 @@ def _joined(
     """Return parts joined by operators, from left to right."""
     text = source.text
     value, end = part(source, start, stop)
-    after = skip_blanks(text, end, stop)
+    after, terms = skip_blanks(text, end, stop), 1
     while after < stop and text[after] in operators:
+        terms += 1
+        if terms > _MOST_TERMS:
+            raise source.error(f"an expression has more than {_MOST_TERMS} terms", start, "Write it as several.")
         right, end = part(source, after + 1, stop)
         value = Operation(text[after], value, right, value.start, end)
         after = skip_blanks(text, end, stop)

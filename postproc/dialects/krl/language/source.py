@@ -11,6 +11,9 @@ from postproc.dialects.text import line_spans
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
 
+LONGEST = 10_000
+"""Characters of the longest statement that is read; controllers write up to 1000."""
+
 
 class Origins(Struct, frozen=True, eq=False):
     """Where the L lines of a text that was put together come from.
@@ -46,9 +49,18 @@ class Source(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, document: Document, index: int) -> Source:
-        """Return the document with its lines."""
+        """Return the document with its lines.
+
+        :raises ProgramError: the code of a line is longer than `LONGEST`.
+        """
         starts, stops = line_spans(document.text)
-        return cls(document, document.text, index, starts, stops)
+        source = cls(document, document.text, index, starts, stops)
+        for row in np.flatnonzero(stops - starts > LONGEST).tolist():
+            start, stop = source.code_span(row + 1)
+            if stop - start > LONGEST:
+                problem = f"the statement has {stop - start} characters, {LONGEST} are allowed"
+                raise source.line_error(problem, row + 1, "Write it as several statements.")
+        return source
 
     def origin(self, line: int) -> Place:
         """Return where a 1-based line comes from."""

@@ -15,6 +15,7 @@ from postproc.dialects.krl.language.statements import MOTION_WORDS, word_at
 from postproc.errors import MOST, ProgramError, together
 from postproc.program import Bools, Ints
 
+_DEEPEST = 100
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _DIVIDING = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
@@ -85,6 +86,8 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
     """Return statements and control structures of some lines, in order.
 
     Lines whose word closes or divides what is not open stand for themselves, and so do those of what is not closed.
+
+    :raises ProgramError: they are nested too deeply.
     """
     out: list[Node] = []
     open_: list[_Open] = []
@@ -94,6 +97,9 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
         here = open_[-1] if open_ else None
         if word in OPENING or word == "REPEAT":
             open_.append(_Open(word, line, [], line, []))
+            if len(open_) > _DEEPEST:
+                problem = f"more than {_DEEPEST} control structures are nested"
+                raise source.line_error(problem, line, "Put the inner ones into a subprogram.")
         elif here is not None and _CLOSING.get(word) == here.word:
             here.divide(line)
             open_.pop()

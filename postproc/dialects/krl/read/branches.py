@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +57,7 @@ def branching(
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return after, []
+    forks = _forks(course)
     line, count = ordered.rows.line, len(ordered.rows)
     out = np.arange(count) - 1 if after is None else after.copy()
     open_: list[tuple[int, int, list[int], bool]] = []
@@ -84,11 +85,11 @@ def branching(
         else:
             fork, entry, ends, _ = open_.pop()
             ends = [*ends, now, *([] if step.complete else [entry])]
-            rows = np.flatnonzero((line > fork) & (line <= step.line))
+            rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
             if any(fork < inside <= step.line for inside in kept):
-                faults.append(_error(course, fork, "a motion that stays as it is stands in a branch"))
+                faults.append(_error(course, forks, fork, "a motion that stays as it is stands in a branch"))
             elif (ordered.rows.kind[rows] == PTP).any():
-                faults.append(_error(course, fork, "PTP stands in a branch"))
+                faults.append(_error(course, forks, fork, "PTP stands in a branch"))
             meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
             now = min(ends)
     run_to(count)
@@ -96,7 +97,7 @@ def branching(
     for row in np.flatnonzero(out != np.arange(count) - 1).tolist():
         if out[row] != row and needs_start(ordered, row, arcs=False):
             problem = f"{_why(ordered, row)} where branches begin or meet"
-            faults.append(_error(course, int(fork_of[row]), problem, _WHOLE))
+            faults.append(_error(course, forks, int(fork_of[row]), problem, _WHOLE))
     _raise(faults)
     return out, meetings
 
@@ -117,19 +118,28 @@ def check_meetings(
     :raises BranchError: they do.
     """
     bases, tools = frames
-    faults = []
+    forks, faults = _forks(course), []
     for fork, ends in meetings:
         flanges = [
             start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
             for row in ends
         ]
         if any(np.abs(flange - flanges[0]).max() > _APART for flange in flanges[1:]):
-            faults.append(_error(course, fork, "the branches end in different places"))
+            faults.append(_error(course, forks, fork, "the branches end in different places"))
         elif carriage is not None:
             places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
             if np.ptp(places) > _APART:
-                faults.append(_error(course, fork, "E1 stands in different places at the ends of the branches"))
+                faults.append(_error(course, forks, fork, "E1 stands in different places at the ends of the branches"))
     _raise(faults)
+
+
+def _forks(course: Course) -> Mapping[int, set[Occasion]]:
+    """Return the occasions on which branches divide behind each line."""
+    found: dict[int, set[Occasion]] = {}
+    for step in course.steps:
+        if isinstance(step, Fork):
+            found.setdefault(step.line, set()).add(step.occasion)
+    return found
 
 
 def _raise(faults: Sequence[BranchError]) -> None:
@@ -153,9 +163,11 @@ def _why(ordered: OrderedMotions, row: int) -> str:
     return "components are missing"
 
 
-def _error(course: Course, fork: int, problem: str, advice: str = _ADVICE) -> BranchError:
+def _error(
+    course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _ADVICE
+) -> BranchError:
     source = course.source
     told = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(told.problem, file=told.file, line=told.line, text=told.text, advice=told.advice)
-    error.occasions = frozenset(s.occasion for s in course.steps if isinstance(s, Fork) and s.line == fork)
+    error.occasions = frozenset(forks[fork])
     return error

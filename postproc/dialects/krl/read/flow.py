@@ -27,7 +27,9 @@ from postproc.errors import ProgramError
 _MOST_STATEMENTS = 200_000
 """So many statements that do not move are followed in loops and called routines; later ones count as uncertain."""
 _MOST_TRACED = 400_000
-"""A course of so many statements more than the file has lines is taken for one without an end."""
+"""A course has at most so many statements more than the file has lines."""
+_MOST_UNCOUNTED = 60_000
+"""A loop around motions of which it is not known how often it runs may run so many statements."""
 _THEN = re.compile(r"\bTHEN[ \t]*$", re.IGNORECASE)
 _GOTO = re.compile(r"GOTO[ \t]+([A-Za-z_]\w*)", re.IGNORECASE | re.ASCII)
 _LABEL = re.compile(r"([A-Za-z_]\w*)[ \t]*:", re.ASCII)
@@ -181,8 +183,8 @@ class Flow:
         self._traced += 1
         most = _MOST_TRACED + len(at.source.starts)
         if self._traced > most:
-            problem = f"the program does not end: {most} statements have run when it comes here"
-            raise at.error(problem, "Give loops around motions an end that is known before the program runs.")
+            problem = f"loops around motions are too long: {most} statements have run when the program comes here"
+            raise at.error(problem, "Divide the program, or give its loops fewer rounds.")
 
     def _entered(self, at: Place, call: Call) -> bool:
         """Go into a routine that moves; return whether it was done."""
@@ -374,7 +376,10 @@ class Flow:
             raise inexact(Place(source, block.first), "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
         step = counter.step if counter is not None else 0
+        if counter is not None and words.isdisjoint(_ENDS_LOOPS):
+            self._check_rounds(source, block, counter, trace)
         loop = trace.begin(block, step, left="EXIT" in words) if trace is not None else None
+        began = self._traced
         level.loops += 1
         way = len(self._way)
         self._way.append((Place(source, block.first), 0))
@@ -383,6 +388,9 @@ class Flow:
                 self._count(Place(source, block.first))
                 self._way[way] = Place(source, block.first), self._way[way][1] + 1
                 before = self.run.variables.changes
+                if counter is None and self._traced - began > _MOST_UNCOUNTED:
+                    problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
+                    raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
                 if trace is not None and loop is not None:
                     trace.repeat(loop, block, counter.text if counter is not None else None)
                 self.follow(source, part.nodes)
@@ -405,6 +413,16 @@ class Flow:
         level.left = False
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.text if counter is not None and ended else None)
+
+    def _check_rounds(self, source: Source, block: Block, counter: _Counter, trace: Trace | None) -> None:
+        """Refuse a FOR of too many rounds before it is followed.
+
+        :raises InexactError: it has too many.
+        """
+        most = _MOST_STATEMENTS if trace is None else _MOST_TRACED + len(source.starts)
+        if counter.rounds > most:
+            problem = f"FOR has {counter.rounds} rounds, more than {most}"
+            raise inexact(Place(source, block.first), problem, "Check its bounds.")
 
     def _again(self, source: Source, block: Block, counter: _Counter | None) -> bool:
         """Return whether the body of a loop runs once more."""
@@ -454,6 +472,11 @@ class _Counter:
     def text(self) -> str:
         """An assignment that gives it the number that it has."""
         return f"{self.name}={self._now()}"
+
+    @property
+    def rounds(self) -> int:
+        """How often it can count from now on."""
+        return max(0, (self.last - self._now()) // self.step + 1)
 
     def within(self) -> bool:
         """Return whether it is not beyond its last number."""

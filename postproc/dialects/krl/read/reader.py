@@ -78,6 +78,9 @@ def read_program(
     while True:
         try:
             return reading.program(plain, elsewhere, bulk=_bulk)
+        except RecursionError:
+            problem = "calls, control structures and brackets are nested too deeply"
+            raise source.line_error(problem, entry.first, "Write fewer of them into each other.") from None
         except ProgramError as cause:
             apart = _apart(cause, library, keep=cell.krl.keep_unresolved) - elsewhere.keys()
             if not apart:
@@ -119,7 +122,8 @@ class _Reading(Struct, frozen=True, eq=False):
         try:
             main.follow(self.faults)
         except RecursionError:
-            raise source.line_error("brackets are nested too deeply", main.run.line) from None
+            problem = "calls, control structures and brackets are nested too deeply"
+            raise source.line_error(problem, main.run.line, "Write fewer of them into each other.") from None
         except ProgramError as cause:
             if cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
