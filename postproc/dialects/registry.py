@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 GROUP = "postproc.dialects"
 _ASKED = ("name", "extensions", "command_decimals", "writer", "companions", "read")
 _OURS = {
-    "gcode": "postproc.dialects.gcode.dialect:GCODE",
+    "gcode": "postproc.dialects.gcode.reader:GCODE",
     "krl": "postproc.dialects.krl.dialect:KRL",
     "rapid": "postproc.dialects.rapid.dialect:RAPID",
 }

@@ -20,6 +20,7 @@ from collections import Counter
 from msgspec.structs import replace
 
 from postproc.dialects import gcode
+from postproc.dialects.text import decode
 from postproc.errors import MOST, InputError
 from postproc.program import Program
 from tests.attack import inputs
@@ -34,8 +35,8 @@ CELL_HERE = replace(CELL, work_offsets={name: frame for name, frame in OFFSETS.i
 
 REFUSED_HERE = re.compile(
     r"is not supported|is not known|not in the cell|has no value|O word|neither in this file|without its end|without O"
-    r"|outside of|has not set|levels deep|M98|M99|word without a code that uses it|G4 in one block with an arc"
-    r"|before the position is known|plausible range|moves nothing|G80 G80|force comment"
+    r"|outside of O|has not set|levels deep|M98|M99|word without a code that uses it|G4 in one block with an arc"
+    r"|before the position is known|out of range|too many digits|moves nothing|G80 G80|force comment"
 )
 """What rs274 may accept and the reader refuses, see `postproc.dialects.gcode`."""
 ACCEPTED_HERE = re.compile(
@@ -43,7 +44,7 @@ ACCEPTED_HERE = re.compile(
 )
 """What rs274 may refuse and the reader accepts."""
 ONLY_OTHER_AXIS = re.compile(r"(?im)^/?(n\d+)? *[ab] *0\.? *([(;].*)?$")
-"""A block that rs274 quotes as wrong and the reader reads over: after G2 or G80 it takes A0 alone for a motion."""
+"""A block that rs274 quotes as wrong and the reader ignores: after G2 or G80 it takes A0 alone for a motion."""
 
 
 class Wrong(AssertionError):
@@ -83,7 +84,7 @@ def _compared(made: Generator, text: str) -> str:
     refused = {row + 1 + made.tape for row in made.refused if row <= min(ends, default=row)}
     here: Program | InputError
     try:
-        here = gcode.read(gcode.decode("part.nc", text.encode()), CELL_HERE, forward, "part")
+        here = gcode.read(decode("part.nc", text.encode()), CELL_HERE, forward, "part")
     except InputError as error:
         here = error
     assert outcome(text, CELL_HERE, bulk=True) == outcome(text, CELL_HERE, bulk=False), "bulk reading differs"

@@ -16,6 +16,7 @@ from postproc import correction, jobs
 from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.dialects import gcode
+from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.forces import read_force_csv
 from postproc.program import Program
@@ -98,7 +99,7 @@ def _attempt(work: Callable[[], str], data: bytes) -> str:
 def _setup() -> tuple[Cell, RobotModel, Program]:
     cell = cells.load(ROOT / "samples" / "cell_kr270.toml")
     robot = jobs.load_robot(cell.robot)
-    program = correction.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode")
+    program = correction.read([decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode")
     return cell, robot, program
 
 
@@ -116,7 +117,7 @@ def spoilt_program(seed: int) -> str:
     cell, robot, _ = _setup()
 
     def work() -> str:
-        document = gcode.decode("part.nc", data)
+        document = decode("part.nc", data)
         if rng.random() < 0.9:
             gcode.read(document, CELL, forward, "part")
             return "read"
@@ -146,9 +147,7 @@ def spoilt_cell(seed: int) -> str:
 
     def work(path: Path) -> str:
         cell = cells.load(path)
-        return _result(
-            correction.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell
-        )
+        return _result(correction.read([decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell)
 
     return _from_file(data, work)
 
@@ -164,9 +163,7 @@ def spoilt_model(seed: int) -> str:
 
     def work(path: Path) -> str:
         robot = robots.load(path)
-        return _result(
-            correction.read([gcode.decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell
-        )
+        return _result(correction.read([decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode"), robot, cell)
 
     with tempfile.TemporaryDirectory() as name:
         for file, content in contents.items():

@@ -18,7 +18,7 @@ from types import FrameType
 
 STAGES = {
     "importlib": "start",
-    "/dialects/gcode/__init__.py": "read",
+    "/dialects/gcode/reader.py": "read",
     "/dialects/krl/read/": "read",
     "/toolpath/": "path and forces",
     "/under_load": "path and forces",

@@ -3,7 +3,8 @@
 import numpy as np
 
 from postproc.cell import Cell, Frame, GCode, Start, Tool
-from postproc.dialects import gcode
+from postproc.dialects.gcode import reader
+from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.frames import Array, pose_from_xyzabc
 from postproc.program import Program
@@ -28,7 +29,7 @@ def forward(joints: Array) -> Array:
 
 def read(text: str | bytes, cell: Cell = CELL, *, bulk: bool = True) -> Program:
     data = text.encode() if isinstance(text, str) else text
-    return gcode._read(gcode.decode("part.nc", data), cell, forward, "part", bulk=bulk)
+    return reader._read(decode("part.nc", data), cell, forward, "part", bulk=bulk)
 
 
 def ends(program: Program) -> Array:

@@ -48,7 +48,7 @@ REFUSED = {
     "cura.gcode": (3, "this is not plain G-code, but a slicer (3-D printing) program"),
     "dwell_ms.nc": (6, "G4 without a time"),
     "eding.nc": (6, "this is not plain G-code, but a Fanuc custom macro (B) program"),
-    "fanuc_g41_offset.nc": (1, "an O word amid other words"),
+    "fanuc_g41_offset.nc": (1, "an O word among other words"),
     "fanuc_lathe.nc": (4, "this is not plain G-code, but a lathe program"),
     "fanuc_m6_no_t.nc": (4, "M6 without a T before it"),
     "freecad_centroid.cnc": (4, "G53 without X, Y or Z"),

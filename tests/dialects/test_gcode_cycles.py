@@ -108,8 +108,8 @@ BAD_CYCLES = {
     "no Z": ("G81 X1 R1", "G81 without Z"),
     "no Q": ("G83 X1 Z-1 R1", "G83 without Q"),
     "no P": ("G82 X1 Z-1 R1", "G82 without P"),
-    "R below Z": ("G81 X1 Z3 R1", "R of the cycle is below its bottom"),
-    "no depth": ("G83 X1 Z-1 R1 Q0", "no depth of a peck"),
+    "R below Z": ("G81 X1 Z3 R1", "is below the bottom of the hole"),
+    "no depth": ("G83 X1 Z-1 R1 Q0", "is not a valid depth of a peck"),
     "no spindle": ("G84 X1 Z-1 R1", "does not turn clockwise"),
     "no hole": ("G81 X1 Z-1 R1 L0", "L0 of a cycle"),
     "arc words": ("G81 X1 Z-1 R1 I1", "I, J or K in a cycle"),
@@ -129,7 +129,7 @@ def test_a_tap_is_not_drawn_out_by_a_spindle_that_turns_on() -> None:
     lines = {"spindle_on": ["$OUT[1]=TRUE"], "spindle_off": ["$OUT[1]=FALSE"]}
     text = f"{HEAD}M3 S200\nG84 X1 Y1 Z-4 R2 F100\nG80\nM2\n"
     one_way = replace(CELL, gcode=replace(CELL.gcode, **lines))
-    with pytest.raises(ProgramError, match="reversed at the bottom"):
+    with pytest.raises(ProgramError, match="reverses the spindle at the bottom"):
         read(text, one_way)
     both = replace(CELL, gcode=replace(CELL.gcode, **lines, spindle_ccw=["$OUT[2]=TRUE"]))
     assert [event.kind for event in read(text, both).events].count("spindle_ccw") == 1

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from postproc.dialects import gcode
+from postproc.dialects.text import decode
 from postproc.errors import ProgramError, SubprogramError
 from postproc.program import Program
 from tests.dialects.gcode_reading import CELL, ends, forward, outcome, read
@@ -75,13 +76,13 @@ REFUSED = {
     "a subprogram that is nowhere": ("o<tap> call", "O<tap> is neither in this file"),
     "M98 to nowhere": ("M98 P77", "O77 is neither in this file"),
     "M98 without P": ("M98", "M98 without P"),
-    "M99 in the program": ("G1 X1\nM99", "it would run without end"),
-    "an endless loop": ("o1 while [1]\no1 endwhile", "An endless loop"),
+    "M99 in the program": ("G1 X1\nM99", "it would repeat forever"),
+    "an endless loop": ("o1 while [1]\no1 endwhile", "an endless loop"),
     "an endless call": ("o1 sub\no1 call\no1 endsub\no1 call", "levels deep"),
     "a whole number that is none": ("M[3.5]", "3.5 is not a whole number"),
     "no ending of a subprogram": ("M98 P5\nM2\nO5\nG1 X1", "O5 does not end with M99"),
-    "O words amid others": ("G1 o1 call", "an O word amid other words"),
-    "an offset of the control": ("#5221=3\nG1 X1", "is the control's own"),
+    "O words amid others": ("G1 o1 call", "an O word among other words"),
+    "an offset of the control": ("#5221=3\nG1 X1", "belongs to the control"),
 }
 
 
@@ -128,7 +129,7 @@ def folder(path: Path, **files: str) -> Path:
 
 
 def read_in(path: Path, text: str) -> Program:
-    document = replace(gcode.decode("part.ngc", text.encode()), folder=str(path))
+    document = replace(decode("part.ngc", text.encode()), folder=str(path))
     return gcode.read(document, CELL, forward, "part")
 
 
@@ -181,7 +182,7 @@ def test_a_program_is_not_taken_for_a_subprogram(name: str, text: str) -> None:
 
 
 def read_file(name: str, text: str) -> Program:
-    return gcode.read(gcode.decode(name, text.encode()), CELL, forward, "part")
+    return gcode.read(decode(name, text.encode()), CELL, forward, "part")
 
 
 def test_a_program_that_executes_nothing_is_an_error() -> None:

@@ -94,7 +94,7 @@ FAULTS = {
     ),
     "in a cycle": ("G81 X1 Z-1 R1 B5", {}, "rotary axes turn in a cycle"),
     "across the tool": ("G0 B30\nG81 X1 Z-1 R1", {}, "a cycle with a tilted tool"),
-    "level": ("G1 B85\nG53 G0 Z0", {}, "retract with a tool that lies nearly level"),
+    "level": ("G1 B85\nG53 G0 Z0", {}, "retract with a nearly horizontal tool"),
     "after the axes were swung home": (
         "G43.4 H1\nG1 X5 B10\nG49\nG0 B0\nX7\nG1 X9",
         {"tcp_on": ["G43.4"], "tcp_off": ["G49"]},

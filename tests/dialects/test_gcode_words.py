@@ -10,8 +10,8 @@ from pygcode.block import Block
 
 from postproc.dialects import gcode
 from postproc.dialects.gcode import words
-from postproc.dialects.gcode.blocks import words_of
-from postproc.dialects.text import line_starts
+from postproc.dialects.gcode.words import words_of
+from postproc.dialects.text import decode, line_starts
 from postproc.program import Document
 from tests.dialects.gcode_reading import CELL, forward, outcome, read
 from tests.effort import calls_for_each
@@ -123,7 +123,7 @@ def _mixed(lines: int) -> list[str]:
 def test_long_programs_are_read_in_bulk(lines) -> None:
     def reading(count: int) -> Callable[[], object]:
         text = "G21 G90\nG0 X0 Y0 Z50\nG1 F1000\n" + "\n".join(lines(count)) + "\nM30\n"
-        document = gcode.decode("part.nc", text.encode())
+        document = decode("part.nc", text.encode())
         return lambda: gcode.read(document, CELL, forward, "part")
 
     program = reading(6000)()

@@ -32,7 +32,7 @@ def others(monkeypatch):
 
 
 FANUC = """
-from postproc.dialects.gcode.dialect import GCode
+from postproc.dialects.gcode.reader import GCode
 
 class Fanuc(GCode):
     name = "fanuc"

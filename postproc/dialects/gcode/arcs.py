@@ -4,10 +4,10 @@ What LinuxCNC accepts (its `interp_arc.cc`; verified against `rs274` to nine dig
 
 - the radii at start and end may differ by 2·√2·0.01 mm (0.001 inch), and beyond that by 0.1 % of the larger one, but
   never by more than a hundred times the first value;
-- a radius below 0.00127 mm (0.00005 inch) is none; an R may be too short to reach the end by that much;
+- a radius below 0.00127 mm (0.00005 inch) counts as zero; R may be too short by that much;
 - an arc that ends where it began is a full circle with I, J, K, and an error with R.
 
-An offset of zero across the plane (K0 in G17, as FreeCAD writes it), which LinuxCNC refuses, is read over.
+An offset of zero across the plane (K0 in G17, as FreeCAD writes it) is ignored; LinuxCNC refuses it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from postproc.frames import Array
 from postproc.program import Bools, Ints
 
 CENTRE_TOLERANCE = {21.0: 0.02 * np.sqrt(2.0), 20.0: 0.002 * np.sqrt(2.0) * 25.4}
-"""What start and end radius may differ by in any case [mm], by the code of the units."""
+"""Difference of start and end radius that is always accepted [mm], by the code of the units."""
 
 RADIUS_TOLERANCE_MM = 0.00127
 _RELATIVE, _CAP = 1e-3, 100.0
 SAME_MM = 1e-6
-"""Points closer than this are one point: rounding in incremental programs, far below any resolution."""
+"""Points closer than this are equal: it covers rounding in incremental programs, far below any resolution."""
 
 PLANE_AXES = {17.0: (0, 1, 2), 18.0: (2, 0, 1), 19.0: (1, 2, 0)}
 """First and second axis of the plane, and the axis about which G3 turns right-handed."""
@@ -74,7 +74,7 @@ class ArcWords(Struct, frozen=True, eq=False):
 
 
 class ArcFault(Struct, frozen=True):
-    """What is wrong with arc n; `placed`: only if it starts where it is thought to start."""
+    """A fault of arc n; `placed`: a fault only if the start of the arc is known."""
 
     n: int
     problem: str
@@ -88,7 +88,7 @@ class Arcs(Struct, frozen=True, eq=False):
     :param centre: (A, 3) at the height of the start.
     :param normal: (A, 3) unit axis.
     :param sweep: (A,) angle about `normal` [rad], > 0.
-    :param faults: what is wrong with single arcs; other values of these are meaningless.
+    :param faults: faults of single arcs; the other values of these arcs are meaningless.
     """
 
     centre: Array
@@ -97,12 +97,12 @@ class Arcs(Struct, frozen=True, eq=False):
     faults: tuple[ArcFault, ...]
 
     def of(self, which: Bools) -> Arcs:
-        """Return some of them."""
+        """Return the arcs of a mask (A,)."""
         return Arcs(self.centre[which], self.normal[which], self.sweep[which], ())
 
 
 def read_arcs(words: ArcWords) -> Arcs:
-    """Return the geometry of arcs, and what is wrong with them."""
+    """Return the geometry of arcs, and their faults."""
     with np.errstate(invalid="ignore", divide="ignore"):
         s1, s2, height = words.in_plane(words.start)
         e1, e2, _ = words.in_plane(words.end)
@@ -139,7 +139,7 @@ def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWo
 def _faults(
     words: ArcWords, by_radius: Bools, full: Bools, r_start: Array, r_end: Array, half: Array
 ) -> tuple[ArcFault, ...]:
-    """Return the first fault of each arc, for each kind of mistake of a few arcs."""
+    """Return the first fault of each arc, for the first few arcs with each kind of fault."""
     faults: dict[int, ArcFault] = {}
 
     def check(wrong: Bools, problem: str, advice: str | None = None, *, placed: bool = False) -> None:

@@ -1,8 +1,8 @@
-"""O-words, M98 and M99: what the lines of a file say about the order in which lines are executed.
+"""O-words, M98 and M99: the structure of a file that determines the execution order of its lines.
 
-Labels of IF, WHILE, DO and REPEAT belong to the subprogram that they stand in; that of RETURN says nothing. A number
-alone (``O100``) begins a subprogram of Fanuc's kind, which M98 calls and M99 ends; ``O100 SUB`` … ``O100 ENDSUB`` is
-LinuxCNC's.
+Labels of IF, WHILE, DO and REPEAT are local to their subprogram; the label of RETURN has no meaning. A number alone
+(``O100``) begins a subprogram in Fanuc style, which M98 calls and M99 ends. ``O100 SUB`` … ``O100 ENDSUB`` is LinuxCNC
+style.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.gcode.blocks import BlockError, Fault
-from postproc.dialects.gcode.expressions import Reader, Value, whole
-from postproc.dialects.gcode.parameters import ARGUMENTS, Key, Parameters, key_of
-from postproc.dialects.gcode.words import MARK, Source
+from postproc.dialects.gcode.expressions import ARGUMENTS, Key, Parameters, Reader, Value, key_of, whole
+from postproc.dialects.gcode.words import MARK, BlockError, Fault, Source
 from postproc.program import Document, Ints, distinct
 
 _CALLS = re.compile(rb"M0*9[89](?![\d.])")
@@ -47,7 +45,7 @@ _OPENED_BY = {
 
 
 def is_controlled(source: Source) -> bool:
-    """Return whether the lines of a program are executed in another order than they stand, or hold expressions."""
+    """Return whether a program has expressions, or jumps, loops or calls that change the execution order."""
     code = source.code
     if b"#" in code or b"[" in code or _CALLS.search(code) is not None:
         return True
@@ -55,19 +53,19 @@ def is_controlled(source: Source) -> bool:
 
 
 class Block(Struct, frozen=True):
-    """A line whose words are known when it is executed.
+    """A line whose words are computed when it is executed.
 
-    :param settings: parameters that the line sets, when all its values are known.
-    :param parts: text, or a letter with the value behind it.
+    :param settings: parameters that the line sets, after all its values have been evaluated.
+    :param parts: text, or a letter with the expression of its value.
     """
 
     settings: tuple[tuple[Callable[[Parameters], Key], Value], ...]
     parts: tuple[str | tuple[str, Value], ...]
 
     def text(self, known: Parameters) -> str:
-        """Execute what concerns parameters, and return the line with numbers alone.
+        """Set the parameters of the line, and return its words with numbers in place of expressions.
 
-        :raises BlockError: a value is not known.
+        :raises BlockError: a value is not known or not valid.
         """
         text = "".join([part if isinstance(part, str) else _word(part[0], part[1](known)) for part in self.parts])
         if self.settings:
@@ -80,8 +78,8 @@ class Order(Struct, frozen=True):
     """A line with an O-word.
 
     :param keyword: ``SUB``, ``CALL`` …; empty for a number alone.
-    :param label: its name; of a call perhaps one to be worked out.
-    :param values: the condition or number; arguments of a call; what a subprogram returns.
+    :param label: its name; for a call possibly an expression.
+    :param values: the condition or count; the arguments of a call; the return value of a subprogram.
     """
 
     keyword: str
@@ -90,13 +88,13 @@ class Order(Struct, frozen=True):
 
 
 class Unit(Struct, eq=False):
-    """A file as a control executes it.
+    """A file with the structure of its subprograms, loops and branches.
 
-    :ivar notable: rows at which the order of execution or parameters matter, ascending.
-    :ivar following: (L + 1,) the next such row, from each row on; L where there is none.
-    :ivar subs: label of each subprogram, of LinuxCNC's kind, to its row; `numbers`: of Fanuc's.
-    :ivar links: row of an O-word → rows of the structure that it belongs to, first to last.
-    :ivar faults: what is wrong with its O-words.
+    :ivar following: (L + 1,) from each row on, the next row with an O-word, a parameter, an expression, a % or an
+        M code that affects the execution order; L where there is none.
+    :ivar subs: label of each subprogram in LinuxCNC style → its row; `numbers`: the same in Fanuc style.
+    :ivar links: row of an O-word → rows of the O-words of its structure, first to last.
+    :ivar faults: faults of its O-words.
     """
 
     document: Document
@@ -110,7 +108,7 @@ class Unit(Struct, eq=False):
 
     @classmethod
     def of(cls, document: Document, source: Source) -> Unit:
-        """Look through a file."""
+        """Find the structure of a file."""
         unit = cls(document, source)
         at = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
         notable = distinct(np.searchsorted(source.ends, at) - 1)
@@ -120,18 +118,19 @@ class Unit(Struct, eq=False):
         return unit
 
     def at(self, row: int) -> Order | Block | None:
-        """Return what a notable row says; None: it opens or closes the tape (%).
+        """Return the parsed line of a row of `following`; None for %.
 
-        :raises BlockError: it cannot be read.
+        :raises BlockError: the line cannot be read.
         """
         if row not in self.lines:
             self.lines[row] = _read(self.source.line(row).replace(MARK, ""))
         return self.lines[row]
 
     def only_defines(self) -> str | None:
-        """Return the name of the subprogram that this file is, where it does nothing but define some; else None.
+        """Return the name of the first subprogram if the file only defines subprograms; else None.
 
-        LinuxCNC's kind: nothing stands outside of SUB … ENDSUB. Fanuc's kind ends with M99, and is called by number.
+        In LinuxCNC style all lines are within SUB … ENDSUB. In Fanuc style the file ends with M99, and its
+        name is a number.
         """
         inside = np.zeros(len(self.source), dtype=np.bool_)
         for first in self.subs.values():
@@ -146,7 +145,7 @@ class Unit(Struct, eq=False):
         return None
 
     def _connect(self, notable: Ints) -> None:
-        """Find which O-words belong together."""
+        """Connect the O-words of each loop, branch and subprogram."""
         open_: list[tuple[str, str, list[int]]] = []
         for row, order in self._orders(notable):
             label, keyword = str(order.label), order.keyword
@@ -198,7 +197,7 @@ class Unit(Struct, eq=False):
                 try:
                     order = self.at(row)
                 except BlockError:
-                    continue  # told when it is executed
+                    continue  # reported when the line is executed
                 if isinstance(order, Order):
                     yield row, order
 
@@ -221,7 +220,7 @@ def _order(code: str, at: int) -> Order:
         label = reader.value()
     keyword = _KEYWORD.match(code, reader.at)
     if keyword is None:
-        raise BlockError("an O word amid other words", "An O number stands alone in its line.")
+        raise BlockError("an O word among other words", "Write an O number in a line of its own.")
     reader.at = keyword.end()
     if not isinstance(label, str) and keyword[0] != "CALL":
         raise BlockError(f"O with a computed name before {keyword[0] or 'the end of the line'}", "Only CALL takes one.")
@@ -263,7 +262,7 @@ def _block(code: str) -> Block:
 
 
 def _word(letter: str, value: float) -> str:
-    """Return a word with a number that was worked out; codes and counts are taken for whole as rs274 does it."""
+    """Return a word with its computed number; codes and counts must be whole, as in rs274."""
     if letter in "MNTLDHO":
         return f"{letter}{whole(value)}"
     if letter == "G":
@@ -272,7 +271,7 @@ def _word(letter: str, value: float) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number as G-code writes it, to more digits than any control resolves."""
+    """Return a number as G-code text, with more digits than any control resolves."""
     text = f"{value:.8f}" if abs(value) >= 1.0 else f"{value:.12f}"
     return text.rstrip("0").rstrip(".") or "0"
 

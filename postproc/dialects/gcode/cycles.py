@@ -1,9 +1,9 @@
 """Canned cycles G73, G81 to G86, G89: the moves of a hole, by the rules of LinuxCNC (`interp_cycles.cc`).
 
-R, Z, P and Q hold until the cycle ends. In G91 R is counted from the initial level and Z from R. The initial level is
-the height before the first of a row of cycles; G98 returns there, G99 to R; below R the tool goes up to R first. After
-each peck G73 and G83 come back to 0.254 mm (0.010 inch) above where they were. G84 reverses the spindle at the bottom,
-G86 stops it there.
+R, Z, P and Q are modal until the cycle ends. In G91, R is relative to the initial level and Z to R. The initial level
+is the height before the first cycle of a series; G98 retracts to it, G99 to R. A tool below R first goes up to R. After
+each peck, G73 and G83 return to 0.254 mm (0.010 inch) above the last depth. G84 reverses the spindle at the bottom, G86
+stops it there.
 
 Without G98 or G99 holes return to the initial level, the higher of the two.
 """
@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from postproc.dialects.gcode.blocks import BlockError
+from postproc.dialects.gcode.words import BlockError
 from postproc.program import EventKind
 
 _CLEARANCE_MM = 0.254
@@ -25,7 +25,7 @@ Point = tuple[float, float, float]
 
 
 class Step(Struct, frozen=True):
-    """A move of a cycle: 0 (rapid) or 1, its end in the plane and across it [mm], whether it turns round there."""
+    """A move of a cycle: code 0 (rapid) or 1, end in the plane and across it [mm], whether it reverses there."""
 
     code: float
     end: Point
@@ -33,18 +33,18 @@ class Step(Struct, frozen=True):
 
 
 class CycleEvent(Struct, frozen=True):
-    """What happens in a cycle behind a number of its moves: a dwell [s], or the spindle."""
+    """An event of a cycle after its first `after` moves: a dwell [s], or a change of the spindle."""
 
-    behind: int
+    after: int
     kind: EventKind
     value: float = 0.0
 
 
 class Cycle:
-    """The words of a cycle as they hold, and the initial level.
+    """The modal words of a cycle, and the initial level.
 
     :ivar words: letter → number: Z and R in mm as programmed, P in s, Q in mm.
-    :ivar lifts: True where the tool goes up to R before it goes to a hole.
+    :ivar lifts: whether the tool first goes up to R.
     """
 
     def __init__(self) -> None:
@@ -54,19 +54,19 @@ class Cycle:
         self.lifts = False
 
     def end(self) -> None:
-        """End a row of cycles: the next one begins anew."""
+        """End a series of cycles."""
         self.code, self.level = 0.0, None
         self.words.clear()
 
     def hole(
         self, code: float, given: Mapping[str, float], at: Point, modes: tuple[bool, bool], spindle: EventKind
     ) -> tuple[list[Step], list[CycleEvent]]:
-        """Return the moves of a line.
+        """Return the moves and events of a line.
 
         :param given: its words: U and V in the plane, Z across it, R, Q [mm], P, L.
         :param at: where the tool is: in the plane and across it [mm].
-        :param modes: whether G91 and whether G99 holds.
-        :param spindle: what it does.
+        :param modes: whether G91 and whether G99 is active.
+        :param spindle: state of the spindle.
         :raises BlockError: a word is missing, or impossible.
         """
         if code != self.code:
@@ -86,7 +86,9 @@ class Cycle:
         if relative:
             r, z = r + self.level, r + self.level + z
         if r < z:
-            raise BlockError(f"R of the cycle is below its bottom: {r:.4f} mm, {z:.4f} mm", None)
+            raise BlockError(
+                f"R of the cycle ({r:.4f} mm) is below the bottom of the hole ({z:.4f} mm)", "Check R and Z."
+            )
         steps: list[Step] = []
         done: list[CycleEvent] = []
         self.lifts = self.level < r
@@ -113,7 +115,7 @@ class Cycle:
         if self.code in (73.0, 83.0):
             peck = self.words["Q"]
             if peck <= 0.0 or (r - z) / peck > _MOST_PECKS:
-                raise BlockError(f"Q{peck:g} mm is no depth of a peck", None)
+                raise BlockError(f"Q{peck:g} mm is not a valid depth of a peck", None)
             depth = r - peck
             while depth > z:
                 back = depth + _CLEARANCE_MM
@@ -125,20 +127,20 @@ class Cycle:
         steps.append(Step(1.0, bottom, bottom=True))
 
     def _up(self, clear: Point, r: float, steps: list[Step], done: list[CycleEvent], spindle: EventKind) -> None:
-        """Come back from the bottom."""
+        """Retract from the bottom."""
         at, dwell = len(steps), self.words.get("P", 0.0)
         if self.code in (82.0, 86.0, 89.0) and dwell > 0.0:
             done.append(CycleEvent(at, "dwell", dwell))
         if self.code == 84.0:
             if spindle != "spindle_on":
-                raise BlockError("G84 with a spindle that does not turn clockwise", "Start it by M3 before.")
+                raise BlockError("G84 with a spindle that does not turn clockwise", "Start it with M3 before.")
             done += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw")]
             done += [CycleEvent(at, "dwell", dwell)] if dwell > 0.0 else []
             steps.append(Step(1.0, clear, bottom=True))
             done += [CycleEvent(at + 1, "spindle_off"), CycleEvent(at + 1, "spindle_on")]
         elif self.code == 86.0:
             if spindle == "spindle_off":
-                raise BlockError("G86 with a spindle that does not turn", "Start it by M3 before.")
+                raise BlockError("G86 with a spindle that does not turn", "Start it with M3 before.")
             done.append(CycleEvent(at, "spindle_off"))
             steps.append(Step(0.0, clear))
             done.append(CycleEvent(at + 1, spindle))

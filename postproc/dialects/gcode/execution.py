@@ -1,45 +1,204 @@
-"""The lines of a program in the order in which a control executes them, with numbers where expressions stood.
+"""Execution of a program: its lines in execution order, with numbers in place of expressions.
 
-Subprograms, loops and branches are written out: what comes out is a program of plain lines, which is then read like any
-other, and each line of it knows where it stands. Runs of lines that hold neither parameters nor O-words are taken over
-as they are, so that this costs little for a program whose subprograms are paths.
+Subprograms, loops and branches are expanded. The result is a program of plain lines, which is then read like any other;
+each of its lines knows its file and line number. Lines without parameters and O-words are copied in runs, so a program
+whose subprograms are paths costs little.
+
+A subprogram is in the file that calls it, in the main program, or in another file of the folder. ``O<name> CALL`` is
+searched for in ``name.ngc``, M98 P100 in ``100.ngc``, ``O100.nc``, ``o0100.nc`` and so on, first with the extension of
+the program.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.gcode import words
-from postproc.dialects.gcode.blocks import BlockError, Fault
 from postproc.dialects.gcode.control import Block, Order, Unit, is_controlled, ordered
-from postproc.dialects.gcode.executed import Executed, Piece, put_together
-from postproc.dialects.gcode.expressions import whole
-from postproc.dialects.gcode.parameters import Parameters
-from postproc.dialects.gcode.subprograms import Library
-from postproc.dialects.gcode.words import MARK
-from postproc.dialects.text import line_starts
-from postproc.errors import MOST, SubprogramError
-from postproc.program import Document
+from postproc.dialects.gcode.expressions import Parameters, whole
+from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, split
+from postproc.dialects.text import decode, line_starts
+from postproc.errors import MOST, ProgramError, SubprogramError
+from postproc.program import Document, Ints
+
+
+class Executed(Struct, frozen=True, eq=False):
+    """A program in execution order.
+
+    :param source: its lines, each as often as it is executed.
+    :param documents: their files, the program first.
+    :param document: (L,) index of the file of each line.
+    :param line: (L,) its 1-based line number in that file.
+    :param main: (L,) its line number in the program; for a line of another file, the line number of the call.
+    :param faults: why it cannot be executed further, in rows of `source`.
+    :param after_end: line numbers of lines with coordinates after the end of the program, which are never executed;
+        `source` may have more.
+    """
+
+    source: Source
+    documents: tuple[Document, ...]
+    document: Ints
+    line: Ints
+    main: Ints
+    faults: tuple[Fault, ...] = ()
+    after_end: tuple[int, ...] = ()
+
+
+class Piece(NamedTuple):
+    """Lines `first` to `last` (exclusive) of a file; `text` for a line whose executed words differ from its own."""
+
+    unit: int
+    first: int
+    last: int
+    main: int
+    text: str | None = None
+
+
+def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> Executed:
+    """Return pieces, given in execution order, as one program.
+
+    :param units: the files of the pieces.
+    :param end: row of the first file at which the program ends.
+    """
+    code = b"\n" + b"".join(_bytes(units, pieces))
+    unit, first, last, main = np.array([piece[:4] for piece in pieces], dtype=np.int64).reshape(-1, 4).T
+    count = last - first
+    row = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
+    document, main = np.repeat(unit, count), np.repeat(main, count)
+    comments, rows = _comments(units, document, row)
+    ends = np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n"))
+    source, line = Source(code, ends, comments, rows + 1), row + 1
+    documents = tuple(unit.document for unit in units)
+    after_end = np.setdiff1d(units[0].source.coordinates(end), row[document == 0]) + 1
+    main = np.where(main < 0, line, main + 1)
+    return Executed(source, documents, document, line, main, tuple(faults), tuple(after_end.tolist()))
+
+
+def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
+    sources = [(unit.source.code, unit.source.ends.tolist()) for unit in units]
+    for piece in pieces:
+        if piece.text is not None:
+            yield piece.text.encode("ascii") + b"\n"
+        else:
+            code, ends = sources[piece.unit]
+            yield code[ends[piece.first] + 1 : ends[piece.last] + 1]
+
+
+def _comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
+    """Return the comments of the executed lines, and their rows."""
+    texts: list[str] = []
+    at: list[Ints] = []
+    index: list[Ints] = []
+    for n, unit in enumerate(units):
+        rows = np.flatnonzero(document == n)
+        lines = unit.source.comment_lines - 1
+        begin, stop = np.searchsorted(lines, row[rows], "left"), np.searchsorted(lines, row[rows], "right")
+        count = stop - begin
+        at.append(np.repeat(rows, count))
+        index.append(len(texts) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - begin, count))
+        texts += unit.source.comments
+    order = np.argsort(np.concatenate(at), kind="stable")
+    chosen = np.concatenate(index)[order].tolist()
+    return tuple(texts[n] for n in chosen), np.concatenate(at)[order]
+
+
+_EXTENSIONS = (".ngc", ".nc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp", ".txt", ".sub", "")
+
+
+class Library:
+    """The files of a program.
+
+    :ivar units: the program, then the files of its folder in the order of their first call.
+    """
+
+    def __init__(self, program: Unit) -> None:
+        self.units = [program]
+        self._files: dict[str, Path] | None = None
+
+    def find(self, label: str, caller: int, *, own: bool) -> tuple[int, int] | None:
+        """Return file and first row of a subprogram; None if it is not found.
+
+        :param caller: index of the calling file in `units`.
+        :param own: whether it is called in LinuxCNC style.
+        :raises BlockError: its file cannot be read.
+        """
+        for n in dict.fromkeys((caller, 0)):
+            place = (self.units[n].subs if own else self.units[n].numbers).get(label)
+            if place is not None:
+                return n, place + 1
+        loaded = self._loaded(label)
+        if loaded is None:
+            return None
+        unit = self.units[loaded]
+        place = (unit.subs if own else unit.numbers).get(label, -1)
+        if own and place < 0:
+            raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
+        return loaded, place + 1
+
+    def _loaded(self, label: str) -> int | None:
+        """Return the index of the file of the folder that contains a subprogram; read it on the first call."""
+        for n, unit in enumerate(self.units):
+            if n and _stem(unit.document.name) == label:
+                return n
+        path = self._file(label)
+        if path is None:
+            return None
+        try:
+            document = replace(decode(path.name, path.read_bytes()), folder=str(path.parent))
+        except OSError as cause:
+            raise BlockError(f"subprogram O{label}: {path.name} cannot be read ({cause.strerror})", None) from cause
+        except ProgramError as cause:
+            raise BlockError(f"subprogram O{label}: {cause.problem}", None) from cause
+        unit = Unit.of(document, split(document, line_starts(document.text)))
+        if unit.faults:
+            problem, line = unit.faults[0].problem, unit.faults[0].row + 1
+            raise BlockError(f"subprogram O{label}: {path.name}:{line}: {problem}", None)
+        self.units.append(unit)
+        return len(self.units) - 1
+
+    def _file(self, label: str) -> Path | None:
+        main = self.units[0].document
+        if self._files is None:
+            self._files = {}
+            folder = Path(main.folder) if main.folder else None
+            for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
+                if path.name != main.name and path.suffix.lower() in (*_EXTENSIONS, Path(main.name).suffix.lower()):
+                    self._files[path.name.lower()] = path
+        for extension in dict.fromkeys((Path(main.name).suffix.lower(), *_EXTENSIONS)):
+            for name, path in self._files.items():
+                if Path(name).suffix == extension and _stem(name) == label and path.is_file():
+                    return path
+        return None
+
+
+def _stem(file: str) -> str:
+    """Return the label of a subprogram file: ``O0100.nc`` → ``100``."""
+    stem = Path(file).stem.lower()
+    number = re.fullmatch(r"o?(\d+)", stem)
+    return stem if number is None else str(int(number[1]))
+
 
 _MOST_ORDERS = 2_000_000
-"""So many lines with parameters or O-words are executed at most: more are taken for an endless loop."""
+"""Limit of executed lines with parameters or O-words: more are reported as an endless loop."""
 _MOST_ROWS = 10_000_000
 _DEEPEST = 10
-"""Subprograms may call each other to this depth, as in LinuxCNC."""
+"""Limit of nested subprogram calls, as in LinuxCNC."""
 _CALL = re.compile(r"([PL])([+-]?(?:\d+\.?\d*|\.\d+))|M0*9[89]")
-_ENDLESS = "An endless loop? Check what ends it."
+_ENDLESS = "Is it an endless loop? Check its end condition."
 
 
 def executed(document: Document) -> Executed:
-    """Execute what decides about the order of lines and about their numbers.
+    """Return a program in execution order.
 
-    :raises SubprogramError: there is nothing to be executed, only to be called.
+    :raises SubprogramError: the file only defines subprograms.
     """
-    source = words.split(document, line_starts(document.text))
+    source = split(document, line_starts(document.text))
     if is_controlled(source):
         unit = Unit.of(document, source)
         name = None if unit.faults else unit.only_defines()
@@ -47,7 +206,7 @@ def executed(document: Document) -> Executed:
             raise SubprogramError(
                 f"this is a subprogram, {name}",
                 file=document.name,
-                advice="It is converted with each program that calls it: convert that.",
+                advice="Convert the program that calls it.",
             )
         return _Run(unit).result()
     line = np.arange(1, len(source) + 1)
@@ -55,9 +214,9 @@ def executed(document: Document) -> Executed:
 
 
 class _Frame(Struct, frozen=True):
-    """A subprogram that is being executed: its label, whether LinuxCNC's kind, and where it was called.
+    """A subprogram in execution: its label, whether LinuxCNC style, the position of its call.
 
-    `again`: how often M98 calls it once more, from row `begin`.
+    `again`: number of repeats that M98 still has to make, from row `begin`.
     """
 
     label: str
@@ -87,7 +246,7 @@ class _Run:
         self.wrong: dict[tuple[int, int], Fault] = {}
 
     def result(self) -> Executed:
-        """Execute the program from its first line, unless its O-words are wrong."""
+        """Execute the program from its first line, unless its O-words have faults."""
         for fault in self.units[0].faults:
             self._wrong(fault.row, fault.problem, fault.advice)
         try:
@@ -122,7 +281,7 @@ class _Run:
         except BlockError as cause:
             self._wrong(at, *cause.args)
             if isinstance(unit.lines.get(at), Order) or len(self.wrong) > MOST:
-                raise _EndError from cause  # where it goes on is not known
+                raise _EndError from cause  # the next line is not known
 
     def _take(self, first: int, last: int, text: str | None = None) -> None:
         main = self.main if self.unit else -1
@@ -130,7 +289,7 @@ class _Run:
         self.rows += last - first
 
     def _wrong(self, row: int, problem: str, advice: str | None = None) -> None:
-        """Note what is wrong; the line stays as it is written, so that what it changes is known to be unknown."""
+        """Record a fault. The text of the line is recorded too, so that later steps know which words are unknown."""
         if (self.unit, row) not in self.wrong:
             self.wrong[self.unit, row] = Fault(self.rows, problem, advice, self.units[self.unit].source.line(row))
         self._take(row, row + 1, "")
@@ -140,13 +299,13 @@ class _Run:
         raise _EndError
 
     def _tape(self, row: int) -> None:
-        """Open the tape, or end it: the first % of a file opens it."""
+        """Execute %: the first one of a file opens the program, the next one ends it."""
         source = self.units[self.unit].source
         opens = not source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode())
         if not opens and self.frames:
             self.row = len(source)
         elif not opens and source.goes_on(row):
-            self._stop(row, *words.CUT_SHORT)
+            self._stop(row, *CUT_SHORT)
         elif not self.frames:
             self._take(row, row + 1)
             if not opens:
@@ -175,7 +334,7 @@ class _Run:
 
     def _call_number(self, row: int, number: dict[str, float]) -> None:
         if "P" not in number:
-            raise BlockError("M98 without P", "Write M98 P100 L3: subprogram O100, three times.")
+            raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
         label, times = str(whole(number["P"])), whole(number.get("L", 1.0))
         found = self.library.find(label, self.unit, own=False)
         if found is None:
@@ -187,13 +346,13 @@ class _Run:
 
     def _return_number(self, row: int, number: dict[str, float]) -> None:
         if not self.frames:
-            advice = "A program ends with M30. A subprogram is converted with the program that calls it."
-            raise BlockError("M99 in a program that nothing has called: it would run without end", advice)
+            advice = "End a program with M30. If this is a subprogram, convert the program that calls it."
+            raise BlockError("M99 in a main program: it would repeat forever", advice)
         if "P" in number:
-            raise BlockError("M99 with P", "Returning to another line than that of the call is not read.")
+            raise BlockError("M99 with P", "A return to another line than the call is not supported: write M99 alone.")
         frame = self.frames[-1]
         if frame.own:
-            raise BlockError(f"M99 in O{frame.label} SUB", f"It ends with O{frame.label} ENDSUB.")
+            raise BlockError(f"M99 in O{frame.label} SUB", f"End it with O{frame.label} ENDSUB.")
         if frame.again:
             self.frames[-1] = replace(frame, again=frame.again - 1)
             self.row = frame.begin
@@ -204,8 +363,8 @@ class _Run:
 
     def _enter(self, frame: _Frame, unit: int, row: int) -> None:
         if len(self.frames) >= _DEEPEST - 1:
-            advice = "Does one call itself without end?"
-            raise BlockError(f"subprograms call each other more than {_DEEPEST - 1} levels deep", advice)
+            advice = "Does a subprogram call itself?"
+            raise BlockError(f"subprogram calls are nested more than {_DEEPEST - 1} levels deep", advice)
         self.frames.append(frame)
         if self.unit == 0:
             self.main = row
@@ -219,7 +378,7 @@ class _Run:
     def _obey(self, row: int, order: Order) -> None:
         unit, keyword = self.units[self.unit], order.keyword
         if self.wrong and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
-            raise _EndError  # the condition may be wrong only because of what is wrong already
+            raise _EndError  # the condition may depend on an earlier fault
         link = unit.links.get(row, (row,))
         if keyword == "SUB":
             self.row = link[-1] + 1

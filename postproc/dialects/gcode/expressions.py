@@ -1,8 +1,13 @@
-"""Numbers, parameters and expressions where a word has its value, by the rules of LinuxCNC's rs274.
+"""Parameters (``#1``, ``#<name>``) and expressions of a running program, by the rules of LinuxCNC.
 
-An expression stands in ``[ ]``. What binds first is ``**``, then ``*`` ``/`` ``MOD``, then ``+`` ``-``, then
-comparisons, then ``AND`` ``OR`` ``XOR``; equals are worked out from the left. Angles are degrees; EQ and NE, GE and LE
-take numbers closer than 0.0001 for equal; MOD is never negative (LinuxCNC, `interp_execute.cc`, `interp_read.cc`).
+Parameters 1 to 30 and plain names are local to a subprogram. Numbers from 31 on and names that begin with ``_`` are
+global. Only the machine knows a parameter that no block has set (the last probed point, the position of G28, results of
+another program), so reading it is an error.
+
+An expression is written in ``[ ]``. ``**`` binds first, then ``*`` ``/`` ``MOD``, then ``+`` ``-``, then comparisons,
+then ``AND`` ``OR`` ``XOR``; operators of equal precedence are evaluated from the left. Angles are in degrees. EQ, NE,
+GE and LE treat numbers closer than 0.0001 as equal. MOD is never negative (LinuxCNC, `interp_execute.cc`,
+`interp_read.cc`).
 """
 
 from __future__ import annotations
@@ -10,13 +15,93 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
-from postproc.dialects.gcode.blocks import BlockError
-from postproc.dialects.gcode.parameters import Key, Parameters, key_of
+from postproc.dialects.gcode.words import BlockError
+
+ARGUMENTS = 30
+"""Number of numbered parameters that are local to a subprogram."""
+_LOCAL = range(1, ARGUMENTS + 1)
+_LARGEST = 5601
+_OF_THE_MACHINE = 5000
+"""Parameters above this number belong to the control: probed points, offsets, positions."""
+_SET_FIRST = "Set it in the program before its first use."
+_MACHINE = "Only the machine knows it: write the number instead."
+
+
+def key_of(name: str) -> str:
+    """Return the name of a parameter as its key: case and blanks do not count."""
+    return "".join(name.split()).lower()
+
+
+Key = int | str
+"""A parameter: its number, or its name."""
+
+
+class Parameters:
+    """Values of the parameters while a program runs."""
+
+    def __init__(self) -> None:
+        self._common: dict[Key, float] = {}
+        self._own: dict[Key, float] = {}
+        self._callers: list[tuple[dict[Key, float] | None, dict[Key, float]]] = []
+
+    def get(self, key: Key) -> float:
+        """Return the value of a parameter.
+
+        :raises BlockError: it has none.
+        """
+        value = self._place(key).get(key)
+        if value is not None:
+            return value
+        if isinstance(key, int):
+            own = _checked(key) > _OF_THE_MACHINE
+            raise BlockError(f"parameter #{key} has no value", _MACHINE if own else _SET_FIRST)
+        raise BlockError(f"parameter #<{key}> has no value", _MACHINE if key.startswith("_") else _SET_FIRST)
+
+    def exists(self, key: Key) -> bool:
+        """Return whether a parameter has a value."""
+        return key in self._place(key)
+
+    def put(self, key: Key, value: float) -> None:
+        """Give a parameter a value.
+
+        :raises BlockError: the parameter belongs to the control.
+        """
+        if isinstance(key, int) and _checked(key) > _OF_THE_MACHINE:
+            raise BlockError(f"parameter #{key} belongs to the control", "Use G10, G52 or G54 … instead.")
+        self._place(key)[key] = value
+
+    def enter(self, arguments: Sequence[float] | None) -> None:
+        """Begin a subprogram: #1 … are its arguments, other local numbers zero; with None it shares its caller's."""
+        saved: dict[Key, float] | None = None
+        if arguments is not None:
+            saved = {n: self._common[n] for n in _LOCAL if n in self._common}
+            self._common.update(dict.fromkeys(_LOCAL, 0.0))
+            self._common.update(enumerate(arguments, 1))
+        self._callers.append((saved, self._own))
+        self._own = {}
+
+    def leave(self) -> None:
+        """End a subprogram: restore the local parameters of its caller."""
+        saved, self._own = self._callers.pop()
+        if saved is not None:
+            for n in _LOCAL:
+                self._common.pop(n, None)
+            self._common.update(saved)
+
+    def _place(self, key: Key) -> dict[Key, float]:
+        return self._own if isinstance(key, str) and not key.startswith("_") else self._common
+
+
+def _checked(number: int) -> int:
+    if not 0 < number <= _LARGEST:
+        raise BlockError(f"there is no parameter #{number}", f"Numbers are 1 to {_LARGEST}.")
+    return number
+
 
 Value = Callable[[Parameters], float]
-"""What a value is while a program runs: its parameters in, a number out."""
+"""An expression: evaluates to a number, given the parameters."""
 
 _SAME = 1e-4
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
@@ -64,14 +149,14 @@ _UNARY: Mapping[str, Callable[[float], float]] = {
 
 
 def whole(value: float) -> int:
-    """Return a number that must be whole, as rs274 reads one: within 0.0001."""
+    """Return the nearest integer; within 0.0001, as rs274 requires."""
     if abs(value - round(value)) > _SAME:
         raise BlockError(f"{value:g} is not a whole number", None)
     return round(value)
 
 
 class Reader:
-    """Reads values from a packed line, from `at` on."""
+    """Parser for values in a packed line, from position `at`."""
 
     def __init__(self, code: str, at: int = 0) -> None:
         self.code, self.at = code, at
@@ -101,7 +186,7 @@ class Reader:
         return out
 
     def parameter(self) -> Callable[[Parameters], Key]:
-        """Read ``#…``: which parameter it is."""
+        """Read ``#…``; return a function for the key of the parameter."""
         self._expect("#")
         name = self._match(_NAME)
         if name is not None:

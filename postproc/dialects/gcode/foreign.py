@@ -1,4 +1,4 @@
-"""Programs that are not G-code of this kind: which control they are for, told by the lines that cannot be read."""
+"""Programs for other controls, recognised by the lines that cannot be read."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import NamedTuple
 _POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fanuc (ISO) without cycles and macros"
 _ASIDE = re.compile(r'\([^()"]*\)|;.*')
 _ENOUGH = 300
-"""Characters of a line that are looked at."""
+"""Number of characters of a line that are searched."""
 
 
 class Foreign(NamedTuple):
-    """A kind of program that is not read: its name, by what a line of it is known, and what to do."""
+    """A kind of program that is not supported: its name, the pattern of its lines, the advice."""
 
     name: str
     line: re.Pattern[str]
@@ -29,7 +29,7 @@ FOREIGN = (
     Foreign(
         "lathe",
         re.compile(r".*(?<![A-Z])(G7[0-6]\s*[PQUW]\s*[\d.#\[]|G50\s*S\s*\d|G92\s*S\s*\d)", re.IGNORECASE),
-        "It turns and does not mill.",
+        "Only milling programs are supported.",
     ),
     Foreign(
         "Okuma",
@@ -49,7 +49,7 @@ FOREIGN = (
     Foreign(
         "Fanuc custom macro (B)",
         re.compile(r"\s*(N\d+\s*)?(WHILE\s*\[|IF\s*\[|GOTO\s*[\d#\[]|END\s*\d|ENDWHILE|ENDIF)", re.IGNORECASE),
-        "Let the CAM system write its loops out, or write them with O words (o1 while [#1 LT 5] … o1 endwhile).",
+        "Set the CAM system to expand loops, or write them with O words (o1 while [#1 LT 5] … o1 endwhile).",
     ),
     Foreign(
         "Heidenhain Klartext",
@@ -75,7 +75,7 @@ FOREIGN = (
             r"\s*(&(ACCESS|REL|PARAM|COMMENT)\b|(GLOBAL\s+)?DEF(FCT|DAT)?\s+\w+|S?(LIN|PTP|CIRC)(_REL)?\s+[{\w]|BAS\s*\(#)",
             re.IGNORECASE,
         ),
-        "Give it the extension .src, or say --dialect krl.",
+        "Rename it to .src, or add --dialect krl.",
     ),
     Foreign(
         "slicer (3-D printing)",
@@ -83,7 +83,7 @@ FOREIGN = (
             r".*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])(M(82|83|10[4679]|140)(?!\d)|M190\s*[SR]))",
             re.IGNORECASE,
         ),
-        f"It extrudes and does not cut. {_POST}, from a milling program.",
+        f"It is for extrusion. {_POST}, and convert a milling program.",
     ),
     Foreign(
         "Siemens Sinumerik",
@@ -103,11 +103,11 @@ FOREIGN = (
         "write G20 or G21.",
     ),
 )
-"""Programs that this reader meets and does not read."""
+"""Kinds of programs that are recognised and refused."""
 
 
 def recognised(lines: Sequence[str]) -> tuple[int, Foreign] | None:
-    """Return which of the lines that could not be read first tells the kind of program, and that kind.
+    """Return index and kind of the first unreadable line that reveals the kind of the program, or None.
 
     :param lines: with their comments, in order.
     """

@@ -1,37 +1,283 @@
-"""What the blocks that are not plain motions mean: modes, events, and what the user should know.
+"""Blocks that are not plain motions: modal state, spindle, tools, origins, machine positions, stops.
 
-Decisions, where controls differ:
+Decisions where controls differ:
 
-- **P** of a cycle is in seconds, as that of G4.
-- **/** (block delete): the block is read, as with the switch in its off position, the default of rs274; an issue says
-  so.
-- **G61, G61.1** switch approximate positioning off, **G64** on again. ``G64 P`` allows the path to leave a corner by P:
-  the approximation distance is then at most 2·P, by which no corner is rounded by more than P (the parabola that the
-  controller drives leaves the corner by half the distance, times the sine of half the turn).
+- **P** of a cycle and of **G4** is in seconds, as in LinuxCNC. More than a minute in G4 gives a warning, because some
+  controls count milliseconds.
+- **/** (block delete): the block is executed, as with the switch off, the default of rs274. An issue says so.
+- **G61, G61.1** switch approximate positioning off, **G64** switches it on again. ``G64 P`` allows the path to leave a
+  corner by P. The approximation distance is then at most 2·P: the parabola of the controller leaves the corner by half
+  the distance times the sine of half the turn, so no corner is rounded by more than P.
 - **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first.
-- **G4 P** is in seconds, as in LinuxCNC. More than a minute gives a warning: some controls count milliseconds.
-- **F** belongs to the units of its own block, also when G20 or G21 stands in the same block.
-- **A0, U0** (and B, C, V, W) keep an axis that the robot has not at zero: they are read over, and an issue says so.
-- **%**: the first one opens the program (text after it is ignored), the next one ends it; a program that begins with
-  % and has no end is incomplete. A closing % without an opening one is accepted.
+- **F** is in the units of its own block, also if G20 or G21 is in the same block.
+- **A0, U0** (and B, C, V, W) keep an axis at zero that the robot does not have: they are ignored, and an issue says so.
+- **%**: the first one opens the program (text after it is ignored), the next one ends it. A program that begins with %
+  and has no end is incomplete. A closing % without an opening one is accepted.
+- **M2, M30** end the program and switch off spindle and coolant, as in LinuxCNC.
+- **M6** stops the spindle first, as in LinuxCNC. Without a T before it the tool is unknown: an error if the cell has
+  `[tools]`, else a warning.
+- **T M6** selects the tool of this number in `[tools]`; without `[tools]`, the cell's `[tool]` holds for all.
+- **G43** makes a control apply a stored tool length, so that X Y Z are those of the tool tip. On the robot `$TOOL`
+  contains the length and X Y Z are always those of the tip. So G43 is accepted without effect; only in a program
+  without M6 its H selects the tool. Nearly every CAM program has a G43.
+- A new S while the spindle turns is an event like M3 with that speed.
+- **G28, G30, G53** go to positions of the machine; `[machine]` of the cell says what they mean on the robot. Words of
+  G28 and G30 define an intermediate point only.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.dialects.gcode import codes
-from postproc.dialects.gcode.blocks import BlockError, Fault, words_of
-from postproc.dialects.gcode.places import Origin, Places, Return
-from postproc.dialects.gcode.switching import RowEvent, Switching
-from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, Source
+from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, words_of
 from postproc.errors import MOST, Issue, Level
 from postproc.frames import M_PER_MM, Array
-from postproc.program import Ints
+from postproc.program import EventKind, Ints
+
+_SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
+
+
+class RowEvent(Struct, frozen=True):
+    """An event of a line: its row, whether it follows the motion of the line, kind and value of `Event`."""
+
+    row: int
+    after: bool
+    kind: EventKind
+    value: float = 0.0
+
+
+class Switching:
+    """State of spindle, coolant and tools, line by line.
+
+    :ivar events: in order of lines.
+    :ivar tools: changes (row, tool number), in order.
+    :ivar ended: whether the program has ended.
+    """
+
+    def __init__(self, cell: Cell, issues: list[Issue], is_known: Callable[[int, str], bool]) -> None:
+        """Begin with everything switched off.
+
+        :param issues: list to which remarks are added.
+        :param is_known: whether a code of a line, such as ``M128``, is read elsewhere.
+        """
+        self.cell, self.issues, self.is_known = cell, issues, is_known
+        self.events: list[RowEvent] = []
+        self.tools: list[tuple[int, float]] = []
+        self.ended = False
+        self._spindle: EventKind = "spindle_off"
+        self._coolant = False
+        self._speed = 0.0
+        self._tool: float | None = None
+        self._mounted: set[float] = set()
+
+    def read(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
+        """Read the M codes, T and S of a block.
+
+        :param values: its words by letter; used words are removed.
+        :raises BlockError: a code is unknown or impossible.
+        """
+        self._tool = values.pop("T", self._tool)
+        if codes.CHANGE in m:
+            self._change(row)
+        self._turn(row, m, values.pop("S", None))
+        for code in m:
+            if code in codes.COOLANT:
+                self._coolant = code != codes.COOLANT[-1]
+                self._event(row, "coolant_on" if self._coolant else "coolant_off")
+            elif code in codes.STOP:
+                self.events.append(RowEvent(row, True, "stop"))
+            elif code in codes.END:
+                self._end(row)
+        for code in m:
+            if self.is_known(row, f"M{code:g}"):
+                continue
+            own = None if code in codes.READING else self.cell.m_codes.get(f"M{code:g}")
+            if own is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
+                continue
+            if own is None and code not in codes.ACCEPTED_M:
+                raise BlockError(*codes.refusal("M", code))
+            if own == []:  # without effect, and so are its words
+                values.pop("P", None)
+                values.pop("Q", None)
+            if own:
+                self.events.append(RowEvent(row, False, "m_code", code))
+
+    def tool_length(self, row: int, length: float | None) -> None:
+        """Read G43 with its H."""
+        tools = self.cell.tools
+        if not tools:
+            message = "G43 has no effect: $TOOL contains the tool length, and X Y Z are those of the tool tip."
+            self._remark("info", "tool-length", message, row)
+        elif length and not self._mounted and f"{length:g}" in tools:
+            self.tools.append((row, length))
+            message = "There is no M6 before G43: the tool is selected by H."
+            self._remark("info", "tool-length", message, row)
+        elif length and length not in self._mounted and f"{length:g}" in tools:
+            message = f"G43 H{length:g} is not the tool in the spindle: $TOOL of tool {self._tool or 0:g} is used."
+            self._remark("warning", "tool-length", message, row, f"{length:g}")
+
+    def dwell(self, row: int, seconds: float) -> None:
+        """Read a G4."""
+        self._event(row, "dwell", seconds)
+
+    def _change(self, row: int) -> None:
+        if self._spindle != "spindle_off":
+            self._spindle = "spindle_off"
+            self._event(row, "spindle_off")
+        number = self._tool or 0.0
+        self._event(row, "tool_change", number)
+        self._mounted.add(number)
+        if self._tool is None and self.cell.tools:
+            raise BlockError("M6 without a T before it", "Write the number of the tool in [tools]: T1 M6.")
+        if self._tool is None:
+            message = "M6 without a T before it: the tool is unknown."
+            self._remark("warning", "tool-change", message, row)
+        elif self.cell.tools and number:
+            if f"{number:g}" not in self.cell.tools:
+                raise BlockError(f"tool {number:g} is not in the cell", f"Give its $TOOL: [tools.{number:g}].")
+            self.tools.append((row, number))
+        elif len(self._mounted) > 1:
+            message = "The program uses several tools, but the cell has only [tool]. Give [tools.n] for each."
+            self._remark("warning", "tool-change", message, row)
+
+    def _turn(self, row: int, m: Sequence[float], speed: float | None) -> None:
+        if speed is not None:
+            if speed < 0.0:
+                raise BlockError("negative spindle speed", None)
+            self._speed = speed
+        switched = next((kind for code, kind in _SPINDLE.items() if code in m), None)
+        self._spindle = switched or self._spindle
+        if switched == "spindle_off":
+            self._event(row, "spindle_off")
+        elif switched or (speed is not None and self._spindle != "spindle_off"):
+            self._event(row, self._spindle, self._speed)
+            if self._speed == 0.0:
+                self._remark(
+                    "warning", "spindle-speed", "The spindle starts without a speed. Program S before M3 or M4.", row
+                )
+
+    def _end(self, row: int) -> None:
+        self.ended = True
+        if self._spindle != "spindle_off":
+            self.events.append(RowEvent(row, True, "spindle_off"))
+        if self._coolant:
+            self.events.append(RowEvent(row, True, "coolant_off"))
+
+    def _event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
+        self.events.append(RowEvent(row, False, kind, value))
+
+    def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+        self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
+
+
+class Origin(Struct, frozen=True):
+    """A change of the program frame by G10, G52 or G92…; lengths in mm.
+
+    :ivar axes: axis 0…2 → its word.
+    :ivar system: of G10: 1 for G54 to 9 for G59.3, 0 for the active one; `turn` its R [deg] or None.
+    :ivar here: True for G10 L20, which gives the coordinates of the current position.
+    """
+
+    row: int
+    code: float
+    axes: Mapping[int, float]
+    system: int = 0
+    turn: float | None = None
+    here: bool = False
+
+
+class Return(Struct, frozen=True):
+    """A line with G28, G30 or G53: its axes with their words [mm]."""
+
+    row: int
+    code: float
+    axes: Mapping[int, float]
+
+
+class FrameCodes:
+    """Codes that change the program frame (G10, G52, G92 …) or go to machine positions (G28, G30, G53).
+
+    :ivar offsets: names of the known work offsets.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        self.machine = cell.machine
+        self.rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
+        self.offsets = {"G54", *cell.work_offsets}
+        self.origins: list[Origin] = []
+        self.returns: dict[int, Return] = {}
+        self._shifted = False
+
+    def read(self, row: int, g: Sequence[float], motion: float, values: dict[str, float], mm: float) -> None:
+        """Read such a code, if the block has one.
+
+        :param g: G codes of the block; `motion` is the one of G0 to G3, or NaN.
+        :param values: its words by letter; used words are removed.
+        :param mm: length of a unit [mm].
+        :raises BlockError: the code cannot be executed on the robot.
+        """
+        using = [code for code in g if code in codes.ORIGINS or code in codes.RETURNS]
+        if not using:
+            return
+        takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
+        turned = [letter for letter in self.rotary if letter in values]
+        if turned and (using[0] in codes.ORIGINS or self.machine.home is None):
+            raise BlockError(f"{turned[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
+        for letter in turned:
+            values[letter] = 0.0  # position of the axes at home
+        axes = {"XYZ".index(letter): value * mm for letter, value in takes.items()}
+        if len(using) > 1 or set(g) & {2.0, 3.0, *codes.CYCLES}:
+            raise BlockError("two codes of one block use the same words", "Write one block for each.")
+        code = using[0]
+        if code in codes.RETURNS:
+            self._return(row, code, motion, axes)
+        elif code == codes.STORE:
+            self._store(row, axes, values)
+        else:
+            self._shift(row, code, axes)
+
+    def _shift(self, row: int, code: float, axes: Mapping[int, float]) -> None:
+        if code in (codes.LOCAL, codes.SHIFT) and not axes:
+            raise BlockError(f"G{code:g} without X, Y or Z", None)
+        if code == codes.SHIFT_ON and not self._shifted:
+            raise BlockError(
+                "G92.3 restores an offset that the program has not set", "Set it with G92 before, or remove G92.3."
+            )
+        self._shifted |= code in (codes.LOCAL, codes.SHIFT)
+        self.origins.append(Origin(row, code, axes))
+
+    def _return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
+        machine, name = self.machine, f"G{code:g}"
+        if machine.home is None and machine.clearance_Z is None:
+            advice = "Give [machine] clearance_Z or home = [A1 … A6] in the cell, or remove the block."
+            raise BlockError(f"{name} is not supported without [machine] in the cell", advice)
+        if code == codes.MACHINE and motion in (1.0, 2.0, 3.0):
+            advice = "Use G53 with G0 only, or write the move in coordinates of the part."
+            raise BlockError(f"{name} with G{motion:g}", advice)
+        if not axes and code == codes.MACHINE:
+            advice = "It has no effect on most controls: remove it, or write it in the block that it is for."
+            raise BlockError("G53 without X, Y or Z", advice)
+        if machine.home is None and set(axes) != {2}:
+            advice = "[machine] clearance_Z defines Z only: give home too, or set the CAM system to retract in Z only."
+            raise BlockError(f"{name} with axes other than Z", advice)
+        self.returns[row] = Return(row, code, axes)
+
+    def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
+        kind, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
+        if kind not in (2.0, 20.0) or (kind == 20.0 and turn is not None):
+            raise BlockError(f"G10 L{kind:g} is not supported", "Tools are in the cell: [tools.1] …")
+        if system not in range(10):
+            raise BlockError("G10 without a work offset", "Write P1 for G54 … P9 for G59.3, P0 for the active one.")
+        number = int(system)
+        if number:
+            self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
+        self.origins.append(Origin(row, codes.STORE, axes, number, turn, kind == 20.0))
+
 
 _UNITS_AGAIN = {70.0: 20.0, 71.0: 21.0}
 MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
@@ -41,22 +287,21 @@ _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 
 
 class Modes(Struct, frozen=True, eq=False):
-    """What the blocks that are not plain say besides coordinates.
+    """Modal state, events and remarks of the blocks that are not plain.
 
-    :param rows: number of lines that belong to the program (up to M2, M30 or the closing ``%``); lines after the first
-        few faults are none of them.
-    :param changes: for each modal group of `codes.GROUPS` its changes (row, code), in order.
+    :param rows: number of lines of the program, up to M2, M30 or the closing ``%``, or up to the first few faults.
+    :param changes: modal group of `codes.GROUPS` → its changes (row, code), in order.
     :param blends: changes (row, approximation distance [m]), in order.
-    :param roundings: changes (row, what corners may be rounded by [m]), in order; NaN: what the cell says.
+    :param roundings: changes (row, allowed rounding of corners [m]), in order; NaN for the value of the cell.
     :param origins: changes of the program frame other than by G54…, in order.
-    :param returns: row → what goes to a place of the machine there.
+    :param returns: row → move to a machine position.
     :param tools: changes (row, tool number), in order.
-    :param tip: changes (row, whether X, Y, Z are those of the tip although rotary axes turn: 1 or 0), in order.
+    :param tip: changes (row, 1 if tool-centre-point control is on, else 0), in order.
     :param dwells: rows with G4.
-    :param row_events: what the lines switch, in order.
-    :param issues: what the user should know.
-    :param faults: blocks that cannot be read, in order.
-    :param complete: False if an end that must be there is missing.
+    :param row_events: events of the lines, in order.
+    :param issues: remarks for the user.
+    :param faults: faults of blocks, in order.
+    :param complete: False if the required end is missing.
     """
 
     rows: int
@@ -79,11 +324,10 @@ def read_modes(
 ) -> Modes:
     """Read the lines `odd` and put their coordinates, feeds and motion codes into `columns`.
 
-    :param source: the program.
     :param odd: (n,) rows of the lines to read, ascending.
     :param columns: as `words.read_plain` returns them; rows of `odd` are filled in.
-    :param cell: its work offsets, tools, M-codes, approximation distance, and what G28 and G53 mean.
-    :param known: what is wrong with lines that are executed.
+    :param cell: work offsets, tools, M-codes, approximation distance, meaning of G28 and G53.
+    :param known: faults found when the program was executed.
     """
     opening = _OPENING.match(source.code)
     tape = -1 if opening is None else opening[0].count(b"\n") - 1
@@ -104,15 +348,15 @@ def read_modes(
     faults = sorted([*faults, *(fault for fault in known if fault.row < rows)], key=lambda fault: fault.row)
     complete = reader.ended or tape < 0 or len(faults) > MOST or bool(known)
     if not reader.ended and complete:
-        message = "The program ends without M2, M30 or %: check that the file is complete."
+        message = "The program ends without M2, M30 or %. Check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
     return Modes(
         rows=rows,
         changes=reader.changes,
         blends=reader.blends,
         roundings=reader.roundings,
-        origins=reader.places.origins,
-        returns=reader.places.returns,
+        origins=reader.frame_codes.origins,
+        returns=reader.frame_codes.returns,
         tools=reader.switching.tools,
         tip=reader.tip,
         dwells=reader.dwells,
@@ -124,7 +368,7 @@ def read_modes(
 
 
 class _Reader:
-    """The state that carries over from block to block, and what was read so far."""
+    """Reader of single blocks, with the modal state and the results so far."""
 
     def __init__(self, columns: Mapping[str, Array], cell: Cell, tape: int) -> None:
         self.columns, self.cell, self.tape = columns, cell, tape
@@ -135,8 +379,8 @@ class _Reader:
         self.dwells: list[int] = []
         self.smooth: set[int] = set()
         self.issues: list[Issue] = []
-        self.places, self.switching = Places(cell), Switching(cell, self.issues, self._tip)
-        self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.places.rotary]
+        self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self._tip)
+        self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.frame_codes.rotary]
         self.tip: list[tuple[int, float]] = []
         rotary = cell.rotary
         self.tip_on, self.tip_off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
@@ -157,7 +401,7 @@ class _Reader:
         deleted = _DELETE.match(code)
         if deleted:
             code = code[deleted.end() :]
-            self._tell("info", "block-delete", "Blocks with / are executed (block delete switched off).", row)
+            self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         words = words_of(code)
         g = [value for letter, value in words if letter == "G"]
         m = [value for letter, value in words if letter == "M"]
@@ -166,7 +410,7 @@ class _Reader:
         for step in (
             self._smoothing,
             self._modes,
-            self._places,
+            self._frames,
             self._dwell,
             self._blending,
             self._switching,
@@ -174,22 +418,22 @@ class _Reader:
         ):
             try:
                 step(row, g, m, values)
-            except BlockError as cause:  # what is understood of the block is taken over: the next blocks build on it
+            except BlockError as cause:  # keep the valid parts of the block: later blocks depend on them
                 refused = refused or cause
         if refused is not None:
             raise refused
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        if codes.TOOL_LENGTH in g or (43.4 in g and self.places.rotary):
+        if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary):
             self.switching.tool_length(row, values.pop("H", None))
-            values.pop("D", None)  # the number of a radius, which only G41 and G42 use
+            values.pop("D", None)  # a radius, which only G41 and G42 use
         elif values.get("H") == 0.0:
             del values["H"]
         for letter in codes.OTHER_AXES:
-            if values.get(letter) == 0.0 and letter not in self.places.rotary:
+            if values.get(letter) == 0.0 and letter not in self.frame_codes.rotary:
                 del values[letter]
-                message = f"{letter}0 is read over: the robot has no axis {letter}."
-                self._tell("info", "other-axis", message, row, letter)
+                message = f"{letter}0 is ignored: the robot has no axis {letter}."
+                self._remark("info", "other-axis", message, row, letter)
         backwards = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
         for letter in self.letters:
             if letter in values:
@@ -199,15 +443,15 @@ class _Reader:
         if backwards:
             raise BlockError("negative feed", None)
 
-    def _tell(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+    def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
     def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
         refused: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
-            if group == "offset" and f"G{code:g}" not in self.places.offsets:
-                advice = f"Give its place in $BASE in the cell: [work_offsets.G{code:g}]."
+            if group == "offset" and f"G{code:g}" not in self.frame_codes.offsets:
+                advice = f"Give its frame in $BASE in the cell: [work_offsets.G{code:g}]."
                 refused = refused or (f"work offset G{code:g} is not in the cell", advice)
             elif group is not None:
                 self.changes[group].append((row, code))
@@ -216,8 +460,8 @@ class _Reader:
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.columns["G"][row] = code
                 if code == 84.0 and self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
-                    advice = "Give spindle_ccw in [gcode] of the cell: the KRL lines that turn the spindle backwards."
-                    raise BlockError("G84 needs a spindle that is reversed at the bottom", advice)
+                    advice = "Give spindle_ccw in [gcode] of the cell: KRL lines that reverse the spindle."
+                    raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
             elif (
                 self._tip(row, f"G{code:g}")
                 or self._said_before(code)
@@ -229,14 +473,14 @@ class _Reader:
         if refused is not None:
             raise BlockError(*refused)
 
-    def _places(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        self.places.read(row, g, float(self.columns["G"][row]), values, self.mm_per_unit)
+    def _frames(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        self.frame_codes.read(row, g, float(self.columns["G"][row]), values, self.mm_per_unit)
 
     def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
         self.switching.read(row, m, values)
 
     def _smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
-        """Read over modes of look-ahead: how exactly corners are cut the cell says."""
+        """Ignore look-ahead modes: the cell says how exactly corners are cut."""
         for code in g:
             own = codes.SMOOTHING.get(code)
             if own is None or not set(values) <= set(own):
@@ -244,15 +488,15 @@ class _Reader:
             if values or code == 187.0:
                 self.smooth.add(row)
                 values.clear()
-                message = f"G{code:g} is read over: how exactly corners are cut says [gcode] corner_tolerance_mm."
-                self._tell("info", "smoothing", message, row, f"G{code:g}")
+                message = f"G{code:g} is ignored: [gcode] corner_tolerance_mm says how exactly corners are cut."
+                self._remark("info", "smoothing", message, row, f"G{code:g}")
 
     def _said_before(self, code: float) -> bool:
-        """Return whether G70 or G71, which Vectric's posts write behind G20 or G21, say nothing else."""
+        """Return whether G70 or G71 repeats the last G20 or G21, as Vectric's posts write it."""
         return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNITS_AGAIN.get(code)
 
     def _tip(self, row: int, code: str) -> bool:
-        """Return whether a code says that X, Y, Z are those of the tip, or no more, although the axes turn."""
+        """Read a code that switches tool-centre-point control; return whether it is one."""
         on = code in self.tip_on
         if on or code in self.tip_off:
             self.tip.append((row, float(on)))
@@ -269,8 +513,8 @@ class _Reader:
             seconds = values.pop("P")
             self.switching.dwell(row, seconds)
             if seconds > _LONG_DWELL_S:
-                message = f"Dwell of {seconds:g} s: P counts seconds here, on some controls milliseconds."
-                self._tell("warning", "dwell", message, row)
+                message = f"Dwell of {seconds:g} s: P is in seconds. Check it if your control counts milliseconds."
+                self._remark("warning", "dwell", message, row)
 
     def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.BLENDING in g:

@@ -1,44 +1,329 @@
-"""From columns of words to motions: lines to moves, arcs, and all of them in `$BASE`.
+"""From moves to motions in `$BASE`: arcs, rotary axes, approaches, and all faults of a program.
 
-Rows are lines of the program as executed. Lengths are mm in the program frame until the last step.
+Rows are lines of the program as executed. Lengths are in mm in the program frame until the last step.
+
+**Approaches.** A machine that comes from home travels in X and Y and then goes down. A robot that goes to the same
+position directly moves by its joints, possibly through the part. With `[machine] clearance_Z` it first goes to that
+height above the position (with a tilted tool: back along the tool), and then straight to it.
+
+**Rotary axes.** With tool-centre-point control X, Y, Z are the tip in the part, and A, B, C tilt the tool about X, Y
+and Z; `[rotary]` gives their order from the part outwards and their signs. Only the direction of the tool
+R₁(a)·R₂(b)·z counts: a robot need not rotate the tool about its own axis as the machine does (`program.Swivel`). Before
+they are programmed, rotary axes are at zero. F of a move that turns axes alone is in deg/min, as in LinuxCNC: its
+time is √(ΔA² + ΔB² + ΔC²) / F.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.dialects.gcode.added import approached, chords
-from postproc.dialects.gcode.arcs import SAME_MM, Arcs, ArcWords, read_arcs
-from postproc.dialects.gcode.blocks import Fault
+from postproc.dialects.gcode import codes
+from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
-from postproc.dialects.gcode.line_states import LineStates, in_force, line_states_of
-from postproc.dialects.gcode.mistakes import faults_of
 from postproc.dialects.gcode.modes import Modes
-from postproc.dialects.gcode.rotary import check_turning, swivel_of, turned
-from postproc.dialects.gcode.tool_positions import Moves, Setting, moves_of
-from postproc.errors import Level
-from postproc.frames import M_PER_MM, Array, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel, distinct
+from postproc.dialects.gcode.moves import LEVEL, CellFrames, LineStates, Moves, in_force, line_states_of, moves_of
+from postproc.dialects.gcode.words import Fault
+from postproc.errors import MOST, Level
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel, direction, distinct, tilted, turning
+
+_NEAR_MM = 1e-6
+
+
+def arrivals(moves: Moves) -> tuple[Bools, Bools]:
+    """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) arrive instead."""
+    held_back, arriving = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
+    for first, last in moves.unknown:
+        begin, end = np.searchsorted(moves.row, [first, last]).tolist()
+        held_back[begin:end] = ~moves.home[begin:end]
+        arriving[end : end + 1] = moves.code[end : end + 1] == 0.0
+    return held_back, arriving
+
+
+def approached(moves: Moves, setting: CellFrames) -> tuple[Moves, Bools, Bools]:
+    """Return the moves with separate approaches, and the result of `arrivals` for them.
+
+    The first move from `[start]` has no separate approach: the user chose that position.
+    """
+    held_back, arriving = arrivals(moves)
+    back = arriving & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
+    if setting.clearance is None or not back.any():
+        return moves, held_back, arriving
+    frames = moves.frames[moves.frame]
+    tool = direction(setting.axes, moves.turn[:, 1] * RAD_PER_DEG)
+    tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
+    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end) + frames[:, 2, 3] / M_PER_MM
+    split = back & (z < setting.clearance - _NEAR_MM) & (tool_z > LEVEL)
+    count = 1 + split.astype(np.int64)
+    above = np.cumsum(count)[split] - 2
+    out = moves.repeated(count)
+    begin, end = out.begin.copy(), out.end.copy()
+    end[above] += tool[split] * ((setting.clearance - z[split]) / tool_z[split])[:, None]
+    begin[above + 1] = end[above]
+    turn = out.turn.copy()
+    turn[above + 1, 0] = turn[above, 1]
+    arriving = np.repeat(arriving, count)
+    arriving[above + 1] = False
+    return replace(out, begin=begin, end=end, turn=turn), np.repeat(held_back, count), arriving
+
+
+def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[Moves, Ints]:
+    """Return the moves with arcs along which rotary axes turn as straight ones, and how many there are of each (N,).
+
+    :param circular: (A,) which moves are `arcs`.
+    :param tolerance: what chords may leave them by [mm].
+    """
+    count = np.ones(len(moves.row), dtype=np.int64)
+    turns = (moves.turn[circular, 0] != moves.turn[circular, 1]).any(axis=1)
+    if not turns.any():
+        return moves, count
+    radial = moves.begin[circular] - arcs.centre
+    angle = np.sqrt(8.0 * tolerance / np.maximum(norm(radial), tolerance))
+    count[circular[turns]] = np.ceil(arcs.sweep[turns] / angle[turns] - 1e-9).astype(np.int64)
+    out = moves.repeated(count)
+    code, begin, end, turn = out.code.copy(), out.begin.copy(), out.end.copy(), out.turn.copy()
+    first = np.cumsum(count) - count
+    for n in np.flatnonzero(turns).tolist():
+        move = circular[n]
+        rows = slice(first[move], first[move] + count[move])
+        share = np.linspace(0.0, 1.0, count[move] + 1)[:, None]
+        path = _along(moves.begin[move], moves.end[move], radial[n], arcs.normal[n], arcs.sweep[n] * share)
+        path[-1] = moves.end[move]
+        angles = moves.turn[move, 0] + share * (moves.turn[move, 1] - moves.turn[move, 0])
+        code[rows], begin[rows], end[rows] = 1.0, path[:-1], path[1:]
+        turn[rows] = np.stack([angles[:-1], angles[1:]], axis=1)
+    return replace(out, code=code, begin=begin, end=end, turn=turn), count
+
+
+def _along(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
+    """Return the points (n, 3) of a helix at angles (n, 1) from 0 to its whole; the radius may grow."""
+    share = angle / angle[-1]
+    climb = normal * (normal @ (end - begin))
+    growth = norm(end - climb - begin + radial) / norm(radial) - 1.0
+    turned = np.cos(angle) * radial + np.sin(angle) * np.cross(normal, radial)
+    return np.asarray(begin - radial + turned * (1.0 + share * growth) + share * climb)
+
+
+_UPWARDS = -0.9999
+"""Tool directions with a smaller z are refused: there is no shortest rotation to them."""
+_STEPS = 32
+"""Steps in which the rotation of the tool is summed."""
+_S_PER_MIN = 60.0
+
+
+def axes_of(rotary: Rotary | None) -> Array:
+    """Return the directions of the rotary axes (k, 3), from the part outwards, with sign."""
+    if rotary is None:
+        return np.zeros((0, 3))
+    signs = rotary.signs or [1] * len(rotary.axes)
+    return np.array([sign * np.eye(3)["ABC".index(axis)] for axis, sign in zip(rotary.axes, signs, strict=True)])
+
+
+def turned(moves: Moves, axes: Array) -> Array:
+    """Return an upper bound of the rotation of the tool in each move (N,) [rad]."""
+    out = np.zeros(len(moves.row))
+    rows = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
+    if len(rows):
+        out[rows] = turning(axes, moves.turn[rows, 0] * RAD_PER_DEG, moves.turn[rows, 1] * RAD_PER_DEG)
+    return out
+
+
+def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bools, setting: CellFrames) -> Swivel:
+    """Return the rotation of the tool in the kept motions.
+
+    :param free: (M,) motions by joint interpolation.
+    :param alone: (M,) motions at feed that rotate the tool without moving its tip.
+    """
+    active = ~free & ~moves.home[kept]
+    active[:1] = False
+    begin, end = moves.turn[kept, 0] * RAD_PER_DEG, moves.turn[kept, 1] * RAD_PER_DEG
+    rate = np.full(len(kept), np.nan)
+    at = np.flatnonzero(alone)
+    if len(at):
+        row = moves.row[kept[at]]
+        degrees = norm(moves.turn[kept[at], 1] - moves.turn[kept[at], 0])
+        minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
+        rate[at] = _way(setting.axes, begin[at], end[at]) / (minutes * _S_PER_MIN)
+    return Swivel(
+        begin=begin,
+        end=end,
+        axes=setting.axes,
+        frame=moves.frame[kept],
+        frames=moves.frames[:, :3, :3],
+        tool=setting.orientation,
+        active=active,
+        rate=rate,
+    )
+
+
+def _way(axes: Array, begin: Array, end: Array) -> Array:
+    """Return the angle that the tool direction sweeps (n,) [rad]."""
+    out = np.zeros(len(begin))
+    before = tilted(direction(axes, begin))
+    for step in range(1, _STEPS + 1):
+        after = tilted(direction(axes, begin + (end - begin) * (step / _STEPS)))
+        out += angle_between(before, after)
+        before = after
+    return out
+
+
+def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array, tip_on: str) -> list[Fault]:
+    """Return faults of rotary axes, in order of lines.
+
+    :param held_back: (N,) moves that are left out while X, Y, Z are not all known.
+    :param tip_on: codes that switch tool-centre-point control on.
+    """
+    tilt = (moves.turn != 0.0).any(axis=(1, 2))
+    placed = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
+    angles = np.concatenate([moves.turn[:, 0], moves.turn[:, 1]]) * RAD_PER_DEG
+    upwards = (direction(axes, angles)[:, 2] < _UPWARDS).reshape(2, -1).any(axis=0)
+    faults: dict[int, Fault] = {}
+    for wrong, problem, advice in (
+        (upwards, "the tool points away from the part", "Check axes and signs in [rotary]."),
+        (
+            tilt & placed & ~rows.tip[moves.row] & ~moves.home & ~held_back,
+            "coordinates with tilted axes, but without tool-centre-point control",
+            f"They depend on the machine: program {tip_on} before, retract by G53 Z or G28 Z as [machine] says, or "
+            "leave out [rotary] tcp_on.",
+        ),
+    ):
+        for row in moves.row[wrong][: MOST + 1].tolist():
+            faults.setdefault(row, Fault(row, problem, advice))
+    return [faults[row] for row in sorted(faults)]
+
+
+def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
+    """Return the faults in order of lines, one for each line.
+
+    Faults that may only follow from an unreadable block before are left out.
+
+    :param circular: (A,) rows of the arcs.
+    """
+    doubt = _Doubt(rows, modes.faults)
+    faults = {fault.row: fault for fault in modes.faults}
+
+    def check(wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
+        for row in np.flatnonzero(wrong)[: 1 if first else MOST + 1].tolist():
+            faults.setdefault(row, Fault(row, problem, advice))
+
+    count = len(rows.motion)
+    axes = rows.placed
+    straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
+    dwelling = np.zeros(count, dtype=bool)
+    dwelling[[row for row in modes.dwells if row < count]] = True
+    cancelled = axes & (rows.motion == codes.CANCEL_CYCLE) & ~doubt.motion
+    check(cancelled, "coordinates without G0, G1, G2 or G3", "Write the motion code.", first=True)
+    used = (rows.moving & arc) | rows.drilling | doubt.motion
+    centred = any_column(~np.isnan(rows.ijk))
+    stray = centred | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
+    check(stray & ~used, "I, J, K, R or P without an arc or a cycle that uses it")
+    stray = ~(np.isnan(rows.pecks) & np.isnan(rows.repeats))
+    check(stray & (~used | (rows.moving & arc)), "Q or L without a cycle that uses it")
+    check(rows.drilling & centred, "I, J or K in a cycle")
+    check(dwelling & rows.moving & arc, "G4 in one block with an arc", "Write one block for each.")
+    cuts = ((rows.named | rows.moving) & (straight | arc)) | rows.drilling
+    no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
+    check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
+    check(no_feed & rows.inverse_time & rows.moving, "cutting move in G93 without a feed", "Give F in each block.")
+    check(rows.drilling & rows.inverse_time, "a cycle in G93", "Write G94, and F in mm/min or inch/min.", first=True)
+    _check_unknown(rows, moves, doubt, check)
+    for row, problem, advice in moves.faults:
+        if not (doubt.motion[row] or doubt.position[row]):
+            faults.setdefault(row, Fault(row, problem, advice))
+    for fault in arcs:
+        row = int(circular[fault.n])
+        if not (doubt.motion[row] or (fault.placed and doubt.position[row])):
+            faults.setdefault(row, Fault(row, fault.problem, fault.advice))
+    return [faults[row] for row in sorted(faults)]
+
+
+def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
+    """Check for moves that need a known position where it is unknown: at the start and after G28."""
+    line = np.arange(len(rows.motion))
+    axes = rows.placed
+    straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
+    advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before."
+    never = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
+    if never:
+        advice += f" {' and '.join(never)} {'is' if len(never) == 1 else 'are'} never programmed."
+    for first, complete in moves.unknown:
+        if first >= len(line):
+            continue
+        within = (line >= first) & (line <= complete)
+        early = axes & within & ~doubt.position
+        problem = "incremental move before the position is known"
+        check(early & rows.incremental, problem, advice, first=True)
+        begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
+        above = begin == complete or _is_above(rows, first, complete)
+        cutting = early & (straight & (not above) | rows.drilling) & ~doubt.motion
+        check(cutting, "cutting move before the position is known", advice, first=True)
+        turning = rows.moving & arc & within & ~doubt.motion & ~doubt.position
+        check(turning, "arc before the position is known", advice, first=True)
+        elsewhere = early & (moves.offset != moves.offset[begin])
+        check(elsewhere, "change of the work offset before the position is known", advice, first=True)
+
+
+def _is_above(rows: LineStates, first: int, complete: int) -> bool:
+    """Return whether the last Z before line `complete` is the highest of the program.
+
+    Programs for hobby controls go up by G1 first, and then to the start position.
+    """
+    z = rows.xyz[first:complete, 2]
+    z = z[~np.isnan(z)]
+    return bool(len(z)) and not rows.incremental.any() and bool(z[-1] >= np.nanmax(rows.xyz[:, 2]))
+
+
+class _Doubt:
+    """State that is unknown after unreadable blocks; each (L,), True from such a block on.
+
+    :ivar motion: active motion code, until the next one.
+    :ivar position: position, until X, Y and Z are programmed again.
+    :ivar feed: feed, to the end.
+    """
+
+    def __init__(self, rows: LineStates, faults: Sequence[Fault]) -> None:
+        count = len(rows.motion)
+        if not faults:
+            self.motion = self.position = self.feed = np.zeros(count, dtype=bool)
+            return
+        line = np.arange(count)
+
+        def latest(at: Array | Bools) -> Ints:
+            return np.asarray(np.maximum.accumulate(np.where(at, line, -1)), dtype=np.int64)
+
+        def lost(letters: str) -> Ints:
+            at = np.zeros(count, dtype=bool)
+            at[[fault.row for fault in faults if set(letters) & set(fault.lost)]] = True
+            return latest(at)
+
+        given = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]
+        before = np.minimum.reduce(given)
+        before = np.concatenate([[-1], before[:-1]])  # the line itself needs its start
+        self.motion = (lost("G") >= 0) & (latest(rows.named) <= lost("G"))
+        self.position = (lost("GXYZIJK") >= 0) & (before <= lost("GXYZIJK"))
+        self.feed = lost("F") >= 0
+
 
 CHORD = 0.1
-"""Share of the tolerance that chords may take."""
+"""Share of the tolerance that chords of arcs may use."""
 _STILL = 1e-9
-"""A tool that turns by less than this [rad] does not turn."""
+"""Rotations of the tool below this [rad] are ignored."""
 _S_PER_MIN = 60.0
 
 
 class Speeds(Struct, frozen=True):
-    """What the cell says of speeds and corners.
+    """Speeds and corner tolerances of the cell.
 
     :param rapid: speed of G0 [m/s].
     :param approximation: approximation distance [m].
-    :param rounding: what approximation may round corners by [m], unless the program says it (G64 P).
+    :param rounding: tolerance of rounded corners [m], unless the program gives it (G64 P).
     :param home: (6,) joint angles of [machine] home [rad], or NaN.
-    :param chord: what chords of an arc along which rotary axes turn may leave it by [mm].
+    :param chord: tolerance of chords of an arc along which rotary axes turn [mm].
     """
 
     rapid: float
@@ -48,16 +333,16 @@ class Speeds(Struct, frozen=True):
     chord: float
 
 
-class Path(Struct, frozen=True, eq=False):
-    """The motions of a program, and what was noticed.
+class MotionPath(Struct, frozen=True, eq=False):
+    """The motions of a program, and remarks.
 
     :param motions: see `Motions`; their lines are rows + 1.
     :param swivel: see `Program`.
-    :param row: (M,) row that makes each motion, never decreasing.
-    :param still: (n,) rows of moves that are not in `motions`, ascending: they go nowhere, or are held back.
-    :param held_back: (n,) those of them that are rapid moves before the position is known.
-    :param done: what happens in cycles: the motion that it precedes, row, what.
-    :param told: row, level, kind and message of what the user should know.
+    :param row: (M,) row of each motion, never decreasing.
+    :param still: (n,) rows of moves without a motion, ascending: moves of zero length, and those held back.
+    :param held_back: (n,) the rows of `still` with rapid moves before the position is known.
+    :param events: events of cycles: index of the motion after it, row, event.
+    :param remarks: row, level, kind and message for the user.
     """
 
     motions: Motions
@@ -65,18 +350,17 @@ class Path(Struct, frozen=True, eq=False):
     row: Ints
     still: Ints
     held_back: Ints
-    done: Sequence[tuple[int, int, CycleEvent]]
-    told: Sequence[tuple[int, Level, str, str]]
+    events: Sequence[tuple[int, int, CycleEvent]]
+    remarks: Sequence[tuple[int, Level, str, str]]
 
 
 def read_path(
-    columns: Mapping[str, Array], modes: Modes, setting: Setting, speeds: Speeds, rotary: Rotary | None
-) -> Path | list[Fault]:
-    """Return the motions of a program, or the reasons why it cannot be read, in order of lines.
+    columns: Mapping[str, Array], modes: Modes, setting: CellFrames, speeds: Speeds, rotary: Rotary | None
+) -> MotionPath | list[Fault]:
+    """Return the motions of a program, or its faults in order of lines.
 
     :param columns: words of all lines, see `postproc.dialects.gcode.words.read_plain`.
-    :param modes: the other blocks.
-    :param setting: what the cell says about frames, `rotary` about axes that turn, `speeds` about the rest.
+    :param modes: modal state and events of the other blocks.
     """
     rows = line_states_of(columns, modes, rotary)
     moves, held_back, arriving = approached(moves_of(rows, modes, setting), setting)
@@ -100,10 +384,10 @@ def read_path(
     alone = turns[kept] & (length[kept] <= SAME_MM) & (moves.code[kept] == 1.0) & ~free
     swivel = None if rotary is None else swivel_of(moves, rows, kept, free, alone, setting)
     motions = _motions(rows, moves, (circular, arcs), kept, free, (swivel, alone, length[kept]), modes, setting, speeds)
-    done = [(int(np.searchsorted(kept, at)), row, what) for at, row, what in moves.done]
+    events = [(int(np.searchsorted(kept, at)), row, event) for at, row, event in moves.events]
     away = moves.row[held_back]
     still = distinct(np.concatenate([away, moves.row[stays]]))
-    return Path(motions, swivel, moves.row[kept], still, distinct(away), done, moves.told)
+    return MotionPath(motions, swivel, moves.row[kept], still, distinct(away), events, moves.remarks)
 
 
 def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
@@ -132,13 +416,13 @@ def _motions(
     free: Bools,
     turning: tuple[Swivel | None, Bools, Array],
     modes: Modes,
-    setting: Setting,
+    setting: CellFrames,
     speeds: Speeds,
 ) -> Motions:
-    """Return the moves that are kept, in `$BASE`.
+    """Return the kept moves as motions in `$BASE`.
 
     :param free: (M,) True for moves by joint interpolation.
-    :param turning: how they turn the tool, which turn it alone (M,), and how long they are (M,) [mm].
+    :param turning: rotation of the tool, which moves rotate it only (M,), and lengths (M,) [mm].
     """
     swivel, alone, length = turning
     row, code, home = moves.row[kept], moves.code[kept], moves.home[kept]
@@ -171,7 +455,7 @@ def _motions(
     per_minute = rows.feed[row].copy()
     timed = rows.inverse_time[row] & ~rapid
     per_minute[timed] *= length[timed]
-    per_minute[timed & alone] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the tip stays: how fast the tool turns counts
+    per_minute[timed & alone] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
     feed = np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
     blend = in_force(modes.blends, speeds.approximation, modes.rows)[row]
@@ -201,7 +485,7 @@ def _motions(
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
-    """Return how long moves are (N,) [mm]."""
+    """Return the lengths of moves (N,) [mm]."""
     out = norm(moves.end - moves.begin)
     if len(circular):
         along = np.einsum("ni,ni->n", moves.end[circular] - moves.begin[circular], arcs.normal)

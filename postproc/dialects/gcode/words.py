@@ -1,17 +1,22 @@
-"""From text to words: comments, line ends and white space taken out, and plain motion blocks read in bulk.
+"""Words of G-code blocks: plain motion blocks in bulk, other blocks one by one with pygcode.
 
-A plain block holds at most an N word, one of G0…G3 and one each of X Y Z A B C I J K R F, all as decimal numbers. Such
-blocks are nearly all of a program; they are read with a few passes over the bytes of the whole file and never become
-Python objects. Every other block is left to `postproc.dialects.gcode.blocks`, which asks pygcode. Both readings of a
-plain block are equal (property test).
+A plain block has at most an N word, one of G0…G3 and one each of X Y Z A B C I J K R F, all as decimal numbers. Most
+blocks of a program are plain. They are read with a few passes over the bytes of the whole file and never become Python
+objects. pygcode reads every other block (`words_of`). A property test checks that both readings of a plain block agree.
 
-White space means nothing in G-code, also within a number (``X 1 . 5`` is X1.5, ``X1 2`` is X12: the rule of RS274
-and of most controls); only a comment separates.
+White space has no meaning in G-code, not even within a number (``X 1 . 5`` is X1.5, ``X1 2`` is X12: the rule of RS274
+and of most controls). Only a comment separates words.
+
+pygcode decides which words a block has and which codes exclude each other. It skips characters that it does not know
+and stops at signs that it does not expect. Therefore a grammar of our own splits the block first, and pygcode must find
+the same words.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -24,20 +29,20 @@ from postproc.program import Document, Ints, distinct
 COLUMNS = "GXYZABCIJKRFPQL"
 _PLAIN = "GXYZABCIJKRF"
 LIMIT = 1e7
-"""A word whose magnitude is not below this (10 km, in mm) is taken for a mistake."""
+"""Words of this magnitude or more (10 km, in mm) are refused as mistakes."""
 
 Bytes = NDArray[np.uint8]
 MARK = "\x01"
-"""Stands for a comment in `Source.code`."""
+"""Replaces a comment in `Source.code`."""
 
 _COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)"}
-"""Character with which a comment begins → its form: one form alone, which most programs have, is found fast."""
+"""First character of a comment → its pattern. Most programs use one form, and a search for one pattern is fast."""
 _PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
 _COORDINATE = re.compile(rb"[XYZ][-+.\d#\[]")
 _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
 
-CUT_SHORT = "the program ends here, but coordinates follow", "Remove this %, or what stands behind it."
-"""What is wrong with a % amid the blocks, and what to do."""
+CUT_SHORT = "the program ends here, but coordinates follow", "Remove this %, or what follows it."
+"""Problem and advice for a % between blocks."""
 
 _END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER = range(7)
 _CLASSES = {b"\n": _END, b"0123456789": _DIGIT, b".": _DOT, b"+-": _SIGN, _PLAIN.encode(): _LETTER, b"\x01": _MARK}
@@ -56,7 +61,7 @@ _TO_NUMBERS = bytes(c if c in b"0123456789.+-" else ord(" ") for c in range(256)
 
 
 class Source(Struct, frozen=True, eq=False):
-    """A G-code file without what means nothing to a control.
+    """A G-code file without the characters that a control ignores.
 
     :param code: one byte a character, upper case, no white space, every comment one `MARK`; begins with a line feed,
         and every line ends with one, whatever the file uses.
@@ -78,20 +83,20 @@ class Source(Struct, frozen=True, eq=False):
         return self.code[self.ends[row] + 1 : self.ends[row + 1]].decode("ascii")
 
     def coordinates(self, row: int) -> Ints:
-        """Return the rows behind a line that hold coordinates."""
+        """Return the rows after a line that have coordinates."""
         found = [match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))]
         return distinct(np.searchsorted(self.ends, np.array(found, dtype=np.int64)) - 1)
 
     def goes_on(self, row: int) -> bool:
-        """Return whether coordinates stand behind a line that begins with %, which would end the program there."""
+        """Return whether a line begins with %, which ends the program, and coordinates follow it."""
         ends = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())[:1] == b"%"
         return ends and _COORDINATE.search(self.code, int(self.ends[row + 1])) is not None
 
 
 def split(document: Document, line_starts: Ints) -> Source:
-    """Take comments, white space, line ends and lower case out of a program.
+    """Return a program in upper case, without comments and white space.
 
-    A bracket that belongs to no comment (nested, or not closed in its line) stays in the code.
+    A bracket outside comments (nested, or not closed in its line) stays in the code.
 
     :param line_starts: as `postproc.dialects.text.line_starts` gives them for the text.
     """
@@ -101,16 +106,16 @@ def split(document: Document, line_starts: Ints) -> Source:
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
     if forms:
         parts: list[str] = []
-        told: list[str] = []
+        found: list[str] = []
         starts: list[int] = []
-        behind = 0
+        after = 0
         for match in re.finditer("|".join(forms), text):
             starts.append(match.start())
-            told.append(match[match.lastindex or 1])
-            parts.append(text[behind : starts[-1]])
-            behind = match.end()
-        comments, at = tuple(told), np.array(starts, dtype=np.int64)
-        text = MARK.join([*parts, text[behind:]])
+            found.append(match[match.lastindex or 1])
+            parts.append(text[after : starts[-1]])
+            after = match.end()
+        comments, at = tuple(found), np.array(starts, dtype=np.int64)
+        text = MARK.join([*parts, text[after:]])
     packed = text.encode("ascii", "replace")
     if b"\r" in packed:
         packed = packed.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
@@ -124,9 +129,8 @@ def read_plain(source: Source, rotary: str = "") -> tuple[dict[str, Array], Ints
     """Read the plain motion blocks of a program in bulk.
 
     :param rotary: letters of rotary axes; lines with others of A, B, C are not plain.
-    :returns: one column (L,) for each letter of `COLUMNS`, the value of its word in each line and NaN where there is
-        none, in the units of the program; and the rows of the lines that are not plain, (n,), for which the columns
-        hold nothing.
+    :returns: one column (L,) for each letter of `COLUMNS`, with the value of its word in each line or NaN, in the units
+        of the program; and the rows (n,) of the lines that are not plain, in which all columns are NaN.
     """
     code = _LINE_NUMBER.sub(b"\n", source.code) if b"\nN" in source.code else source.code
     kind = np.frombuffer(code.translate(_CLASS), dtype=np.uint8)
@@ -169,7 +173,7 @@ def read_plain(source: Source, rotary: str = "") -> tuple[dict[str, Array], Ints
 
 
 def _malformed(kind: Bytes) -> Ints:
-    """Return positions at which the code is not that of plain words: wrong followers, two dots, no digit."""
+    """Return positions at which a plain word is malformed: wrong next character, two dots, no digit."""
     pairs = (kind[:-1] << 3) | kind[1:]
     wrong = np.flatnonzero(np.frombuffer(pairs.tobytes().translate(_WRONG_PAIR), dtype=np.bool_)) + 1
     dots = np.flatnonzero(kind[:-1] == _DOT)
@@ -182,6 +186,114 @@ def _malformed(kind: Bytes) -> Ints:
 
 
 def leave_all(source: Source) -> tuple[dict[str, Array], Ints]:
-    """Return what `read_plain` returns if no line were plain: all that say something are left to pygcode."""
+    """Return the result of `read_plain` with no line taken as plain, so that pygcode reads all lines with words."""
     rows = [row for row in range(len(source)) if source.line(row).strip(MARK)]
     return {name: np.full(len(source), np.nan) for name in COLUMNS}, np.array(rows, dtype=np.int64)
+
+
+_WORD = re.compile(rf"{MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
+_PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?[O:]\d+{MARK}*")
+
+
+_MOST_WORDS = 100
+"""More words than all letters and modal groups together: such a block is refused."""
+_CHARACTERS = {
+    "/": "Write / at the beginning of the block.",
+    "@": "Polar coordinates are not read: let the CAM system write X and Y.",
+    "^": "Polar coordinates are not read: let the CAM system write X and Y.",
+    "$": "Only one spindle is supported: remove $ and its number.",
+}
+_O_ADVICE = "Write an O number in a line of its own."
+
+
+class Fault(Struct, frozen=True):
+    """Why a line cannot be read: its row, the problem, the advice.
+
+    `lost` is the text of a block whose effect is unknown: positions, modes and feed may differ from there on.
+    """
+
+    row: int
+    problem: str
+    advice: str | None = None
+    lost: str = ""
+
+
+class BlockError(Exception):
+    """A block cannot be read. Its arguments are problem and advice (or None)."""
+
+
+def words_of(code: str) -> list[tuple[str, float]]:
+    """Return the words of a packed block, (letter, value) in order, without its N word or program number.
+
+    :param code: see `postproc.dialects.gcode.words.Source.line`.
+    :raises BlockError: part of the block is not a word, a word is repeated or out of range, or two codes exclude each
+        other.
+    """
+    from pygcode.block import Block
+
+    if _PROGRAM_NUMBER.fullmatch(code):
+        return []
+    own = _split(code)
+    try:
+        block = Block(" ".join(letter + number for letter, number in own))
+    except AssertionError as cause:
+        raise BlockError(_conflict(own), "Write one block for each.") from cause
+    except Exception as cause:  # pygcode has many kinds, and not all of them on purpose
+        raise BlockError(f"not a valid block: {cause}", None) from cause
+    words = [(word.letter, float(word.value)) for word in block.words]
+    for found, (letter, number) in zip(words, own, strict=False):
+        if found != (letter, float(number)):
+            raise BlockError(f"{letter}{number} is not valid", "G has one decimal at most; M, N, T are whole numbers.")
+    if words and words[0][0] == "N":
+        del words[0]
+    for letter, value in words:
+        if letter == "N":
+            raise BlockError("N is not the first word of its block", None)
+        if not abs(value) < LIMIT:
+            raise BlockError(f"{letter}{value:g} is out of range: the largest number is {LIMIT:g}", None)
+    return words
+
+
+def _split(code: str) -> list[tuple[str, str]]:
+    own: list[tuple[str, str]] = []
+    position, stop = 0, len(code.rstrip(MARK))
+    while position < stop:
+        match = _WORD.match(code, position)
+        if match is None:
+            raise BlockError(*_not_a_word(code[position:].lstrip(MARK)))
+        if match[1] in "LNT" and len(match[2]) > 15:
+            raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
+        if match[1] == "O":
+            raise BlockError("an O word among other words", _O_ADVICE)
+        own.append((match[1], _plain(match[1], match[2])))
+        if len(own) > _MOST_WORDS:
+            raise BlockError(f"more than {_MOST_WORDS} words in one block", "Check the line ends of the file.")
+        position = match.end()
+    for letter, count in Counter(letter for letter, _ in own).items():
+        if count > 1 and letter not in "GM":
+            raise BlockError(f"{count} {letter} words in one block", "Write one block for each.")
+    return own
+
+
+def _plain(letter: str, number: str) -> str:
+    """Return a number in the form that pygcode reads: no plus sign, no empty decimals in codes."""
+    number = number.lstrip("+")
+    if letter in "GMT" and "." in number:
+        number = number.rstrip("0").rstrip(".") or "0"
+    return number
+
+
+def _not_a_word(rest: str) -> tuple[str, str | None]:
+    character, following = rest[0], rest[1:2]
+    if character in "()":
+        return "a bracket outside of comments", "Close each comment in its line. Do not nest comments."
+    if character.isalpha():
+        return f"{character} without a number", "Write words like X1.5." if following == "=" else None
+    if character == "?":
+        return "a question mark or a character that is not ASCII outside of comments", None
+    return f"unexpected character {character!r}", _CHARACTERS.get(character)
+
+
+def _conflict(own: Sequence[tuple[str, str]]) -> str:
+    found = [f"{letter}{float(number):g}" for letter, number in own if letter in "GM"]
+    return f"two codes of one modal group, or a code twice, in one block: {' '.join(found)}"

@@ -1,8 +1,8 @@
-"""From lines to moves: where the tool goes, line after line, in which program frame and with which tool.
+"""From lines to moves: modal state of all lines, then start and end of each move in its program frame.
 
-Lines between two changes of mode are taken at once. Where the tool stands before the program is no part of it: no
-coordinate is taken from there. Rapid moves are held back until X, Y and Z have all been programmed; so they are after
-G28 for the axes that it sends home.
+Lines between two changes of mode are processed together. Where the tool is before the program starts is not used: no
+coordinate comes from there. Rapid moves are held back until X, Y and Z have all been programmed, and again after G28
+for the axes that it sends home.
 """
 
 from __future__ import annotations
@@ -14,32 +14,136 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.cell import Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
-from postproc.dialects.gcode.blocks import BlockError
 from postproc.dialects.gcode.cycles import Cycle, CycleEvent, Step
-from postproc.dialects.gcode.line_states import LineStates, held, in_force
-from postproc.dialects.gcode.modes import Modes
-from postproc.dialects.gcode.places import Origin, Return
+from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return
+from postproc.dialects.gcode.words import BlockError
 from postproc.errors import Level
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, pose_from_xyzabc
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, inverse, pose_from_xyzabc
 from postproc.program import Bools, EventKind, Ints, direction
+
+
+class LineStates(Struct, frozen=True, eq=False):
+    """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
+
+    :param placed: whether X, Y or Z is programmed.
+    :param turns: P; for cycles a dwell [s].
+    :param named: whether the line itself has a motion code.
+    :param feed: [mm/min]; in G93 [1/min]. `rate`: F as written, in deg/min for rotary axes alone.
+    :param moving: lines that move by G0…G3; `drilling`: by a cycle.
+    :param rotary: (L, k) words of the rotary axes [deg].
+    :param tip: whether tool-centre-point control is on.
+    :param to_r: G99.
+    :param pecks: Q; `repeats`: L.
+    """
+
+    xyz: Array
+    placed: Bools
+    ijk: Array
+    radius: Array
+    turns: Array
+    motion: Array
+    named: Bools
+    feed: Array
+    rate: Array
+    plane: Array
+    units: Array
+    incremental: Bools
+    absolute_centre: Bools
+    moving: Bools
+    drilling: Bools
+    rotary: Array
+    tip: Bools
+    inverse_time: Bools
+    to_r: Bools
+    pecks: Array
+    repeats: Array
+
+
+def carried(values: Array, initial: float) -> Array:
+    """Return values (L,) with NaN replaced by the last value before, or by `initial`."""
+    last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(1, len(values) + 1)))
+    out: Array = np.concatenate([[initial], values])[last]
+    return out
+
+
+def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
+    """Return the active value of each line (rows,), from changes (row, value) in order of rows."""
+    at = [0, *(row for row, _ in changes if row < rows), rows]
+    values = [initial, *(value for row, value in changes if row < rows)]
+    return np.repeat(np.array(values, dtype=float), np.diff(at))
+
+
+def line_states_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -> LineStates:
+    """Return words and modal state of all lines of a program."""
+    count = modes.rows
+    state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
+    factor = np.where(state["units"] == 20.0, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])
+    mm = {letter: columns[letter][:count] * factor for letter in "XYZIJKRFQ"}
+    xyz, ijk = np.stack([mm[a] for a in "XYZ"], axis=1), np.stack([mm[a] for a in "IJK"], axis=1)
+    code = columns["G"][:count]
+    motion = carried(code, codes.CANCEL_CYCLE)
+    circular = (motion == 2.0) | (motion == 3.0)
+    named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
+    letters = [] if rotary is None else rotary.axes
+    turned = np.stack([columns[letter][:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
+    placed = np.logical_or.reduce([~np.isnan(words) for words in xyz.T])
+    axes = placed | ~np.isnan(turned).all(axis=1)
+    always = rotary is None or not rotary.tcp_on
+    drilling = np.isin(motion, codes.CYCLES) & axes
+    moving = ~drilling & (axes | (circular & (named | any_column(~np.isnan(ijk)))))
+    inverse_time = state["feed"] == 93.0
+    return LineStates(
+        xyz=xyz,
+        placed=placed,
+        ijk=ijk,
+        radius=mm["R"],
+        turns=columns["P"][:count],
+        motion=motion,
+        named=named,
+        feed=_feeds(mm["F"], columns["F"][:count], inverse_time),
+        rate=carried(columns["F"][:count], 0.0),
+        plane=state["plane"],
+        units=state["units"],
+        incremental=state["distance"] == 91.0,
+        absolute_centre=state["centre"] == 90.1,
+        moving=moving,
+        drilling=drilling,
+        rotary=turned,
+        tip=np.ones(count, dtype=bool) if always else in_force(modes.tip, 0.0, count) > 0.0,
+        inverse_time=inverse_time,
+        to_r=state["retract"] == 99.0,
+        pecks=mm["Q"],
+        repeats=columns["L"][:count],
+    )
+
+
+def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:
+    """Return the modal feed of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0."""
+    if not inverse_time.any():
+        return carried(mm, 0.0)
+    back = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it
+    plain = np.where(inverse_time, np.nan, np.where(back & np.isnan(mm), 0.0, mm))
+    return np.where(inverse_time, np.nan_to_num(words), carried(plain, 0.0))
+
 
 _FEWEST = 1e-6
 LEVEL = 0.2
-"""A tool whose direction has less than this in Z of `$BASE` lies nearly level: along it no height is reached."""
+"""Least Z component in `$BASE` of the tool direction for a retract along the tool."""
 
 
-class Setting(Struct, frozen=True, eq=False):
-    """What the cell says about a program.
+class CellFrames(Struct, frozen=True, eq=False):
+    """Frames of the cell that a program refers to.
 
     :param start: (4, 4) pose of the tool frame in `$BASE` when the program starts [m].
     :param orientation: (3, 3) of the tool frame in the program frame.
     :param offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
-    :param tools: row of `$TOOL` by number of the tool.
+    :param tools: tool number → row of `$TOOL`.
     :param home: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None without.
     :param clearance: Z of `$BASE` to which G53 retracts [mm]; None without.
-    :param axes: (k, 3) what rotary axes turn about in the program frame, from the part outwards, sign included.
+    :param axes: (k, 3) directions of the rotary axes in the program frame, from the part outwards, with sign.
     """
 
     start: Array
@@ -52,21 +156,21 @@ class Setting(Struct, frozen=True, eq=False):
 
 
 class Moves(Struct, frozen=True, eq=False):
-    """N moves in order. Places are in the program frame [mm].
+    """N moves in execution order; positions in the program frame [mm].
 
-    :param row: (N,) of the line, never decreasing.
+    :param row: (N,) row of the line, never decreasing.
     :param code: (N,) 0 to 3.
-    :param begin: (N, 3) and `end` (N, 3).
+    :param begin: (N, 3) start and `end` (N, 3) of each move.
     :param frame: (N,) row of `frames`; `tool`: (N,) row of `$TOOL`.
     :param turn: (N, 2, k) angles of the rotary axes at begin and end [deg].
-    :param bottom: (N,) True where a cycle turns round.
+    :param bottom: (N,) True where a cycle reverses.
     :param home: (N,) True for moves to [machine] home.
     :param frames: (nf, 4, 4) program frames in `$BASE` [m].
-    :param done: what happens between moves: number of moves before it, row, what.
-    :param unknown: first and last row of lines at which the tool is somewhere, in some axis.
-    :param offset: (L,) which work offset is in force on each line.
+    :param events: events of cycles: number of moves before, row, event.
+    :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
+    :param offset: (L,) active work offset of each line.
     :param faults: row, problem, advice.
-    :param told: row, level, kind and message of what the user should know.
+    :param remarks: row, level, kind and message for the user.
     """
 
     row: Ints
@@ -79,28 +183,28 @@ class Moves(Struct, frozen=True, eq=False):
     bottom: Bools
     home: Bools
     frames: Array
-    done: Sequence[tuple[int, int, CycleEvent]]
+    events: Sequence[tuple[int, int, CycleEvent]]
     unknown: Sequence[tuple[int, int]]
     offset: Array
     faults: Sequence[tuple[int, str, str | None]]
-    told: Sequence[tuple[int, Level, str, str]]
+    remarks: Sequence[tuple[int, Level, str, str]]
 
     def repeated(self, count: Ints) -> Moves:
-        """Return the moves, each as often as `count` (N,) says."""
+        """Return the moves, each repeated `count` (N,) times."""
         which = np.repeat(np.arange(len(count)), count)
         before = np.concatenate([[0], np.cumsum(count)]).tolist()
         names = ("row", "code", "begin", "end", "frame", "tool", "turn", "bottom", "home")
-        done = [(before[at], row, what) for at, row, what in self.done]
-        return replace(self, **{name: getattr(self, name)[which] for name in names}, done=done)
+        events = [(before[at], row, event) for at, row, event in self.events]
+        return replace(self, **{name: getattr(self, name)[which] for name in names}, events=events)
 
 
-def moves_of(rows: LineStates, modes: Modes, setting: Setting) -> Moves:
-    """Return the moves of a program; those on lines of `Moves.unknown` go to where nobody knows."""
+def moves_of(rows: LineStates, modes: Modes, setting: CellFrames) -> Moves:
+    """Return the moves of a program; the positions of those on lines of `Moves.unknown` are meaningless."""
     return _Walk(rows, modes, setting).moves()
 
 
 class _Walk:
-    def __init__(self, rows: LineStates, modes: Modes, setting: Setting) -> None:
+    def __init__(self, rows: LineStates, modes: Modes, setting: CellFrames) -> None:
         self.rows, self.modes, self.setting = rows, modes, setting
         self.count = len(rows.motion)
         self.offset = in_force(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
@@ -119,13 +223,13 @@ class _Walk:
         self.bottoms: list[int] = []
         self.homes: list[int] = []
         self.number = 0
-        self.done: list[tuple[int, int, CycleEvent]] = []
+        self.events: list[tuple[int, int, CycleEvent]] = []
         self.losses: list[tuple[int, Bools]] = [(0, np.ones(3, dtype=bool))]
         self.faults: list[tuple[int, str, str | None]] = []
-        self.told: list[tuple[int, Level, str, str]] = []
+        self.remarks: list[tuple[int, Level, str, str]] = []
 
     def moves(self) -> Moves:
-        """Go through the program."""
+        """Process the program in runs of lines between changes of mode."""
         origins: dict[int, list[Origin]] = {}
         for origin in self.modes.origins:
             origins.setdefault(origin.row, []).append(origin)
@@ -156,7 +260,7 @@ class _Walk:
         return sorted({0, self.count, *(np.flatnonzero(changed) + 1).tolist(), *single, *after})
 
     def _straight(self, begin: int, end: int) -> None:
-        """Take lines of G0 to G3: the last coordinate holds (G90), or they add up in order (G91), as a control does."""
+        """Process lines of G0 to G3: coordinates are modal (G90), or they add up (G91)."""
         rows = self.rows
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
@@ -167,7 +271,7 @@ class _Walk:
                 steps = np.concatenate([self.position[axis : axis + 1], np.where(np.isnan(words), 0.0, words)])
                 after[:, axis] = np.cumsum(steps)[1:]
             else:
-                after[:, axis] = held(words, self.position[axis])
+                after[:, axis] = carried(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
         before = np.concatenate([self.position[None], after[:-1]])
         turn = self._turned(begin, end)
@@ -175,26 +279,26 @@ class _Walk:
         self._add(begin + moving, rows.motion[begin + moving], before[moving], after[moving], turn[moving])
         self.position = after[-1]
         swung = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
-        if len(swung) and not self.angles.any():  # the tip was swung to where the machine alone knows
+        if len(swung) and not self.angles.any():  # without tool-centre-point control the position of the tip is unknown
             row = begin + int(swung[-1]) + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
 
     def _turned(self, begin: int, end: int) -> Array:
-        """Return the angles (n, 2, k) before and behind some lines."""
+        """Return the angles of the rotary axes (n, 2, k) before and after lines."""
         words = self.rows.rotary[begin:end]
         after = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
             if self.rows.incremental[begin]:
                 after[:, axis] = angle + np.cumsum(np.nan_to_num(words[:, axis]))
             else:
-                after[:, axis] = held(words[:, axis], angle)
+                after[:, axis] = carried(words[:, axis], angle)
         before = np.concatenate([self.angles[None], after[:-1]])
         self.angles = after[-1]
         return np.stack([before, after], axis=1)
 
     def _drill(self, begin: int, end: int) -> None:
-        """Take lines with cycles: where lines name nothing but the next hole, all holes after the second are alike."""
+        """Process lines with cycles; after the second hole, lines with positions only are processed together."""
         self._check_drilling(begin, end)
         spindle = self._spindle(begin, end)
         alike = self._alike(begin, end, spindle)
@@ -210,7 +314,7 @@ class _Walk:
                 row = stop
 
     def _alike(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
-        """Return which lines (n,) only say where the next hole is, all else being as on the line before."""
+        """Return which lines (n,) give only the position of the next hole."""
         rows = self.rows
         out = np.append(False, np.array(spindle[1:]) == spindle[:-1])
         for state in (rows.motion, rows.plane, rows.to_r):
@@ -221,7 +325,7 @@ class _Walk:
         return out
 
     def _hole(self, row: int, spindle: EventKind) -> tuple[list[Step], list[CycleEvent]]:
-        """Take one line with a cycle; return what it does: nothing where it cannot be drilled."""
+        """Process one line with a cycle; return its steps and events, none if it has a fault."""
         rows = self.rows
         axes = list(PLANE_AXES[float(rows.plane[row])])
         given = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
@@ -240,7 +344,7 @@ class _Walk:
         return steps, done
 
     def _holes(self, row: int, stop: int, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
-        """Take lines that say but where the next hole is; `steps` and `done` are those of the hole before."""
+        """Process lines that give only positions; `steps` and `done` are those of the hole before."""
         axes = PLANE_AXES[float(self.rows.plane[row - 1])]
         places = np.empty((stop - row, len(steps), 3))
         places[:, :, axes[2]] = [step.end[2] for step in steps]
@@ -249,20 +353,20 @@ class _Walk:
             if self.rows.incremental[row - 1]:
                 at = self.position[axis] + np.cumsum(np.nan_to_num(words))
             else:
-                at = held(words, self.position[axis])
+                at = carried(words, self.position[axis])
             places[:, :, axis] = at[:, None]
             if self.cycle.lifts:
                 places[:, 0, axis] = np.append(self.position[axis], at[:-1])
         self._drilled(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, done)
 
     def _drilled(self, row: Ints, places: Array, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
-        """Take the moves (n,) of holes, of which each has the same steps."""
+        """Add the moves (n,) of holes that all have the same steps."""
         if not len(row):
             return
         first = np.arange(self.number, self.number + len(row), len(steps))
         if done:
             holes = zip(first.tolist(), row[:: len(steps)].tolist(), strict=True)
-            self.done += [(begin + one.behind, at, one) for begin, at in holes for one in done]
+            self.events += [(begin + one.after, at, one) for begin, at in holes for one in done]
         bottom = [n for n, step in enumerate(steps) if step.bottom]
         self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
         begin = np.concatenate([self.position[None], places[:-1]])
@@ -270,27 +374,29 @@ class _Walk:
         self.position = places[-1].copy()
 
     def _check_drilling(self, begin: int, end: int) -> None:
-        """See that no rotary axis turns in some lines with cycles, and that the tool points along the hole."""
+        """Check that no rotary axis turns in lines with cycles, and that the tool points along the hole."""
         turns = self._turned(begin, end)
         row = begin + int(np.argmax((turns[:, 0] != turns[:, 1]).any(axis=1)))
         if (turns[:, 0] != turns[:, 1]).any():
-            self.faults.append((row, "rotary axes turn in a cycle", "Turn them in a block before."))
+            self.faults.append(
+                (row, "rotary axes turn in a cycle", "Program the rotary axes in a block before the cycle.")
+            )
         across = abs(self._direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
         if self.angles.any() and across < 1.0 - 1e-9:
-            advice = "It would drill across the tool: let the CAM system write such holes as G0 and G1."
+            advice = "Set the CAM system to output holes in tilted planes as G0 and G1."
             self.faults.append((begin, "a cycle with a tilted tool", advice))
 
     def _direction(self) -> Array:
-        """Return where the tool points, from the tip to the spindle, in the program frame (3,)."""
+        """Return the unit direction from the tip to the spindle in the program frame (3,)."""
         return np.asarray(direction(self.setting.axes, self.angles[None] * RAD_PER_DEG)[0])
 
     def _spindle(self, begin: int, end: int) -> list[EventKind]:
-        """Return what the spindle does on some lines."""
+        """Return the state of the spindle on lines."""
         at = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
         return [self.spindle_kinds[n] for n in at]
 
     def _return(self, row: int, to: Return) -> None:
-        """Go to a place of the machine."""
+        """Add the moves to a machine position."""
         setting = self.setting
         self.cycle.end()
         named = np.zeros(3, dtype=bool)
@@ -307,12 +413,12 @@ class _Walk:
             self._retract(row, setting.clearance)
         if setting.home is None or (to.code == codes.MACHINE and upwards and setting.clearance is not None):
             if not self.known.all():
-                message = "There is no retract before X, Y and Z are known: the robot stands at [start]."
-                self.told.append((row, "info", "start-position", message))
+                message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
+                self.remarks.append((row, "info", "start-position", message))
             return
         if setting.clearance is None:
-            message = "From there the robot goes to the next place by one motion of its joints, not down to it at last."
-            self.told.append((row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
+            message = "From home the robot goes to the next position by a joint motion, without an approach from above."
+            self.remarks.append((row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
         self.homes.append(self.number)
         self.angles = np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0)
         self._go(row, self.position)
@@ -320,7 +426,7 @@ class _Walk:
         self.losses.append((row + 1, named))
 
     def _retract(self, row: int, clearance: float) -> None:
-        """Go up to a height of `$BASE` [mm]: with a tilted tool along the tool, which leaves as it came."""
+        """Retract to a height in `$BASE` [mm], along the tool if it is tilted."""
         frame, along = self.frames[-1], self._direction()
         z = float(frame[2, :3] @ self.position + frame[2, 3] / M_PER_MM)
         if z >= clearance - _FEWEST:
@@ -329,13 +435,13 @@ class _Walk:
             along = frame[2, :3]
         rise = float(frame[2, :3] @ along)
         if rise < LEVEL:
-            advice = "Retract along the tool by G0 before: straight up it would be dragged through the part."
-            self.faults.append((row, "retract with a tool that lies nearly level", advice))
+            advice = "Retract along the tool with G0 before: a vertical move would drag it through the part."
+            self.faults.append((row, "retract with a nearly horizontal tool", advice))
             return
         self._go(row, self.position + along * ((clearance - z) / rise))
 
     def _mount(self, row: int, number: float) -> None:
-        """Take another tool: its tip goes to where that of the last one was, so that what follows starts there."""
+        """Change the tool; its tip moves to the position of the last tip, where the next move starts."""
         new = self.setting.tools[number]
         if new != self.tool:
             self.tool = new
@@ -353,7 +459,7 @@ class _Walk:
         self.number += len(row)
 
     def _reframe(self, offset: float) -> None:
-        """See the position in another program frame."""
+        """Express the position in another program frame."""
         new = self.places[offset].copy()
         new[:3, 3] += new[:3, :3] @ self.shift * M_PER_MM
         old = self.frames[-1]
@@ -373,7 +479,7 @@ class _Walk:
         else:
             for axis, word in origin.axes.items():
                 if origin.code == codes.SHIFT and not self.known[axis]:
-                    advice = "Program X, Y and Z in rapid moves before, or write the origin as G54 … into the cell."
+                    advice = "Program X, Y and Z in rapid moves before, or give the origin as G54 … in the cell."
                     self.faults.append((origin.row, "G92 before the position is known", advice))
                 shift[axis] = word if origin.code == codes.LOCAL else shift[axis] + self.position[axis] - word
         self.shift = shift
@@ -382,7 +488,7 @@ class _Walk:
         self._reframe(current)
 
     def _store(self, origin: Origin, current: float) -> None:
-        """Set a work offset (G10): as it stands in `$BASE`, or so that the tool is where the words say (L20)."""
+        """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20)."""
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
         place = self.places[system].copy()
         if origin.turn is not None:
@@ -423,15 +529,15 @@ class _Walk:
             bottom=flags[0],
             home=flags[1],
             frames=np.stack(self.frames),
-            done=self.done,
+            events=self.events,
             unknown=self._unknown(),
             offset=self.offset,
             faults=self.faults,
-            told=self.told,
+            remarks=self.remarks,
         )
 
     def _unknown(self) -> list[tuple[int, int]]:
-        """Return from which row to which the tool is somewhere: until each axis that was lost is programmed again."""
+        """Return ranges of rows with an unknown position: each lasts until every lost axis is programmed again."""
         given = ~np.isnan(self.rows.xyz) & ~self.rows.drilling[:, None]
         out: list[tuple[int, int]] = []
         missing = np.zeros(3, dtype=bool)

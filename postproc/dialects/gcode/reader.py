@@ -1,0 +1,261 @@
+"""Reader of G-code programs: from a document to a `Program`.
+
+Subprograms, loops and expressions are executed first (`execution`), which gives plain lines in execution order. Then
+comments, line ends and white space are removed (`words`). Plain motion blocks become columns of numbers in bulk;
+pygcode reads the other blocks (`words`), which change modes or make events (`modes`). Modal values are carried forward
+over all lines at once and become motions (`moves`, `path`, `arcs`). Unknown codes, and codes whose motion is not
+supported, are errors (`codes`).
+
+X, Y, Z are the tool tip in the program frame: `$BASE`, moved by the active work offset. The tool axis points along −Z
+of that frame.
+
+Rapid moves before X, Y and Z have all been programmed are held back: the missing axes are unknown, and the current
+position of the robot is not an answer (it may be below the part). ``G0 X20 Y20`` and then ``G0 Z5`` become one motion
+to X20 Y20 Z5, on the line of the second. The same holds for a G1 that goes up to the highest Z of the program.
+
+This reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening one, a
+missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number, more
+than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W) without
+effect, M98 and CALL to files with other names than LinuxCNC's, G15, G40.1, G50, G50.1 and G69, G5.1 Q, G187 and the
+like, ``:1001``. It accepts less: a cutting or relative move or a change of the work offset before X, Y and Z have been
+programmed (rs274 begins at zero; only a G1 with all three may come first, or one up to the highest Z), parameters that
+the program has not set, coordinates after a closing ``%``, signs like ``--1``, decimals in N, an arc in the block of a
+G4, numbers of 10⁷ and more, a program without motion, and every code that `codes` refuses. Each of these has a test.
+In G18 and G19 rs274 confuses the axes of G84.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc.cell import Cell
+from postproc.dialects.gcode import words
+from postproc.dialects.gcode.codes import WORK_OFFSETS
+from postproc.dialects.gcode.execution import Executed, executed
+from postproc.dialects.gcode.modes import Modes, read_modes
+from postproc.dialects.gcode.moves import CellFrames
+from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, axes_of, read_path
+from postproc.dialects.gcode.words import Fault
+from postproc.dialects.text import decode, line_spans
+from postproc.errors import ForceError, InputError, Issue, ProgramError, together
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse
+from postproc.program import Document, Event, ForceNote, Program, distinct, parse_force_note
+
+__all__ = ["decode", "read"]
+
+SPINDLE_ON = ("spindle_on", "spindle_ccw")
+
+
+def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    """Read a G-code program.
+
+    The first motion, if rapid, is `PTP` (from wherever the robot is); later rapid ones are `LIN` with
+    ``rapid``. Arcs are `CIRC` with centre and end as programmed; their radii at start and end may differ by LinuxCNC's
+    tolerance. Moves that go nowhere are left out (issue ``"null-move"``). Rapid moves before X, Y and Z have all been
+    programmed are held back until they have (issue ``"start-position"``). The lines of both are in `Program.still`.
+
+    :param document: the program, see `decode`.
+    :param cell: `$BASE`, `$TOOL`, work offsets, speed of rapid moves, approximation distance.
+    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+    :param name: name of the program.
+    :returns: poses and lengths in metres, feeds in m/s, as `Motions` says.
+    :raises InputError: `ProgramError` with file, line, text and advice: a code is not supported or not known, a word
+        cannot be read, an arc is impossible, a cutting move has no feed or comes before X, Y and Z have been programmed
+        in rapid moves, the program is cut off, it moves nothing, or it is for another control; `ForceError`: a force
+        comment cannot be read. All that is wrong is raised together, see `errors.together`.
+    """
+    return _read(document, cell, forward, name, bulk=True)
+
+
+def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str, *, bulk: bool) -> Program:
+    run = executed(document)
+    source = run.source
+    rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
+    columns, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
+    modes = read_modes(source, odd, columns, cell, run.faults)
+    base, tools, numbers = cell.base.pose(), [cell.tool.pose()], {}
+    for number in dict.fromkeys(number for _, number in modes.tools):
+        numbers[number] = len(tools)
+        tools.append(cell.tools[f"{number:g}"].pose())
+    offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
+    home = np.array(cell.machine.home or np.full(6, np.nan)) * RAD_PER_DEG
+    setting = CellFrames(
+        start=inverse(base) @ forward(cell.start_joints) @ tools[0],
+        orientation=cell.tool_pose_in_program(),
+        offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
+        tools=numbers,
+        home=None if cell.machine.home is None else inverse(base) @ forward(home) @ np.stack(tools),
+        clearance=cell.machine.clearance_Z,
+        axes=axes_of(cell.rotary),
+    )
+    speeds = Speeds(
+        rapid=cell.gcode.rapid_m_per_s,
+        approximation=cell.gcode.approximation_mm * M_PER_MM,
+        rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
+        home=home,
+        chord=CHORD * cell.output.tolerance_mm,
+    )
+    path = read_path(columns, modes, setting, speeds, cell.rotary)
+    comments, wrong = _comments(run, modes.rows)
+    faults = path if isinstance(path, list) else []
+    if not modes.complete:
+        advice = "Check that the file was transferred completely."
+        faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
+    if faults or wrong or isinstance(path, list):
+        raise together([*_errors(run, faults), *wrong])
+    if not len(path.motions):
+        advice = "Check that the file is the right one and complete."
+        if len(path.held_back):
+            advice = "There are rapid moves, but X, Y and Z are never all programmed."
+        raise ProgramError("the program moves nothing", file=document.name, advice=advice)
+    notes, events = _events(run, path, modes, comments)
+    line = run.main[path.row]
+    line.flags.writeable = False
+    issues = (*_issues(path, modes), *modes.issues)
+    return Program(
+        name=name,
+        dialect="gcode",
+        documents=run.documents,
+        motions=replace(path.motions, line=line),
+        bases=base[None],
+        tools=np.stack(tools),
+        notes=notes,
+        events=events,
+        swivel=path.swivel,
+        still=distinct(run.main[path.still]),
+        issues=(
+            *(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
+            *_after_the_end(run, modes.rows),
+        ),
+    )
+
+
+def _line(run: Executed, line: int | None) -> int | None:
+    """Return the line number in the program of an executed line."""
+    return None if line is None else int(run.main[line - 1])
+
+
+def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
+    """Return faults as errors; a single error if they show that the program is for another control."""
+    from postproc.dialects.gcode.foreign import recognised  # its patterns are compiled where there are faults
+
+    spans = [line_spans(document.text) for document in run.documents]
+    places: dict[tuple[int, int], Fault] = {}
+    for fault in faults:
+        places.setdefault((int(run.document[fault.row]), int(run.line[fault.row])), fault)
+    texts = [run.documents[n].text[spans[n][0][line - 1] : spans[n][1][line - 1]] for n, line in places]
+    names = [document.name for document in run.documents]
+    kind = recognised(texts)
+    if kind is not None:
+        at, other = kind
+        n, line = list(places)[at]
+        article = "an" if other.name[0] in "AO" else "a"
+        problem = f"this is not plain G-code, but {article} {other.name} program"
+        return [ProgramError(problem, file=names[n], line=line, text=texts[at], advice=other.advice)]
+    return [
+        ProgramError(fault.problem, file=names[n], line=line, text=text, advice=fault.advice)
+        for ((n, line), fault), text in zip(places.items(), texts, strict=True)
+    ]
+
+
+def _after_the_end(run: Executed, rows: int) -> Iterator[Issue]:
+    """Report code after the end of the program, which is not executed (rs274 does not even read it)."""
+    source, lines = run.source, list(run.after_end)
+    if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
+        lines = [row + 1 for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
+    if len(lines):
+        end = int(run.main[rows - 1])
+        message = f"There is code after the end of the program (line {end}): it is not executed."
+        yield Issue("warning", "after-end", message, lines[0], count=len(lines))
+
+
+def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
+    """Return the comments of the first `rows` lines with their rows, and the errors of force comments."""
+    found: list[tuple[int, str | ForceNote]] = []
+    wrong: dict[tuple[int, int], InputError] = {}
+    for line, text in zip(run.source.comment_lines.tolist(), run.source.comments, strict=True):
+        if line > rows:
+            break
+        n, own = int(run.document[line - 1]), int(run.line[line - 1])
+        try:
+            note = parse_force_note(text, own, run.documents[n].name)
+        except ForceError as cause:
+            wrong.setdefault((n, own), cause)
+            continue
+        found.append((line - 1, text.strip() if note is None else note))
+    return found, list(wrong.values())
+
+
+def _events(
+    run: Executed, path: MotionPath, modes: Modes, comments: Sequence[tuple[int, str | ForceNote]]
+) -> tuple[tuple[ForceNote, ...], tuple[Event, ...]]:
+    """Return force comments, and other comments and events, in order of their lines.
+
+    In one line comments come first, stops last.
+    """
+    texts = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
+    switched = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.row_events]
+    within = [
+        (row, 1, at, Event(0, event.kind, 0, event.value or _speed(modes, row, event.kind)))
+        for at, row, event in path.events
+    ]
+    ordered = sorted([*texts, *switched, *within], key=itemgetter(0, 1))
+    noted = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
+    before = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in ordered]).tolist()
+    first = np.searchsorted(path.row, [row for row, _ in noted]).tolist()
+    main = run.main.tolist() if ordered or noted else []
+    events = (
+        replace(event, before=at if own is None else own, line=main[row])
+        for at, (row, _, own, event) in zip(before, ordered, strict=True)
+    )
+    notes = (replace(note, before=at, line=main[row]) for at, (row, note) in zip(first, noted, strict=True))
+    return tuple(notes), tuple(events)
+
+
+def _speed(modes: Modes, row: int, kind: str) -> float:
+    """Return the speed at which a cycle restarts the spindle."""
+    if kind == "spindle_off":
+        return 0.0
+    return next((h.value for h in reversed(modes.row_events) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
+
+
+def _issues(path: MotionPath, modes: Modes) -> Iterator[Issue]:
+    if not modes.changes["units"]:
+        yield Issue("info", "units", "Neither G20 nor G21 is programmed: millimetres are assumed.")
+    for row, level, kind, message in path.remarks:
+        yield Issue(level, kind, message, row + 1)
+    if len(path.held_back):
+        message = "Moves are held back until X, Y and Z are all known."
+        lines = tuple((path.held_back + 1).tolist())
+        yield Issue("info", "start-position", message, lines[0], count=len(lines), lines=lines)
+    nowhere = np.setdiff1d(path.still, path.held_back, assume_unique=True)
+    if len(nowhere):
+        message = "A move of zero length is left out."
+        lines = tuple((nowhere + 1).tolist())
+        yield Issue("info", "null-move", message, lines[0], count=len(lines), lines=lines)
+
+
+class GCode:
+    """G-code of milling with three to five axes."""
+
+    name = "gcode"
+    extensions = (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp")
+    command_decimals = (4, 4, 4, 5, 5, 5)  # those of the robot programs written from it
+    writer = None
+
+    def companions(self, path: Path) -> list[Path]:
+        """Return no files: a G-code program is one file."""
+        del path
+        return []
+
+    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+        """Return a program, see `read`."""
+        return read(documents[0], cell, forward, name)
+
+
+GCODE = GCode()
