@@ -153,7 +153,7 @@ def test_paths_in_a_cell_may_be_written_with_backslashes(tmp_path, monkeypatch):
     Path("arm.urdf").write_bytes(ros_urdf(robot.load(robot.find("kuka_kr270")), (1,) * 6, names=ROS).encode())
     assert CliRunner().invoke(main, ["robots", "add", "arm.urdf", "-o", "models/mine", "--name", "mine"]).exit_code == 0
     Path("R1/System").mkdir(parents=True)
-    Path("R1/System/$config.dat").write_text("DEFDAT $CONFIG\nBASE_DATA[3]={X 1500,Y -200,Z 700}\nENDDAT\n")
+    Path("R1/System/$config.dat").write_text("DEFDAT $CONFIG\nBASE_DATA[3]={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nENDDAT\n")
     Path("lib").mkdir()
     Path("lib/raise.src").write_text("DEF raise()\n$VEL.CP=0.1\nEND\n")
     text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8").partition("[base_data.3]")[0]
