@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from postproc.cli.completion import complete_files
+
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
 
@@ -133,27 +135,68 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 @click.argument("model", type=_FILE, metavar="MODEL_DIR")
 @click.argument("measurements", type=_FILE)
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
+@click.option("--cell", type=_FILE, help="Cell file of a job: its share that the readings cover is stated.")
+@click.option(
+    "--program",
+    "programs",
+    multiple=True,
+    metavar="PROGRAM...",
+    shell_complete=complete_files,
+    help="Programs of the job: files, folders, patterns.",
+)
+@click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
+@click.option("--forces", type=_FILE, help="Cutting forces of the job: a file, or a folder with NAME.csv … for each.")
+@click.option("--process", type=_FILE, help="Material, tools and stock, from which the forces are computed.")
 @click.pass_context
-def validate(ctx: click.Context, model: Path, measurements: Path, experiment: Path) -> None:
-    """Hold a model against readings that it was not fitted to.
+def validate(
+    ctx: click.Context,
+    model: Path,
+    measurements: Path,
+    experiment: Path,
+    cell: Path | None,
+    programs: tuple[str, ...],
+    more: tuple[str, ...],
+    forces: Path | None,
+    process: Path | None,
+) -> None:
+    """Validate a model by readings that it was not fitted to.
 
     Does its bound keep what it promises? MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same
     robot in other configurations or under other loads; states that the model was identified from are left out.
-    MODEL_DIR may be the name of a robot that comes along. Prints, for each level of loads, the displacements measured,
-    what the model leaves of them, the noise in that, its 95 % bound, the factor (> where what is left can not be told
-    from noise), the share of displacements whose error is inside the bound, and between which limits that of all
-    displacements then is: what some configurations can tell, with 95 % confidence. The model does not hold if less than
-    the promised 95 % are inside even at the upper limit; it holds if 90 % are inside and the lower limit is above 50 %;
-    else more configurations are needed. Exit codes: 0 the model holds; 1 the readings can not be used; 3 the model does
-    not hold, or that can not be told, or it states no bound that could.
+    MODEL_DIR may be the name of a shipped robot. Prints, for each level of loads, the displacements measured, what the
+    model leaves of them, the noise in that, its 95 % bound, the factor (> where noise hides what is left), the share of
+    displacements whose error is inside the bound, and the limits of that share for all displacements, with 95 %
+    confidence. The model does not hold if less than the promised 95 % are inside even at the upper limit; it holds if
+    90 % are inside and the lower limit is above 50 %; else more configurations are needed.
+
+    Gears with lost motion or breakpoints deflect otherwise where a torque changes its sign or leaves the range that was
+    measured. So the torques of the loads are printed by joint and sign. With --cell and --program it is stated what
+    share of the cutting path lies inside them, and the model holds for that share only. A torque is inside if five
+    configurations or more have its sign on that joint and one of them at least its size, and if the most loaded joint
+    feels no less than under the smallest loads.
+
+    Exit codes: 0 the model holds, and for a job at least 95 % of it is covered; 1 the readings cannot be used; 3 the
+    model does not hold, or that cannot be told, or it states no bound.
 
     \b
-    Example:
+    Examples:
       postproc identify validate my_robot validation.csv --experiment experiment.toml
+      postproc identify validate my_robot validation.csv --experiment experiment.toml \\
+          --cell cell.toml --program part.nc --process part.process.toml
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.jobs.identification_files import validate_model
+    from postproc.jobs.identification_files import Work, validate_model
 
-    result, text = validate_model(model, measurements, experiment)
+    programs += more  # --program a.nc b.nc
+    if (cell is None) != (not programs):
+        raise click.UsageError("Give --cell and --program together.")
+    if forces is not None and process is not None:
+        raise click.UsageError("--forces and --process exclude each other.")
+    if (forces is not None or process is not None) and cell is None:
+        raise click.UsageError("--forces and --process need --cell and --program.")
+    if process is not None and process.suffix.lower() != ".toml":
+        raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
+    work = None if cell is None else Work(cell=cell, programs=programs, forces=process or forces)
+    result, text = validate_model(model, measurements, experiment, work)
     click.echo(text)
     for warning in result.warnings:
         click.echo(f"warning: {warning}", err=True)

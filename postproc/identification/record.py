@@ -163,6 +163,16 @@ class State(Struct, frozen=True):
     load: tuple[float, float, float, float, float, float]
 
 
+class TorqueRange(Struct, frozen=True):
+    """Torques that the loads put on a joint: the largest of each sign (0: none), and how many configurations had it."""
+
+    joint: str
+    negative_Nm: float
+    positive_Nm: float
+    negative_configurations: int
+    positive_configurations: int
+
+
 class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """Content of `identification.json`; without loads there is only geometry."""
 
@@ -187,6 +197,7 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     correlation: Correlation | None = None
     states: list[State] | None = None
     torque_Nm: list[float] | None = None
+    torques: list[TorqueRange] | None = None
     files: list[FileEntry] | None = None
 
     def as_json(self) -> bytes:
@@ -194,25 +205,29 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode(self), indent=2)
 
 
-class _Measured(Struct, frozen=True):
+class Measured(Struct, frozen=True):
+    """What a model was identified from: its states, and the torques of its loads (empty where it does not say)."""
+
     states: list[State] = []
+    torques: list[TorqueRange] = []
+
+    def as_array(self) -> Array:
+        """Return joint angles [rad] and loads [N, N·m] (m, 12) of the states."""
+        rows = [(*np.multiply(state.joints_deg, RAD_PER_DEG), *state.load) for state in self.states]
+        return np.array(rows).reshape(-1, 12)
 
 
-def states(folder: Path) -> Array:
-    """Return joint angles [rad] and loads [N, N·m] (m, 12) that the model of a folder was identified from.
-
-    A model without `identification.json` was identified from none.
+def measured(folder: Path) -> Measured:
+    """Return what the model of a folder was identified from; nothing without `identification.json`.
 
     :raises MeasurementError: the file is damaged.
     """
     path = folder / NAME
     if not path.is_file():
-        return np.zeros((0, 12))
+        return Measured()
     try:
-        told = msgspec.json.decode(files.read_text(path, MeasurementError).encode(), type=_Measured)
+        return msgspec.json.decode(files.read_text(path, MeasurementError).encode(), type=Measured)
     except msgspec.MsgspecError as error:
         raise MeasurementError(
             str(error), file=str(path), advice="Identify the model anew, or restore the file."
         ) from None
-    rows = [(*np.multiply(state.joints_deg, RAD_PER_DEG), *state.load) for state in told.states]
-    return np.array(rows).reshape(-1, 12)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
-from postproc.identification import record, trust
+from postproc.identification import coverage, record, trust
 from postproc.identification.discrepancy import Discrepancy
 from postproc.identification.enhanced import Levels, SpringOfJoint2
 from postproc.identification.fit import NORMAL_95, to_file_units
@@ -45,6 +45,7 @@ def report_data(result: Identification) -> record.Identified:
         correlation=record.Correlation([parameter.name for parameter in known], _correlation(covariance)),
         states=_states(result.data),
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
+        torques=coverage.as_record(coverage.of_readings(result.prior, result.data)),
     )
 
 

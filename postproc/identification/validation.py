@@ -1,15 +1,19 @@
-"""A model held against readings that it was not identified from: predicted against measured displacements.
+"""Validation of a model by readings that it was not identified from: predicted against measured displacements.
 
-The verdict says what the readings can tell. What share of all displacements a bound holds for, some configurations
-tell within limits: those of Clopper and Pearson (Biometrika 26, 1934) for as many independent displacements as the
-scatter between configurations makes of those measured (Korn and Graubard, Survey Methodology 24, 1998), since what a
-model does not know of a configuration, all its points show. With 95 % confidence for all levels of loads together
-(Bonferroni): a model does not hold if the upper limit is below what is promised; it holds if nearly all displacements
-are inside and the lower limit leaves most of them; else the configurations can not tell.
+The share of displacements inside the bound is estimated from a limited number of configurations. Its limits are those
+of Clopper and Pearson (Biometrika 26, 1934) for the number of independent displacements that the scatter between
+configurations implies (Korn and Graubard, Survey Methodology 24, 1998): an error of a configuration shows at all its
+points. They have 95 % confidence for all levels of loads together (Bonferroni). A model does not hold if the upper
+limit is below what is promised; it holds if nearly all displacements are inside and the lower limit leaves most of
+them; otherwise more configurations are needed.
+
+The verdict is valid for the torques that the loads put on the joints (`coverage`), and for the share of a job that
+stays inside them.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +24,14 @@ from postproc import robot as robots
 from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.identification import outliers, record
+from postproc.identification.coverage import LEAST_TORQUE, Coverage, JobShare, coverage, job_lines, signed
+from postproc.identification.coverage import table as torque_lines
 from postproc.identification.discrepancy import levels, noise_of
 from postproc.identification.displacements import measured_displacements, visible
 from postproc.identification.experiment import read_experiment
 from postproc.identification.fit import LENGTH_95
 from postproc.identification.measurements import Measurements
+from postproc.identification.observability import joint_torques
 from postproc.identification.placement import Placement
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.readings import read
@@ -38,14 +45,14 @@ _DOUBT = 0.05
 _NARROW = 2.0
 """Errors over the bound up to which it is just too narrow."""
 _SEEN = 2.0
-"""Standard errors by which what is left must exceed the noise for a factor to be told; else its least value is."""
+"""Standard errors by which what is left must exceed the noise for a factor to be stated; else its least value is."""
 _SAME_ANGLE = 1e-4
 _SAME_LOAD = 0.01
 """Largest differences [rad, share] between states that are one."""
 
 
 class ValidatedLevel(Struct, frozen=True, eq=False):
-    """How a model fares at one level of loads.
+    """Displacements against a model at one level of loads.
 
     :param load: force [N] and moment [N·m] in one, median.
     :param measured: RMS of the displacements measured [m].
@@ -53,8 +60,8 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     :param noise: RMS of the noise in that [m].
     :param doubt: standard error of the mean square of what is left, by configurations [m²].
     :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
-    :param limits: between which the share of all displacements may be.
-    :param reach: what 95 % of the errors over bound and noise are below.
+    :param limits: limits of the share of all displacements.
+    :param reach: 95 % quantile of the errors over bound and noise.
     :param bound: RMS of the bound [m].
     """
 
@@ -70,22 +77,22 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
 
     @property
     def refuted(self) -> bool:
-        """Whether so few displacements are inside that it is no chance."""
+        """Whether significantly fewer displacements are inside than promised."""
         return self.limits[1] < _PROMISED
 
     @property
     def held(self) -> bool:
-        """Whether the displacements tell that the bound was kept."""
+        """Whether the displacements show that the bound was kept."""
         return not self.refuted and self.inside >= _HELD and self.limits[0] >= _MOST
 
     @property
     def told_from_noise(self) -> bool:
-        """Whether what the model leaves can be told from noise: a factor is known, and not only its least value."""
+        """Whether what the model leaves exceeds the noise: a factor is known, and not only its least value."""
         return self.left**2 - self.noise**2 > _SEEN * self.doubt
 
     @property
     def factor(self) -> float:
-        """Displacement over what the model leaves beyond noise; where that can not be told, the least it may be."""
+        """Displacement over what the model leaves beyond noise; its least value where noise hides that."""
         rest = self.left**2 - self.noise**2
         if not self.told_from_noise:
             rest = max(rest, 0.0) + _SEEN * self.doubt
@@ -96,56 +103,85 @@ class Validation(Struct, frozen=True, eq=False):
     """A model against readings.
 
     :param levels: by load, ascending.
-    :param configurations: how many were compared.
+    :param configurations: number of configurations compared.
+    :param covered: torques that the loads put on the joints.
+    :param identified: torques that the model was identified with; empty where it does not record them.
     :param warnings: gross errors of the readings, and what else was left out.
+    :param jobs: share of each program that is covered; empty if no job was given.
     """
 
     levels: tuple[ValidatedLevel, ...]
     configurations: int
+    covered: Coverage
+    identified: tuple[record.TorqueRange, ...]
     warnings: tuple[str, ...]
+    jobs: tuple[JobShare, ...] = ()
 
     @property
-    def holds(self) -> bool:
-        """Whether the bound was kept at every level, as far as readings can tell that."""
+    def held(self) -> bool:
+        """Whether the bound was kept at every level, as far as the readings show."""
         return all(level.held for level in self.levels)
 
     @property
+    def holds(self) -> bool:
+        """Whether the bound was kept, and the readings cover the job where one was given."""
+        return self.held and all(job.share >= _PROMISED for job in self.jobs)
+
+    @property
     def line(self) -> str:
-        """The verdict in one line: the model holds, does not, or that can not be told."""
+        """The verdict in one line, with the share of the job that it is valid for."""
         if any(np.isnan(level.inside) for level in self.levels):
-            return "the model states no bound: there is nothing that could hold"
+            return "the model states no bound: nothing can be validated"
         refuted = [level for level in self.levels if level.refuted]
         worst = min(refuted or self.levels, key=lambda level: level.inside)
         low, high = worst.limits
         share = (
             f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {self.configurations} configurations "
-            f"are inside its bound, so that of all it is {low:.0%} to {high:.0%}"
+            f"are inside its bound, so the share of all is {low:.0%} to {high:.0%}"
         )
-        if self.holds:
-            return f"the model holds: {share}"
+        if self.held:
+            return self._held(share)
         if not refuted:
             return (
-                f"IT CAN NOT BE TOLD whether the model holds: {share}, and {_PROMISED:.0%} are promised. The readings "
-                "do not contradict it; more configurations can tell."
+                f"IT CANNOT BE TOLD whether the model holds: {share}; {_PROMISED:.0%} are promised. The readings "
+                "do not contradict it: measure more configurations."
             )
         widest = max(level.reach for level in refuted)
         if widest < _NARROW:
             why = (
-                f"The bound is too narrow: count on {widest:.1f} times u95, and identify the robot anew from these and "
+                f"The bound is too narrow: use {widest:.1f} times u95, and identify the robot anew from these and "
                 "the earlier readings together."
             )
         else:
             why = (
                 f"The errors reach {widest:.1f} times the bound: the robot does something that the model does not "
-                "know, or it is not this robot, with this payload and these loads."
+                "contain, or it is another robot, payload or load."
             )
-        return f"THE MODEL DOES NOT HOLD: {share}, and {_PROMISED:.0%} are promised. {why}"
+        return f"THE MODEL DOES NOT HOLD: {share}; {_PROMISED:.0%} are promised. {why}"
+
+    def _held(self, share: str) -> str:
+        if not self.jobs:
+            return f"the model holds for the torques listed below: {share}"
+        parts = [f"{_percent(job.share)} of the cutting path of {job.program}" for job in self.jobs if job.share > 0.0]
+        open_ = [job.program for job in self.jobs if job.share < _PROMISED]
+        measure = f" Measure under the torques that {', '.join(open_)} needs, listed below." if open_ else ""
+        if not parts:
+            return (
+                f"IT CANNOT BE TOLD whether the model holds for {', '.join(open_)}: the readings cover none of it."
+                + (measure)
+            )
+        return f"the model holds for {', '.join(parts)}: {share}.{measure}"
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent, rounded down: 100 % is all."""
+    return f"{math.floor(100.0 * share + 1e-9)}%"
 
 
 def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     """Compare a model folder with readings of the same robot that it was not identified from.
 
-    :param model: folder, or the name of a robot that comes along.
+    :param model: folder, or the name of a shipped robot.
     :raises MeasurementError: the files are unusable, or all the readings are the model's own.
     """
     setup = read_experiment(experiment)
@@ -156,7 +192,8 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     data, left_out = outliers.model_free(data)
     warnings = [f"outlier: {name}" for name in left_out]
     placement = check_frames(robot, data)
-    fresh = ~_known(data, record.states(folder))
+    own = record.measured(folder)
+    fresh = ~_known(data, own.as_array())
     if not fresh.any():
         raise MeasurementError(
             f"the model was identified from these states ({len(fresh)} of configuration and load): that it agrees with "
@@ -167,7 +204,14 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     if not fresh.all():
         warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
     compared = len(np.unique(data.state_config[data.loaded[fresh]]))
-    return Validation(tuple(_levels(robot, data, placement, fresh)), compared, tuple(warnings))
+    found = _compared(robot, data, placement, fresh)
+    return Validation(
+        tuple(_levels(found)),
+        compared,
+        _coverage(joint_torques(robot, data), found),
+        tuple(own.torques),
+        tuple(warnings),
+    )
 
 
 def _known(data: Measurements, states: Array) -> Bools:
@@ -178,36 +222,87 @@ def _known(data: Measurements, states: Array) -> Bools:
     return np.asarray((same & (apart < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
 
 
-def _levels(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> list[ValidatedLevel]:
-    seen = (visible(data)[..., 0] > 0.0) & fresh[:, None]
+class _Compared(Struct, frozen=True, eq=False):
+    """Displacements of L loaded states at P points.
+
+    :param seen: (L, P) which are compared.
+    :param config: (L,) configuration, and `load` (L,) force and moment in one [N, N·m].
+    :param moved: (L, P) measured, `left` what the model leaves of it, and its `bound` [m].
+    :param noise: (L, P) mean square of the noise [m²].
+    :param scaled: (L, P) what is left over bound and noise.
+    :param stated: whether the model states a bound.
+    """
+
+    seen: Bools
+    config: Ints
+    load: Array
+    moved: Array
+    left: Array
+    bound: Array
+    noise: Array
+    scaled: Array
+    stated: bool
+
+
+def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Compared:
     measured = measured_displacements(data, placement)
     predicted, bound = _predicted(robot, data, placement)
-    moved, left = norm(measured), norm(measured - predicted)
-    noise = noise_of(data)
-    scaled = left / np.sqrt(bound**2 + LENGTH_95**2 * noise)
-    load, config = norm(data.wrench[data.loaded]), data.state_config[data.loaded]
-    level = levels(load)
+    left, noise = norm(measured - predicted), noise_of(data)
+    return _Compared(
+        seen=(visible(data)[..., 0] > 0.0) & fresh[:, None],
+        config=data.state_config[data.loaded],
+        load=norm(data.wrench[data.loaded]),
+        moved=norm(measured),
+        left=left,
+        bound=bound,
+        noise=noise,
+        scaled=left / np.sqrt(bound**2 + LENGTH_95**2 * noise),
+        stated=robot.covariance is not None,
+    )
+
+
+def _levels(found: _Compared) -> list[ValidatedLevel]:
+    level = levels(found.load)
     doubt = _DOUBT / (int(level.max()) + 1)
-    stated = robot.covariance is not None
-    found = []
+    left, scaled = found.left, found.scaled
+    result = []
     for index in range(int(level.max()) + 1):
-        rows = (level == index)[:, None] & seen
+        rows = (level == index)[:, None] & found.seen
         if rows.any():
             squares = [np.mean(left[state, here] ** 2) for state, here in enumerate(rows) if here.any()]
-            found.append(
+            result.append(
                 ValidatedLevel(
-                    load=float(np.median(load[rows.any(axis=1)])),
-                    measured=_rms(moved[rows]),
+                    load=float(np.median(found.load[rows.any(axis=1)])),
+                    measured=_rms(found.moved[rows]),
                     left=_rms(left[rows]),
-                    noise=_rms(np.sqrt(noise[rows])),
+                    noise=_rms(np.sqrt(found.noise[rows])),
                     doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
-                    inside=float(np.mean(scaled[rows] <= 1.0)) if stated else float("nan"),
-                    limits=limits(*_by_config(scaled <= 1.0, rows, config), doubt) if stated else (0.0, 1.0),
-                    reach=float(np.quantile(scaled[rows], _PROMISED)) if stated else float("nan"),
-                    bound=_rms(bound[rows]),
+                    inside=float(np.mean(scaled[rows] <= 1.0)) if found.stated else float("nan"),
+                    limits=_limits(found, rows, doubt) if found.stated else (0.0, 1.0),
+                    reach=float(np.quantile(scaled[rows], _PROMISED)) if found.stated else float("nan"),
+                    bound=_rms(found.bound[rows]),
                 )
             )
-    return found
+    return result
+
+
+def _coverage(torque: Array, found: _Compared) -> Coverage:
+    """Return the torques covered; readings of one direction may contradict a model that holds on the whole.
+
+    :param torque: (L, 6) of the loads on the joints [N·m].
+    """
+    states = found.seen.any(axis=1)
+    refuted = np.zeros((6, 2), dtype=bool)
+    if found.stated:
+        for joint, side in np.ndindex(6, 2):
+            rows = (signed(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & found.seen
+            refuted[joint, side] = rows.any() and _limits(found, rows, _DOUBT / refuted.size)[1] < _PROMISED
+    return coverage(torque[states], found.config[states], refuted)
+
+
+def _limits(found: _Compared, rows: Bools, doubt: float) -> tuple[float, float]:
+    """Return the limits of the share inside, for some of the displacements (L, P)."""
+    return limits(*_by_config(found.scaled <= 1.0, rows, found.config), doubt)
 
 
 def _by_config(inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
@@ -217,7 +312,7 @@ def _by_config(inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
 
 
 def limits(inside: Array, there: Array, doubt: float) -> tuple[float, float]:
-    """Return between which limits the share inside of all displacements is, from those of some configurations.
+    """Return the limits of the share of all displacements that is inside, from those of some configurations.
 
     :param inside: (C,) how many displacements of each are inside, of `there` (C,).
     :param doubt: probability with which the share is below the lower limit, and above the upper one.
@@ -256,7 +351,7 @@ def _predicted(robot: RobotModel, data: Measurements, placement: Placement) -> t
         moved[:, index] = ((pose - rest) @ lever)[:, :3]
         tool = np.eye(4)
         tool[:3, 3] = point
-        there = wrench.copy()  # the same load, told at the point
+        there = wrench.copy()  # the same load, referred to the point
         there[:, 3:] -= np.cross(rest[:, :3, :3] @ lever[:3], wrench[:, :3])
         found = elastostatics.position_bound(robot, q, tool, there)
         if found is not None:
@@ -281,4 +376,5 @@ def table(result: Validation) -> str:
             inside, of_all = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
         factor = f"{'' if level.told_from_noise else '> '}{level.factor:.3g}"
         lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}{of_all:>14}")
+    lines += [*torque_lines(result.covered, result.identified), *job_lines(result.jobs)]
     return "\n".join(lines)

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import cell as cells
 from postproc.files import foreign_single, refuse
 from postproc.identification import (
     Choices,
@@ -15,8 +19,10 @@ from postproc.identification import (
     model_folder,
 )
 from postproc.identification.compensator_geometry import CompensatorGeometry
+from postproc.identification.coverage import share
 from postproc.identification.validation import Validation, table, validate
 from postproc.jobs.outputs import protect
+from postproc.jobs.setup import load_robot
 from postproc.report.identification import page
 
 
@@ -78,10 +84,36 @@ def identify_geometry(
     return geometry_folder(measurements, experiment, output, model, page)
 
 
-def validate_model(model: Path, measurements: Path, experiment: Path) -> tuple[Validation, str]:
-    """Hold a model folder against readings that it was not identified from; return the comparison and its table.
+class Work(Struct, frozen=True, kw_only=True):
+    """A job that a model is validated for.
 
+    :param cell: of the programs.
+    :param programs: files, folders, patterns.
+    :param forces: CSV file of cutting forces, a folder of such files, or process.toml they are computed from.
+    """
+
+    cell: Path
+    programs: tuple[str, ...]
+    forces: Path | None = None
+
+
+def validate_model(
+    model: Path, measurements: Path, experiment: Path, work: Work | None = None
+) -> tuple[Validation, str]:
+    """Validate a model folder by readings that it was not identified from; return the comparison and its table.
+
+    :param work: job for which it is stated how much of it the readings cover.
     :raises PostprocError: the files are unusable.
     """
     result = validate(model, measurements, experiment)
+    if work is not None:
+        from postproc.jobs.plan_files import check_same_arm, cutting_states  # readers of programs come with it
+
+        robot, cell = load_robot(str(model), Path()), cells.load(work.cell)
+        check_same_arm(robot, load_robot(cell.robot, cell.folder))
+        jobs = [
+            share(states.source, states.torque, states.weight, result.covered)
+            for states in cutting_states(work.programs, work.forces, robot, cell)
+        ]
+        result = replace(result, jobs=tuple(jobs))
     return result, table(result)

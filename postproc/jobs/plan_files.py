@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
 
 from msgspec import Struct
@@ -15,6 +15,7 @@ from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
+from postproc.forces import ForceSource
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.experiment import read_experiment
 from postproc.identification.readings import read
@@ -95,7 +96,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     setup = read_experiment(request.experiment)
     cell = cells.load(request.cell)
     robot = load_robot(setup.robot, request.experiment.parent)
-    _check_same_arm(robot, load_robot(cell.robot, cell.folder))
+    check_same_arm(robot, load_robot(cell.robot, cell.folder))
     site = site_of(robot, setup, request.experiment.parent, cell.start_joints, request.margin * RAD_PER_DEG)
     tests = _test_poses(request, robot, cell)
     data = None if request.measured is None else read(request.measured, setup)
@@ -175,18 +176,37 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
 def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:
     if request.poses is not None:
         return milling.from_file(request.poses, robot, cell)
-    parts = []
-    for job in find_jobs(request.programs, forces=request.forces):
+    return milling.joined(cutting_states(request.programs, request.forces, robot, cell))
+
+
+def cutting_states(programs: Sequence[str], given: Path | None, robot: RobotModel, cell: Cell) -> list[TestPoses]:
+    """Return poses and forces all along the cutting moves of each program.
+
+    :param programs: files, folders, patterns; subprograms that others call count with them.
+    :param given: CSV file of forces, a folder of such files, or process.toml they are computed from.
+    :raises PostprocError: a program or its forces cannot be read or followed, or none of its moves carries a force.
+    """
+    found = []
+    for job in find_jobs(programs, forces=given):
         if job.callers:
             continue
         program = read_program(job.program, robot, cell, job.dialect)
-        source = None if job.forces is None else forces.read(job.forces)
-        parts.append(milling.from_program(program, robot, cell, source))
-    return milling.joined(parts)
+        source: ForceSource | None = None
+        if job.process is not None:
+            from postproc.jobs import process_forces  # what a cutter does is imported with it
+
+            source = process_forces.read(job.process, cell)
+        elif job.forces is not None:
+            source = forces.read(job.forces)
+        found.append(milling.from_program(program, robot, cell, source))
+    return found
 
 
-def _check_same_arm(measured: RobotModel, mills: RobotModel) -> None:
-    """Experiment and cell may name different models (priors, identified ones), but of one arm."""
+def check_same_arm(measured: RobotModel, mills: RobotModel) -> None:
+    """Refuse models of different arms; different models (priors, identified ones) of one arm are valid.
+
+    :raises InputError: the arms differ.
+    """
     one, other = measured.nominal, mills.nominal
     if abs(one.placement - other.placement).max() > 1e-6 or abs(one.axis - other.axis).max() > 1e-6:
         raise InputError(

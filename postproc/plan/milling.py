@@ -33,6 +33,7 @@ class TestPoses(Struct, frozen=True, eq=False):
     :param q: (T, 6) joint angles [rad].
     :param wrench: (T, 6) at the tool tip, root axes [N, N·m].
     :param weight: (T,) shares of the work, sum 1.
+    :param torque: (T, 6) that the wrench puts on the joints [N·m].
     :param regressor: (T, 3, 6) A₀ of Eq. (2), positions: ∂(tool tip)/∂(joint compliance) [m per rad/(N·m)].
     :param deflection: (T,) what the force does when nothing is corrected [m].
     :param source: where they come from.
@@ -43,6 +44,7 @@ class TestPoses(Struct, frozen=True, eq=False):
     q: Array
     wrench: Array
     weight: Array
+    torque: Array
     regressor: Array
     deflection: Array
     source: str
@@ -58,7 +60,13 @@ class TestPoses(Struct, frozen=True, eq=False):
     def take(self, rows: Ints, weight: Array) -> TestPoses:
         """Return some of the poses with other weights."""
         return TestPoses(
-            self.q[rows], self.wrench[rows], weight, self.regressor[rows], self.deflection[rows], self.source
+            q=self.q[rows],
+            wrench=self.wrench[rows],
+            weight=weight,
+            torque=self.torque[rows],
+            regressor=self.regressor[rows],
+            deflection=self.deflection[rows],
+            source=self.source,
         )
 
 
@@ -69,7 +77,13 @@ def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: A
     moved, sagged = (linear_deflection(robot, q, tool, load)[:, :3] for load in (wrench, np.zeros_like(wrench)))
     deflection = moved - sagged  # of a robot whose geometry is a weightless one's
     return TestPoses(
-        q, wrench, weight / weight.sum(), jacobian[:, :3] * torque[:, None], np.linalg.norm(deflection, axis=1), source
+        q=q,
+        wrench=wrench,
+        weight=weight / weight.sum(),
+        torque=torque,
+        regressor=jacobian[:, :3] * torque[:, None],
+        deflection=np.linalg.norm(deflection, axis=1),
+        source=source,
     )
 
 
@@ -130,12 +144,13 @@ def joined(parts: Sequence[TestPoses]) -> TestPoses:
     """Return the test poses of several programs; each program counts the same."""
     weight = np.concatenate([part.weight for part in parts]) / len(parts)
     return TestPoses(
-        np.concatenate([part.q for part in parts]),
-        np.concatenate([part.wrench for part in parts]),
-        weight,
-        np.concatenate([part.regressor for part in parts]),
-        np.concatenate([part.deflection for part in parts]),
-        ", ".join(part.source for part in parts),
+        q=np.concatenate([part.q for part in parts]),
+        wrench=np.concatenate([part.wrench for part in parts]),
+        weight=weight,
+        torque=np.concatenate([part.torque for part in parts]),
+        regressor=np.concatenate([part.regressor for part in parts]),
+        deflection=np.concatenate([part.deflection for part in parts]),
+        source=", ".join(part.source for part in parts),
     )
 
 
@@ -175,7 +190,13 @@ def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
     wanted, got = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, few))
     factor = np.sqrt(wanted / got) if got > 0.0 else 1.0
     return TestPoses(
-        few.q, few.wrench * factor, few.weight, few.regressor * factor, few.deflection * factor, tests.source
+        q=few.q,
+        wrench=few.wrench * factor,
+        weight=few.weight,
+        torque=few.torque * factor,
+        regressor=few.regressor * factor,
+        deflection=few.deflection * factor,
+        source=tests.source,
     )
 
 

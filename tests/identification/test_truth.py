@@ -15,6 +15,7 @@ from postproc.errors import MeasurementError
 from postproc.identification import choice, identify_folder
 from postproc.identification.candidates import link_springs
 from postproc.identification.choice import _ridge
+from postproc.identification.coverage import coverage
 from postproc.identification.discrepancy import _beyond, left_out_of, levels
 from postproc.identification.linearised import Linearised
 from postproc.identification.plausibility import check_frames, check_loads
@@ -227,10 +228,11 @@ def test_readings_that_a_model_was_identified_from_do_not_validate_it(tmp_path):
     alone = validated(tmp_path / "model", tmp_path / "new" / "measurements.csv", own[1])
     assert alone.exit_code == 0, alone.output
     assert "of 6 configurations" in alone.output
-    # a model that comes along is known by its name, and states no bound
+    # a shipped model is known by its name; it has no readings of its own, and states how sources differ
     named = validated("kuka_kr270", *own)
-    assert named.exit_code == 3
-    assert named.output.startswith("the model states no bound")
+    assert named.exit_code == 0, named.output
+    assert "of 15 configurations" in named.output
+    assert "the model does not record which torques it was identified with" in named.output
 
 
 def validated_level(inside, limits, reach=0.9):
@@ -278,30 +280,39 @@ def test_the_verdict_says_what_the_readings_tell():
     }
     line = {}
     for name, found in told.items():
-        result = Validation(tuple(validated_level(*each) for each in found), 15, ())
+        covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
+        result = Validation(tuple(validated_level(*each) for each in found), 15, covered, (), ())
         assert result.holds == (name == "holds")
         line[name] = result.line
-    assert line["holds"].startswith("the model holds: at 600 N 97%")
+    assert line["holds"].startswith("the model holds for the torques listed below: at 600 N 97%")
     for name in ("can not tell", "too few"):
-        assert line[name].startswith("IT CAN NOT BE TOLD whether the model holds")
-    share = "87% of the displacements of 15 configurations are inside its bound, so that of all it is 60% to 98%"
+        assert line[name].startswith("IT CANNOT BE TOLD whether the model holds")
+    share = "87% of the displacements of 15 configurations are inside its bound, so the share of all is 60% to 98%"
     assert share in line["can not tell"]
     for name in ("narrow", "wrong"):
         assert line[name].startswith("THE MODEL DOES NOT HOLD: at 600 N")
-    assert "count on 1.6 times u95" in line["narrow"]
+    assert "use 1.6 times u95" in line["narrow"]
     assert "payload" not in line["narrow"]
     assert "reach 7.0 times the bound" in line["wrong"]
 
 
+def test_a_model_without_a_bound_holds_for_nothing():
+    covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
+    result = Validation((validated_level(float("nan"), (0.0, 1.0)),), 15, covered, (), ())
+    assert not result.holds
+    assert result.line.startswith("the model states no bound")
+
+
 def test_a_factor_is_no_division_by_noise():
+    covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
     level = validated_level(1.0, (0.8, 1.0))
     assert not level.told_from_noise
     assert level.factor == pytest.approx(1e-3 / np.sqrt(2e-10))
     clear = replace(level, left=np.hypot(70e-6, 50e-6))
     assert clear.told_from_noise
     assert clear.factor == pytest.approx(1e-3 / 50e-6)
-    assert "> 70.7" in table(Validation((level,), 10, ()))
-    assert "> " not in table(Validation((clear,), 10, ()))
+    assert "> 70.7" in table(Validation((level,), 10, covered, (), ()))
+    assert "> " not in table(Validation((clear,), 10, covered, (), ()))
 
 
 @pytest.mark.parametrize(("bends", "least", "most"), [(False, 1.6, 2.4), (True, 1.6, 2.6)])
