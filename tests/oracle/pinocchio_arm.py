@@ -15,10 +15,11 @@ KINDS = {
 class Arm:
     """Joints in series and a flange.
 
-    `displaced`: joint or "flange" → (x, y, z [m], rotation vector [rad]); `springs`: (link, axis) in chain order.
+    `displaced`: joint or "flange" → (x, y, z [m], rotation vector [rad]); `springs`: (link, axis) in chain order;
+    `heavier`: factors of the masses of the six links.
     """
 
-    def __init__(self, urdf, displaced=None, springs=(), payload=None):
+    def __init__(self, urdf, displaced=None, springs=(), payload=None, heavier=(1.0,) * 6):
         model = pin.buildModelFromXML(urdf)
         flange = model.frames[model.getFrameId("flange")].placement
         placements = list(model.jointPlacements)
@@ -46,7 +47,9 @@ class Arm:
                         parent = self.model.addJoint(parent, kind, place, f"{name}.{axis}")
                         place = pin.SE3.Identity()
             if index:
-                self.model.appendBodyToJoint(carrier, model.inertias[index], pin.SE3.Identity())
+                own = model.inertias[index]
+                body = pin.Inertia(own.mass * heavier[index - 1], own.lever, own.inertia)
+                self.model.appendBodyToJoint(carrier, body, pin.SE3.Identity())
         if payload is not None:
             mass, centre = payload
             self.model.appendBodyToJoint(parent, pin.Inertia(mass, np.array(centre), np.zeros((3, 3))), place)

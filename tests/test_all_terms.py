@@ -1,0 +1,404 @@
+"""Elastostatics and compensation of arms in which every term of the model counts, against an oracle of its own.
+
+Masses far off axis, moments as large as forces, a compensator as stiff as its joint, springs of links, gears that
+stiffen, with breakpoints, backlash and lost motion, a payload, errors of geometry and of transmission, and torques that
+change sign; in each of the four states of [gravity].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import compensation, elastostatics, files, frames, kinematics, robot
+from postproc.errors import ModelError, NotConvergedError
+from postproc.robot import parameters, urdf
+from postproc.robot.model_file import (
+    BacklashEntry,
+    CompensatorEntry,
+    Displacement,
+    Gravity,
+    JointSpring,
+    LinkSprings,
+    ModelFile,
+    Stiffening,
+    TransmissionEntry,
+)
+from tests.oracle.whole_arm import WholeArm, slopes, twist
+from tests.test_pinocchio import any_urdf
+
+FOLDER = robot.find("kuka_kr270")
+KUKA = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
+PLAIN = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
+TOOL = frames.pose_from_xyzabc([230.0, -120.0, 350.0, 10.0, -20.0, 30.0])
+PAYLOAD = (60.0, (0.1, -0.2, 0.15))
+GRAVITIES = [Gravity(reference, in_gears) for reference in ("calibrated", "rigid") for in_gears in (False, True)]
+
+
+def content(seed, gravity):
+    """A model file in which nothing is zero."""
+    rng = np.random.default_rng(seed)
+
+    def about(value):
+        return float(value * rng.uniform(0.6, 1.4))
+
+    joints = {
+        name: JointSpring(
+            source="test",
+            compliance_urad_per_Nm=3.0 if name == "A2" else about(1.0),
+            stiffening=[Stiffening(about(300.0), about(0.2))],
+            knees=[Stiffening(about(800.0), about(0.15))],
+            backlash=BacklashEntry(about(60.0), about(80.0)),
+            lost_motion=BacklashEntry(about(50.0), about(60.0)),
+        )
+        for name in robot.JOINTS
+    }
+    return ModelFile(
+        name="all terms",
+        joints=joints,
+        gravity=gravity,
+        compensator=CompensatorEntry(
+            source="test", L_mm=190.0, a_x_mm=620.0, a_y_mm=210.0, stiffness_N_per_m=6e5, free_length_mm=600.0
+        ),
+        geometry={
+            name: Displacement(
+                source="test",
+                **{key: about(1.0) for key in ("X_mm", "Y_mm", "Z_mm")},
+                **{key: about(0.05) for key in ("RX_deg", "RY_deg", "RZ_deg")},
+            )
+            for name in (*robot.JOINTS, "flange")
+        },
+        transmission={
+            name: TransmissionEntry(
+                source="test", **{f"{term}_urad": about(200.0) for term in ("sin", "cos", "sin2", "cos2")}
+            )
+            for name in robot.JOINTS
+        },
+        links={
+            "base": LinkSprings(source="test", RX_urad_per_Nm=about(0.1), Z_um_per_N=about(0.03)),
+            "A2": LinkSprings(source="test", Y_um_per_N=about(0.02), end_RY_urad_per_Nm=about(0.2)),
+            "A3": LinkSprings(source="test", RZ_urad_per_Nm=about(0.2)),
+            "A6": LinkSprings(source="test", X_um_per_N=about(0.03), end_RZ_urad_per_Nm=about(0.2)),
+        },
+    )
+
+
+def arms(seed, gravity, payload=PAYLOAD, urdf_of=None):
+    """A robot of the package, the same by the oracle, joint angles (3, 6) and wrenches (3, 6)."""
+    rng = np.random.default_rng(seed)
+    text = KUKA if seed == 0 else any_urdf(rng)
+    file = content(seed, gravity)
+    model = robot.assemble("all terms", file, urdf.read(text, "any.urdf")).with_payload(
+        payload[0], np.array(payload[1])
+    )
+    q = np.radians([10.0, -60, 80, 20, 40, 30]) + rng.uniform(-0.5, 0.5, (3, 6))
+    wrench = rng.uniform(-1.0, 1.0, (3, 6)) * [1000.0, 1000, 1000, 900, 900, 900]
+    return model, WholeArm(text, file, payload), q, wrench
+
+
+STATES = pytest.mark.parametrize("gravity", GRAVITIES, ids=str)
+ARMS = pytest.mark.parametrize("seed", [0, 1, 7])
+
+
+@STATES
+@ARMS
+def test_the_loaded_equilibrium_and_the_command_that_undoes_it_are_those_of_the_oracle(seed, gravity):
+    model, arm, q, wrench = arms(seed, gravity)
+    state = elastostatics.deflect(model, q, TOOL, wrench)
+    x = (elastostatics.coordinates(model, q) + state.theta).T
+    there = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
+    load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
+    springs = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, there))
+    for row in range(len(q)):
+        theta, pose = arm.equilibrium(q[row], TOOL, wrench[row])
+        assert np.linalg.norm(pose[:3, 3] - arm.given(q[row], TOOL, wrench[row])[1](0.0)[0][:3, 3]) > 5e-4
+        np.testing.assert_allclose(state.theta[row], theta, rtol=0, atol=3e-9)  # rad, m
+        np.testing.assert_allclose(state.pose[row], pose, rtol=0, atol=3e-9)
+        np.testing.assert_allclose(state.twist[row], twist(state.rest[row], pose), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(springs[:, row], theta, rtol=0, atol=1e-8)
+    target = np.array([arm.nominal(row, TOOL) for row in q])
+    found = compensation.compensate(model, target, q, TOOL, wrench)
+    for row in range(len(q)):
+        theta, pose = arm.equilibrium(found.q[row], TOOL, wrench[row])
+        np.testing.assert_allclose(pose, target[row], rtol=0, atol=2e-8)
+        np.testing.assert_allclose(found.theta[row], theta, rtol=0, atol=2e-8)
+        np.testing.assert_allclose(found.pose[row], arm.nominal(found.q[row], TOOL), rtol=0, atol=1e-12)
+
+
+@STATES
+@ARMS
+def test_linear_deflection_compliance_and_stiffness_are_those_by_differences_of_the_oracle(seed, gravity):
+    model, arm, q, wrench = arms(seed, gravity)
+    linear = elastostatics.linear_deflection(model, q, TOOL, wrench)
+    compliance = elastostatics.tangent_compliance(model, q, TOOL, wrench)
+    stiffness = elastostatics.cartesian_stiffness(model, q, TOOL, wrench)
+    for row in range(len(q)):
+        given, tcp = arm.given(q[row], TOOL, wrench[row])
+        zero = np.zeros(len(arm.linear))
+        by_theta = slopes(given, zero, 1e-7)
+        by_force = slopes(lambda force, given=given, zero=zero: given(zero, force), wrench[row], 1e-2)
+        reach = tcp(zero)[1] @ np.linalg.inv(np.eye(len(zero)) - by_theta)
+        np.testing.assert_allclose(linear[row], reach @ given(zero), rtol=0, atol=1e-6 * np.abs(linear[row]).max())
+        expected = reach @ by_force
+        for found, size in ((compliance[row], expected), (np.linalg.inv(stiffness[row]), expected)):
+            for rows in (slice(0, 3), slice(3, 6)):
+                for columns in (slice(0, 3), slice(3, 6)):
+                    scale = np.abs(size[rows, columns]).max()
+                    np.testing.assert_allclose(found[rows, columns], size[rows, columns], rtol=0, atol=1e-5 * scale)
+
+
+def all_names(model):
+    """Names in files of every parameter of a robot: springs, compensator, masses."""
+    springs = [f"k{n}" for n in range(1, 7)] + [parameter.name for parameter, _ in model.terms]
+    return springs + [spring.name for spring in model.link_springs] + ["K_c", "s_0", "A2.mass", "A3.mass", "A6.mass"]
+
+
+def step_of(name):
+    """Step [SI] of differences by a parameter: torques change by some N·m, deflections by much more than rounding."""
+    if name in ("K_c", "s_0", "size"):
+        return 10.0
+    if name.endswith(".mass"):
+        return 0.02
+    if "backlash" in name or "lost_motion" in name:
+        return 1e-6
+    return 1e-11 if name[-2] == "." and name[-1] in "XYZ" else 5e-10
+
+
+@STATES
+@pytest.mark.parametrize("seed", [0, 7])
+def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_oracle(seed, gravity):
+    model, arm, q, wrench = arms(seed, gravity)
+    q, wrench = q[:2], wrench[:2]
+    x0 = elastostatics.coordinates(model, q).T
+    held = elastostatics.held(model, x0)
+    theta, _ = elastostatics.equilibrium.solve_equilibrium(model, x0, kinematics.components(TOOL), wrench.T)
+    state = elastostatics.Balance.at(model, x0 + theta, held, kinematics.components(TOOL), wrench.T)
+    np.testing.assert_allclose(state.theta, theta, rtol=0, atol=2e-8)
+    reach = state.reach()
+    for name in [*all_names(model), "size"]:
+        parameter = robot.CompensatorSize() if name == "size" else parameters.named(name)
+        found = elastostatics.moved_by(state, reach, parameter, x0)
+        step = step_of(name)
+        expected = np.array([arm.by_parameter(name, step, q[n], TOOL, wrench[n]) for n in range(len(q))])
+        for rows in (slice(0, 3), slice(3, 6)):
+            scale = np.abs(expected[:, rows]).max()
+            rounding = 1e-13 / step
+            np.testing.assert_allclose(
+                found[:, rows], expected[:, rows], rtol=0, atol=2e-3 * scale + rounding, err_msg=name
+            )
+
+
+def at_first_order(arm, q, tool, wrench):
+    """Displacement (3,) under a small load: J (C⁻¹ + U_c″)⁻¹ JᵀF with C the slopes of the springs at rest."""
+    tcp, _, bare = arm.loads(tool)
+    x = arm.held_by_motors(q)
+    rest = -bare(x) if arm.rigid or arm.in_gears else 0.0 * x
+    h = np.full(len(x), 1e-2)  # N·m, N
+    compliance = (arm.law(h, rest, h) - arm.law(-h, rest, -h)) / (2 * h)
+    second, step = arm.rows[1], 1e-4
+    at = x[second]
+    stiffer = np.zeros((len(x), len(x)))
+    stiffer[second, second] = (arm.compensator(at + step) - arm.compensator(at - step)) / (2 * step)
+    jacobian = tcp(x)[1]
+    theta = np.linalg.solve(np.eye(len(x)) + np.diag(compliance) @ stiffer, compliance * (jacobian.T @ wrench))
+    return jacobian[:3] @ theta
+
+
+@STATES
+@ARMS
+def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(seed, gravity):
+    model, arm, q, wrench = arms(seed, gravity)
+    names = all_names(model)
+    model = replace(model, covariance=robot.Covariance.of(names, np.eye(len(names))))
+    small = wrench * 1e-6  # torques of some mN·m: what gears that stiffen add to them is below the tolerance
+    found = elastostatics.sensitivity(model, q, TOOL, small)
+    order = [parameters.named(name) for name in names]
+    found = found @ parameters.file_slopes(order, {each: each.of(model) for each in order})  # by linear values
+    slope = np.zeros_like(found)
+    for column, name in enumerate(names):
+        step = step_of(name)
+        for n in range(len(q)):
+            one, other = (at_first_order(arm.changed(name, h), q[n], TOOL, small[n]) for h in (-step, step))
+            slope[n, :, column] = (other - one) / (2 * step)
+    usual = np.array([parameter.usual for parameter in order])
+    scale = np.abs(slope).max(axis=(0, 1))
+    felt = gravity.in_gears or gravity.reference == "rigid"
+    none = [name for name, size in zip(names, scale, strict=True) if size == 0.0 and "backlash" not in name]
+    assert none == ([] if felt else names[-3:])  # and backlash of gears that the weights press to one side
+    rounding = 1e-7 * (scale * usual).max() / usual
+    for column, name in enumerate(names):
+        atol = 2e-3 * scale[column] + rounding[column]
+        np.testing.assert_allclose(found[..., column], slope[..., column], rtol=0, atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize("gravity", [GRAVITIES[0], GRAVITIES[2]], ids=str)
+@pytest.mark.parametrize("row", range(3))
+def test_softness_is_how_far_a_unit_of_force_or_moment_along_an_axis_moves_the_tip_at_most(row, gravity):
+    model, arm, q, _ = arms(1, gravity)
+    q = q[row]
+
+    def away(load):
+        loaded, rest = (arm.equilibrium(q, TOOL, wrench)[1][:3, 3] for wrench in (load, np.zeros(6)))
+        return np.linalg.norm(loaded - rest)
+
+    by_force, by_moment = elastostatics.softness(model, q, TOOL)
+    moved = [away(unit) for unit in np.eye(6)]
+    assert by_force == pytest.approx(max(moved[:3]), rel=1e-3)
+    assert by_moment == pytest.approx(max(moved[3:]), rel=1e-2)
+
+
+def test_the_tip_that_the_solver_returns_is_that_of_the_deflections_it_returns():
+    model, _, q, wrench = arms(7, GRAVITIES[1])
+    x0, tool = elastostatics.spread(model, q.T), kinematics.components(TOOL)
+    theta, tip = elastostatics.solve_equilibrium(model, x0, tool, wrench.T)
+    reached = kinematics.posture(model.loaded, x0 + theta, tool).point
+    np.testing.assert_allclose(tip, reached, rtol=0, atol=1e-13)
+    again, _ = elastostatics.solve_equilibrium(model, x0, tool, wrench.T, guess=theta)
+    np.testing.assert_allclose(again, theta, rtol=0, atol=1e-9)
+    state = elastostatics.deflect(model, q, TOOL, wrench)
+    np.testing.assert_allclose(state.pose[:, :3, 3].T, tip, rtol=0, atol=1e-12)
+
+
+def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
+    model, _, q, wrench = arms(0, GRAVITIES[0])
+    heavy = wrench.copy()
+    heavy[1] *= 100.0
+    with pytest.raises(NotConvergedError, match="beyond what the springs hold") as found:
+        elastostatics.deflect(model, q, TOOL, heavy)
+    assert found.value.rows == (1,)
+    spoilt = wrench.copy()
+    spoilt[2, 4] = np.nan
+    with pytest.raises(NotConvergedError, match="not found") as found:
+        elastostatics.deflect(model, q, TOOL, spoilt)
+    assert found.value.rows == (2,)
+    x = elastostatics.spread(model, q.T)
+    load = np.zeros_like(x)
+    load[3, 1] = 1e6
+    with pytest.raises(NotConvergedError, match="beyond what the springs hold") as found:
+        elastostatics.springs_at(model, x, load, elastostatics.asked(model, x))
+    assert found.value.rows == (1,)
+    monkeypatch.setattr(elastostatics.equilibrium, "_MAX_ITERATIONS", 1)
+    still = wrench * [[1.0], [0.0], [1.0]]
+    model, _, q, _ = arms(0, GRAVITIES[0], payload=(0.0, (0.0, 0.0, 0.0)))
+    with pytest.raises(NotConvergedError, match="not found") as found:
+        elastostatics.deflect(model, q, TOOL, still)  # row 1 has no load: it does not move
+    assert found.value.rows == (0, 2)
+    load = np.zeros_like(x)
+    load[3, [0, 2]] = 500.0
+    with pytest.raises(NotConvergedError, match="not found") as found:
+        elastostatics.springs_at(model, x, load, elastostatics.asked(model, x))
+    assert found.value.rows == (0, 2)
+
+
+def test_targets_out_of_reach_or_at_singular_poses_are_named():
+    model, arm, q, wrench = arms(0, GRAVITIES[0])
+    target = np.array([arm.nominal(row, TOOL) for row in q])
+    target[1, :3, 3] += [0.0, 8.0, 0.0]
+    with pytest.raises(NotConvergedError, match="no command") as found:
+        compensation.compensate(model, target, q, TOOL, wrench)
+    assert found.value.rows == (1,)
+
+
+def test_a_singular_pose_has_no_step_and_others_have_theirs():
+    square = np.random.default_rng(3).normal(size=(6, 6, 3))
+    square[:, 2, 1] = 0.0
+    twist_of = np.ones((6, 3))
+    step = compensation._newton(square, twist_of)
+    assert np.isnan(step[:, 1]).all()
+    for row in (0, 2):
+        np.testing.assert_allclose(square[..., row] @ step[:, row], twist_of[:, row], rtol=1e-9)
+
+
+@pytest.mark.parametrize("row", range(6))
+def test_a_command_is_not_done_while_any_component_of_the_pose_is_off(row):
+    most = compensation._POSITION_TOLERANCE if row < 3 else compensation._ROTATION_TOLERANCE
+    left = np.zeros((6, 3))
+    left[row] = np.array([0.0, 0.999, 1.001]) * most
+    assert compensation._beyond(left).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(("seed", "most"), [(0, 4), (1, 4), (7, 4)])
+def test_commands_converge_in_a_few_steps_to_the_last_digits(seed, most, monkeypatch):
+    model, arm, q, wrench = arms(seed, GRAVITIES[1])
+    target, rounds, solve = np.array([arm.nominal(row, TOOL) for row in q]), [], compensation._newton
+    monkeypatch.setattr(compensation, "_newton", lambda *given: (rounds.append(1), solve(*given))[1])
+    found = compensation.compensate(model, target, q, TOOL, wrench)
+    assert len(rounds) <= most
+    x = elastostatics.spread(model, found.q.T) + found.theta.T
+    reached = kinematics.tcp(model.loaded, x.T, TOOL)[0]
+    np.testing.assert_allclose(reached, target, rtol=0, atol=2e-10)
+
+
+def length_95(covariance):
+    """Return what 95 % of normal vectors of a covariance are shorter than, by 400 000 of them."""
+    drawn = np.random.default_rng(5).multivariate_normal(np.zeros(3), covariance, 400_000)
+    return np.quantile(np.linalg.norm(drawn, axis=1), 0.95)
+
+
+def test_the_length_bound_is_the_quantile_of_lengths_whatever_the_shape_of_the_covariance():
+    turned = frames.rotation_from_vector(np.array([0.4, -1.0, 0.7]))
+    shapes = [turned @ np.diag(np.square(sizes)) @ turned.T for sizes in ([1, 1, 1], [3, 1, 0.2], [0, 2, 2], [0, 0, 5])]
+    found = elastostatics.uncertainty.length_bound(np.array([*shapes, np.zeros((3, 3))]))
+    np.testing.assert_allclose(found[:4], [length_95(shape) for shape in shapes], rtol=0.02)
+    assert found[4] == 0.0
+
+
+def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covariances():
+    model, _, q, wrench = arms(0, GRAVITIES[0])
+    rng = np.random.default_rng(8)
+    names = ["k1", "k2", "k5", "K_c", "A2.Y"]
+    factor = rng.normal(size=(5, 5)) * np.array([0.1, 0.3, 0.1, 5e4, 2e-3])[:, None]
+    spread = rng.normal(size=(3, 6, 4)) * 40.0
+    half = rng.normal(size=(3, 6, 6)) * 2e-4
+    series = half @ np.swapaxes(half, 1, 2)
+    off = robot.model.Discrepancy(np.array([300.0, 1500.0]), np.array([1e-4, 4e-4]))
+    nothing = robot.Covariance.of([], np.zeros((0, 0)))
+    some = robot.Covariance.of(names, factor @ factor.T)
+    bare = replace(model, covariance=nothing)
+    sources = {
+        "parameters": (replace(model, covariance=some), None, None),
+        "forces": (bare, spread, None),
+        "tool": (bare, spread, series),
+        "discrepancy": (replace(bare, discrepancy=off), None, None),
+        "geometry": (replace(bare, geometry_error=3e-4), None, None),
+    }
+    everything = (replace(model, covariance=some, discrepancy=off, geometry_error=3e-4), spread, series)
+    sensitivity = elastostatics.sensitivity(sources["parameters"][0], q, TOOL, wrench)
+    compliance = elastostatics.tangent_compliance(model, q, TOOL, wrench)[:, :3]
+    force = np.linalg.norm(wrench, axis=1)
+    isotropic = 2.7954835**-2 * np.eye(3)
+    by_parameters = np.einsum("nip,pr,njr->nij", sensitivity, factor @ factor.T, sensitivity)
+    by_force = [np.einsum("nif,nfm->nim", part, spread) for part in (compliance, compliance + series[:, :3])]
+    by_force = [np.einsum("nim,njm->nij", part, part) for part in by_force]
+    level = np.interp(force, [300.0, 1500.0], [1e-4, 4e-4]) * np.maximum(force / 1500.0, 1.0)
+    by_discrepancy, by_geometry = level[:, None, None] ** 2 * isotropic, 9e-8 * isotropic
+    expected = {
+        "parameters": by_parameters, "forces": by_force[0], "tool": by_force[1], "discrepancy": by_discrepancy,
+        "geometry": np.tile(by_geometry, (3, 1, 1)),
+    }  # fmt: skip
+    for name, source in sources.items():
+        found = elastostatics.position_bound(source[0], q, TOOL, wrench, *source[1:])
+        np.testing.assert_allclose(found, [length_95(one) for one in expected[name]], rtol=0.02, err_msg=name)
+    whole = by_parameters + by_force[1] + by_discrepancy + by_geometry
+    found = elastostatics.position_bound(everything[0], q, TOOL, wrench, *everything[1:])
+    np.testing.assert_allclose(found, [length_95(one) for one in whole], rtol=0.02)
+
+
+def test_sensitivity_without_parameters_is_empty_and_with_a_spring_that_is_none_an_error():
+    model, _, q, wrench = arms(0, GRAVITIES[0])
+    assert elastostatics.sensitivity(replace(model, covariance=None), q, TOOL, wrench).shape == (3, 3, 0)
+    slack = replace(
+        model, compensator=replace(model.compensator, stiffness=0.0), covariance=robot.Covariance.of(["s_0"], np.eye(1))
+    )
+    with pytest.raises(ModelError, match="no spring"):
+        elastostatics.sensitivity(slack, q, TOOL, wrench)
+
+
+def test_a_parameter_that_the_robot_does_not_have_is_an_error():
+    model, _, q, wrench = arms(0, GRAVITIES[0])
+    x = elastostatics.spread(model, q.T)
+    state = elastostatics.Balance.at(model, x, elastostatics.held(model, x), kinematics.components(TOOL), wrench.T)
+    for lacks, name in ((replace(state, robot=replace(model, compensator=None)), "K_c"), (state, "A4.X")):
+        with pytest.raises(ModelError, match="which the model does not have"):
+            elastostatics.moved_by(lacks, state.reach(), parameters.named(name), x)
