@@ -14,6 +14,7 @@ from postproc.chunks import chunks
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets
+from postproc.safe_text import one_line
 
 LINE_END = "\r\n"
 _DECIMALS = 6
@@ -44,8 +45,8 @@ class Words(Struct, frozen=True):
     encoding: str = "cp1252"
 
     def printable(self, text: str) -> str:
-        """Return a text that stands on one line and in the controller's code page."""
-        return " ".join(text.splitlines()).strip().encode(self.encoding, "replace").decode(self.encoding)
+        """Return a text as one line in the controller's code page."""
+        return one_line(text).encode(self.encoding, "replace").decode(self.encoding)
 
 
 class NewProgram:

@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from postproc_host import Block, Converted, HostError, convert
+from postproc_host.safe_text import one_line, string_content
 
 del sys.path[0]
 
 _CALL = re.compile(r"(\w+)\(\)$")
+_MOTION = re.compile(r"\s*(S?(PTP|LIN|CIRC)(_REL)?\b|SPLINE\b)", re.IGNORECASE)
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2", "E3", "E4", "E5", "E6")
 
 
@@ -75,7 +77,7 @@ class RobotPost:
         try:
             for name in _callees_first(self.programs):
                 blocks = [_calling(block, names) for block in self.programs[name]]
-                if any(re.match("(PTP|LIN|CIRC) ", block.text) for block in blocks):
+                if any(_MOTION.match(block.text) for block in blocks):
                     done = convert(blocks, target, name, "src", flags)
                     _compare_postures(done, self.joints[name])
                     files[name] = [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
@@ -123,12 +125,12 @@ class RobotPost:
 
     def setFrame(self, pose: Any, frame_id: int | None = None, frame_name: str | None = None) -> None:
         """Give the frame that targets are in, in the robot's."""
-        self._line(f"; frame {frame_name or frame_id}")
+        self._line(f"; frame {one_line(str(frame_name or frame_id))}")
         self._line(f"$BASE={{{_pose(pose)}}}", "setFrame")
 
     def setTool(self, pose: Any, tool_id: int | None = None, tool_name: str | None = None) -> None:
         """Give the tool's frame in the flange's."""
-        self._line(f"; tool {tool_name or tool_id}")
+        self._line(f"; tool {one_line(str(tool_name or tool_id))}")
         self._line(f"$TOOL={{{_pose(pose)}}}", "setTool")
 
     def Pause(self, time_ms: float) -> None:
@@ -159,11 +161,11 @@ class RobotPost:
 
     def setDO(self, io_var: str | int, io_value: Any) -> None:
         """Set a digital output."""
-        self._line(f"{_signal('OUT', io_var)}={_truth(io_value)}")
+        self._line(f"{_signal('OUT', io_var)}={_truth(io_value)}", "setDO")
 
     def setAO(self, io_var: str | int, io_value: float) -> None:
         """Set an analogue output."""
-        self._line(f"{_signal('ANOUT', io_var)}={io_value}")
+        self._line(f"{_signal('ANOUT', io_var)}={_operand(io_value)}", "setAO")
 
     def waitDI(self, io_var: str | int, io_value: Any, timeout_ms: float = -1) -> None:
         """Wait for a digital input."""
@@ -172,20 +174,20 @@ class RobotPost:
         self._line(f"WAIT FOR {_signal('IN', io_var)}=={_truth(io_value)}")
 
     def RunCode(self, code: str, is_function_call: bool = False) -> None:
-        """Call a program, or insert a line of KRL."""
+        """Call a program, or insert lines of KRL."""
         if not is_function_call:
-            self._line(code, "RunCode")
+            self._code(code, "RunCode")
             return
-        call = code.strip().replace(" ", "_")
+        call = one_line(code).replace(" ", "_")
         self._line(call if call.endswith(")") else f"{call}()", "RunCode")
 
     def RunMessage(self, message: str, iscomment: bool = False) -> None:
         """Show a message, or insert a comment."""
-        self._line(f"; {message}" if iscomment else f'MsgNotify("{message[:80]}")')
+        self._line(f"; {one_line(message)}" if iscomment else f'MsgNotify("{string_content(message)}")')
 
     def addline(self, newline: str) -> None:
-        """Insert a line of KRL."""
-        self._line(newline, "addline")
+        """Insert lines of KRL."""
+        self._code(newline, "addline")
 
     def addlog(self, newline: str) -> None:
         """Note what the user should know."""
@@ -193,6 +195,10 @@ class RobotPost:
 
     def _end(self) -> str:
         return " C_DIS" if self.blended else ""
+
+    def _code(self, text: str, called: str) -> None:
+        for line in re.split("[\r\n]+", text.strip("\r\n")):
+            self._line(line, called)
 
     def _line(self, text: str, called: str = "", joints: Any = ()) -> None:
         lines = self.programs[self.name]
@@ -284,11 +290,22 @@ def _rounded(joints: list[float]) -> str:
 
 def _signal(kind: str, signal: str | int) -> str:
     text = str(signal).strip()
-    return f"${kind}[{text}]" if text.isdigit() else text
+    return f"${kind}[{text}]" if text.isdigit() else _operand(text)
 
 
 def _truth(value: Any) -> str:
-    return value if isinstance(value, str) else "TRUE" if value else "FALSE"
+    return _operand(value) if isinstance(value, str) else "TRUE" if value else "FALSE"
+
+
+def _operand(value: Any) -> str:
+    """Return a number, or the name of a KRL variable or signal.
+
+    :raises HostError: it is neither.
+    """
+    text = str(value).strip()
+    if not re.fullmatch(r"[\w$.+-]+(\[\d+\])?", text, re.ASCII):
+        raise HostError(f"{text!r} is neither a number nor the name of a signal: correct it in the station.")
+    return text
 
 
 def _cell(folder: Path) -> Path:

@@ -13,6 +13,8 @@ from pathlib import Path
 from postproc.errors import InputError
 
 _SHARED = "postproc_host"
+_COPIED = "safe_text.py"
+"""Module of the package that the posts use too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +89,12 @@ def install_post(name: str, folder: Path | None = None) -> list[Path]:
     target = _folder(host, folder)
     here = Path(__file__).parent
     shared = target / _SHARED
-    files = [target / host.post, shared / "__init__.py", shared / "command.json"]
+    files = [target / host.post, shared / "__init__.py", shared / "command.json", shared / _COPIED]
     try:
         shared.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(here / host.post, files[0])
         shutil.copyfile(here / _SHARED / "__init__.py", files[1])
+        shutil.copyfile(here.parent / _COPIED, files[3])
         content = {"command": _command(target)}
         files[2].write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as cause:
@@ -112,7 +115,7 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     others = [target / other.post for other in HOSTS.values() if other is not host]
     files = [target / host.post]
     if not any(path.is_file() for path in others):
-        files += [target / _SHARED / "__init__.py", target / _SHARED / "command.json"]
+        files += [target / _SHARED / name for name in ("__init__.py", "command.json", _COPIED)]
     removed = [path for path in files if path.is_file()]
     try:
         for path in removed:

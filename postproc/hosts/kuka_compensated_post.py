@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from postproc_host import Block, HostError, convert
+from postproc_host.safe_text import one_line
 
 del sys.path[0]
 
@@ -180,7 +181,7 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
         )
         if held is not None:
             controllers[int(held.ToolNumber)] = held
-    text = [f"# {job.Label}: as the job states it", "[material]", f"name = {json.dumps(material)}", ""]
+    text = [f"# {one_line(job.Label)}: as the job states it", "[material]", f"name = {json.dumps(material)}", ""]
     for number, controller in sorted(controllers.items()):
         text += [f"[tools.{number}]  # {_comment(controller.Label)}", *_tool(controller), ""]
     stock = getattr(getattr(job, "Stock", None), "Shape", None)
@@ -265,7 +266,7 @@ def _coolant(item: Any) -> str:
 
 
 def _comment(text: str) -> str:
-    return re.sub("[()\n\r]", " ", text)
+    return re.sub("[()]", " ", one_line(text))
 
 
 def _block(command: Any) -> str:

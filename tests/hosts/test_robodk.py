@@ -236,3 +236,52 @@ def test_posts_are_removed_and_what_they_share_with_the_last(tmp_path):
     assert remove_post("freecad", tmp_path) == []
     remove_post("robodk", tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+NASTY = 'pocket\nLIN {X 500,Y 0,Z 0,A 0,B 0,C 0}\r$VEL.CP=2.0 "}\x1a'
+
+
+def test_texts_of_the_station_never_become_statements(post, tmp_path):
+    post.ProgStart(f"Pocket {NASTY}")
+    post.setFrame(_pose(1500, -200, 700, 0, 0, 0), 3, f"F {NASTY}")
+    post.setTool(_pose(0, 0, 350, 0, 0, 0), 2, f"T {NASTY}")
+    post.setSpeed(200.0)
+    post.setZoneData(0.2)
+    post.MoveJ(None, START, None)
+    post.RunMessage(NASTY, True)
+    post.RunMessage(NASTY)
+    _mill(post, 3)
+    post.ProgFinish("x")
+    post.ProgSave(str(tmp_path), "x")
+    (program,) = tmp_path.glob("*.src")
+    lines = program.read_text().splitlines()
+    assert not [line for line in lines if line.lstrip().upper().startswith(("LIN {X 500", "$VEL.CP=2"))]
+    message = [line for line in lines if line.startswith("MsgNotify")]
+    assert message == ['MsgNotify("pocket LIN (X 500,Y 0,Z 0,A 0,B 0,C 0) $VEL.CP=2.0 \')")']
+    told = 'pocket LIN {X 500,Y 0,Z 0,A 0,B 0,C 0} $VEL.CP=2.0 "}'
+    assert {f"; frame F {told}", f"; tool T {told}", f"; {told}"} <= set(lines)
+
+
+@pytest.mark.parametrize("signal", ["1\nLIN {X 500}", "DOOR OPEN", "$OUT[1]=TRUE $OUT[2]", ""])
+def test_a_signal_that_is_no_name_is_refused(post, signal):
+    _begin(post)
+    with pytest.raises(Exception, match="neither a number nor the name of a signal"):
+        post.setDO(signal, 1)
+    with pytest.raises(Exception, match="neither a number nor the name of a signal"):
+        post.setAO(5, signal)
+
+
+def test_code_of_several_lines_is_several_lines_of_the_program(post):
+    _begin(post)
+    before = len(post.programs[post.name])
+    post.addline("$OUT[1]=TRUE\r\n$OUT[2]=FALSE\n")
+    assert [block.text for block in post.programs[post.name][before:]] == ["$OUT[1]=TRUE", "$OUT[2]=FALSE"]
+
+
+def test_a_program_whose_only_motion_is_inserted_code_is_corrected_too(post, tmp_path):
+    _begin(post, "Own")
+    post.programs["Own"] = [block for block in post.programs["Own"] if not block.text.startswith("PTP")]
+    post.RunCode("ptp {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}")
+    post.ProgFinish("Own")
+    post.ProgSave(str(tmp_path), "Own")
+    assert (tmp_path / "Own.report.json").is_file()
