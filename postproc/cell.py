@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -131,11 +132,14 @@ class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     :param initmov: what BAS(#INITMOV,0) gives a program that sets no frames: those of the ``"cell"``, or KUKA's
         (``"bas"``): BASE(0) and TOOL_DATA[1]. None: the cell's, with a warning.
     :param keep_unresolved: leave motions as they are whose targets, or whether they run, only the running robot knows.
+    :param values: values that are not known before the program runs, by name: inputs, parameters of the main program,
+        variables.
     """
 
     search: list[str] = []
     initmov: Literal["cell", "bas"] | None = None
     keep_unresolved: bool = False
+    values: dict[str, bool | int | float] = {}
 
 
 class ExternalAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -207,6 +211,8 @@ class Cell(CellFile, frozen=True):
         return orientation
 
 
+_VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
+_LARGEST_VALUE = 2**31 - 1
 _EXAMPLE = """The least that a cell needs, for example:
 
 robot = "kuka_kr270"                    # a robot that `postproc robots` lists, or the path of a model folder
@@ -242,6 +248,10 @@ def load(path: str | Path) -> Cell:
     for key in cell.m_codes:
         if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
             raise CellError(f"[m_codes] {key}", file=str(path), advice="Valid names: M10, M111 …")
+    for key, value in cell.krl.values.items():
+        if not _VARIABLE.fullmatch(key) or abs(value) > _LARGEST_VALUE:
+            advice = 'Give numbers or true and false for names and elements: lnActSt = 1, "$IN[5]" = false.'
+            raise CellError(f"[krl.values] {key} = {value}", file=str(path), advice=advice)
     for key, axis in cell.external_axes.items():
         if key != "E1":
             raise CellError(f"[external_axes.{key}]", file=str(path), advice="Only E1 may carry the robot.")

@@ -39,7 +39,7 @@ def word_at(text: str, start: int, stop: int) -> str:
 def declares(text: str, start: int, stop: int) -> bool:
     """Return whether a statement is a declaration of variables."""
     word = word_at(text, start, stop)
-    if word == "DECL" or word in TYPES:
+    if word in ("DECL", "CONST") or word in TYPES:
         return True
     return word not in RESERVED and _UNDECLARED.match(text, start, stop) is not None
 

@@ -18,8 +18,8 @@ from postproc.program import PTP, SPL, Carriage, Ints, Motions
 _APART = 1e-6
 """Ends of branches closer than this [m, rad] are one."""
 _ADVICE = (
-    "Branches whose condition is not known are corrected if they meet in one pose. Let them, or leave them as they are "
-    "by --keep-unresolved."
+    "Branches whose condition is not known are corrected if they meet in one pose. Let them, say in "
+    "[krl.values] of the cell what the condition asks, or leave them as they are by --keep-unresolved."
 )
 
 

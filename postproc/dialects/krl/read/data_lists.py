@@ -104,6 +104,8 @@ def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
         variables.types[name] = one.kind
         if one.public:
             variables.public.add(name)
+        if name not in variables.initial:
+            variables.take_given(name)  # what its type makes of it
     indices = [part.strip() for part in (one.bounds or "").strip("[] \t").split(",")]
     if not all(_INDEX.fullmatch(index) for index in indices):
         return name

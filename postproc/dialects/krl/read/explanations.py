@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 from postproc.dialects.krl.language.brackets import split
-from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.expressions import operand, parse
+from postproc.dialects.krl.language.names import RESERVED
+from postproc.dialects.krl.language.occurrences import occurrences
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import Call, Chain, Opaque, Operation, Reference, Value
-from postproc.dialects.krl.read.known import Known, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.variables import Variables
+
+
+def without_value(variables: Variables, source: Source, start: int, stop: int) -> list[str]:
+    """Return the variables in a piece of code that have no value: the cell can give them one."""
+    found: dict[str, None] = {}
+    for one in occurrences(source.text, start, stop):
+        if one.called or one.name in RESERVED or one.name in ("TRUE", "FALSE"):
+            continue
+        value, _ = operand(source, one.start, stop)
+        key = variables.key_of(source, value) if isinstance(value, Reference) and value.field is None else None
+        if key is not None and "@" not in key and variables.value(key) in (None, NOTHING):
+            found[source.text[value.start : value.stop] if isinstance(value, Reference) else ""] = None
+    return list(found)
 
 
 def why_unknown(variables: Variables, source: Source, value: Value | Known) -> str:
@@ -41,5 +56,5 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
         if isinstance(known, Unknown) and known.where:
             return f"{text} is changed while the program runs ({known.where})"
         if isinstance(known, Unknown):
-            return f"{text} has no value in the program, its .dat or the $config.dat"
+            return f"{text} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
     return f"{text} is not what is needed here"

@@ -18,6 +18,7 @@ from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, cal
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.conditions import chosen, truth
+from postproc.dialects.krl.read.explanations import without_value
 from postproc.dialects.krl.read.inexact import InexactError, inexact
 from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
 from postproc.dialects.krl.read.run import Run
@@ -441,9 +442,10 @@ class Flow:
         word = word_at(at.source.text, *at.source.code_span(at.line))
         asked = [call.spelt(at.source) for call in calls(at.source, *at.source.code_span(at.line))]
         why = f": it asks {asked[0]}()" if asked else ""
-        return inexact(
-            at, f"motion inside {word}: its condition is not known before the program runs{why}", LOOP_ADVICE
-        )
+        names = without_value(self.run.variables, at.source, *at.source.code_span(at.line))
+        given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
+        problem = f"motion inside {word}: its condition is not known before the program runs{why}"
+        return inexact(at, problem, LOOP_ADVICE + given)
 
 
 class _Counter:

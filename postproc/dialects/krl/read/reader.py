@@ -112,7 +112,8 @@ class _Reading(Struct, frozen=True, eq=False):
         library, entry, cell = self.library, self.entry, self.cell
         start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
         settings = self._settings()
-        course = course_of(library, entry, self._settings(), MotionReader(settings, start), elsewhere)
+        before = self._settings()
+        course = course_of(library, entry, before, MotionReader(settings, start), elsewhere)
         if not course.straight:
             plain = plain_of(course.source, bulk=bulk)
         source = course.source
@@ -168,6 +169,10 @@ class _Reading(Struct, frozen=True, eq=False):
             )
             line = int(source.shown(np.array([moves.home_used]))[0])
             issues.append(Issue("info", "home-from-cell", message, line))
+        if relied := settings.variables.relied | before.variables.relied:
+            values = ", ".join(f"{name} = {value}" for name, value in cell.krl.values.items() if name.upper() in relied)
+            message = f"Values of [krl.values] in the cell: {values}. What is written holds for these alone."
+            issues.append(Issue("warning", "values-from-cell", message))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
         check_meetings(course, meetings, motions, layout.carriage, frames, self.forward(cell.start_joints))
         own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
@@ -208,6 +213,7 @@ class _Reading(Struct, frozen=True, eq=False):
         program = self.documents[0]
         own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
         read_shared(variables, self.code, own, self.library.files)
+        variables.take_given()
         return Settings(variables, self.cell)
 
 

@@ -13,7 +13,9 @@ from postproc.dialects.krl.read.folder_files import FolderFiles
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
 
-GLOBAL_VARIABLE = re.compile(rb"^[ \t]*(?:DECL[ \t]+GLOBAL|GLOBAL[ \t]+DECL|GLOBAL)[ \t]+\w+[ \t]+(\w+)", re.I | re.M)
+GLOBAL_VARIABLE = re.compile(
+    rb"^[ \t]*(?:(?:DECL|CONST)[ \t]+)*GLOBAL[ \t]+(?:(?:DECL|CONST)[ \t]+)*\w+[ \t]+(\w+)", re.I | re.M
+)
 
 
 def read_shared(variables: Variables, code: str, own: Collection[str], files: FolderFiles) -> None:

@@ -58,6 +58,8 @@ class Variables:
     :ivar changing: names that may change at any time, and what changes them.
     :ivar used: names that a motion, a frame or a speed depends on.
     :ivar changed: names that the program gives another value, and where first.
+    :ivar given: values that the cell gives, by key.
+    :ivar relied: keys of these that were asked for.
     :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
     """
 
@@ -73,12 +75,21 @@ class Variables:
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
         self.initial = {"BASE_DATA", "TOOL_DATA"}
+        self.given = {key.upper(): _from_cell(value) for key, value in cell.krl.values.items()}
+        self.relied: set[str] = set()
         for number, base in cell.base_data.items():
             self.put(f"BASE_DATA[{int(number)}]", from_pose(base.pose()))
         for number, tool in cell.tool_data.items():
             self.put(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()))
         for name in ("$NULLFRAME", "$WORLD", "$ROBROOT", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, _ZERO)
+
+    def take_given(self, name: str = "") -> None:
+        """Give variables the values that the cell has for them; with a name but this one and its elements."""
+        for key, value in self.given.items():
+            root = key.partition("[")[0]
+            if not name or name == root:
+                self.put(key, converted(value, self.types.get(root, "")))
 
     def put(self, key: str, value: Known | Unread) -> None:
         """Give a variable its first value."""
@@ -188,6 +199,8 @@ class Variables:
         later.scope, later.changing, later.used, later.changed = Scope(), {}, set(), {}
         for name in self.initial & self.changing.keys():
             later.forget(name, self.changing[name].where)
+        for name in {key.partition("[")[0] for key in self.given} - self.initial:
+            later.take_given(name)
         later.changed = {}
         return later
 
@@ -201,6 +214,8 @@ class Variables:
         """Return the value of a variable or an element, None where it has none."""
         if self.changing and (name := key.partition("[")[0]) in self.changing:
             return self.changing[name]
+        if key in self.given:
+            self.relied.add(key)
         value = self._values.get(key)
         if isinstance(value, Unread):
             parsed, _ = parse(value.source, value.start, value.stop)
@@ -370,6 +385,12 @@ class Variables:
         """Refuse a name that is longer than the controller accepts."""
         if len(reference.name) > MAX_LENGTH:
             raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
+
+
+def _from_cell(value: float) -> Number | Word:
+    if isinstance(value, bool):
+        return Word(str(value).upper(), 0, 0)
+    return Number(float(value), 0, 0, isinstance(value, int))
 
 
 def converted(value: Known, kind: str) -> Known:
