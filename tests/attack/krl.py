@@ -69,10 +69,14 @@ def executed(files, seed, program):
     controller.numbers = None
     followed = [(r.source.document.name, r.first, r.last) for r in program.layout.course.inlined]
     motions = controller.run("PART")
+
+    def is_followed(file, line):
+        return file == "part.src" or any(f == file and a < line < b for f, a, b in followed)
+
     return [
         motion
         for motion in motions
-        if motion.file == "part.src" or any(f == motion.file and a < motion.line < b for f, a, b in followed)
+        if all(is_followed(*place) for place in (*motion.callers, (motion.file, motion.line)))
     ]
 
 

@@ -26,6 +26,8 @@ DECL GLOBAL INT IG=1
 DECL REAL V=0.125
 DECL REAL W=2.5
 DECL BOOL OK=TRUE
+STRUC PT INT N,REAL R
+DECL PT SX={N 1,R 2.5}
 ENDDAT
 """
 OTHER_DATA = """DEFDAT other
@@ -39,7 +41,7 @@ ENDDAT
 @dataclass
 class Routine:
     name: str
-    function: bool = False
+    function: str = ""
     parameters: list = field(default_factory=list)
     local: list = field(default_factory=list)
     file: str = "part"
@@ -51,7 +53,7 @@ class Generator:
     def __init__(self, rng):
         self.rng = rng
         self.files = {}
-        names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN"][: int(rng.integers(0, 7))]
+        names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN", "POINT", "LIB2"][: int(rng.integers(0, 9))]
         self.routines = [self.routine(name) for name in names]
         self.here = None
         self.wild = rng.random()
@@ -63,7 +65,8 @@ class Generator:
         parameters = [(n, kind, rng.choice(["IN", "OUT", ""])) for n, kind in kinds if rng.random() < 0.3]
         local = [one for one in (("XP2", "E6POS"), ("I", "INT"), ("W", "REAL")) if rng.random() < 0.12]
         file = str(rng.choice(["other", "lib/shared"])) if name.startswith("LIB") else "part"
-        return Routine(name, "FN" in name or name == "NEXT", parameters, local, file)
+        result = self.one("INT", "INT", "REAL") if "FN" in name or name == "NEXT" else ""
+        return Routine(name, "E6POS" if name == "POINT" else result, parameters, local, file)
 
     def one(self, *options):
         return options[int(self.rng.integers(len(options)))]
@@ -86,6 +89,8 @@ class Generator:
         choice = int(self.rng.integers(8 if depth < 2 else 4))
         if choice < 3:
             return str(int(self.rng.integers(1, 4)))
+        if choice == 5 and self.maybe(0.2) and self.in_part():
+            return "SX.N"
         if choice < 6:
             return self.one(*self.names("INT"))
         sign = self.one("+", "-", "*", "/") if self.maybe(0.3) else self.one("+", "-")
@@ -119,8 +124,12 @@ class Generator:
                 items.append(f"{name} {self.rng.uniform(-90, 90):.3f}")
         return "{" + ",".join(items or ["X 1"]) + "}"
 
+    def in_part(self):
+        return self.here is None or self.here.file == "part"
+
     def element(self):
-        return f"P[{self.integer(1)}]" if self.here is None or self.here.file == "part" else "XG1"
+        index = self.one(*self.names("INT")) if self.maybe(0.4) else self.integer(1)
+        return f"P[{index}]" if self.in_part() else "XG1"
 
     def point(self):
         return self.element() if self.maybe(0.25) else self.one(*self.names("E6POS"))
@@ -130,6 +139,8 @@ class Generator:
         choice = int(self.rng.integers(6))
         if choice < 2 and names:
             return self.one(*names)
+        if choice == 2 and self.maybe(0.05):
+            return self.aggregate(full=False)
         if choice == 2:
             return f"BASE_DATA[{self.integer(1) if self.maybe(0.4) else self.one('1', '2', '3')}]"
         if choice == 3 and names:
@@ -138,7 +149,9 @@ class Generator:
 
     def argument(self, kind):
         if kind == "E6POS":
-            return self.point()
+            return self.element() if self.maybe(0.3) else self.point()
+        if self.maybe(0.1):
+            kind = {"INT": "REAL", "REAL": "INT"}[kind]
         if self.maybe(0.6):
             return self.one(*self.names(kind))
         return self.integer() if kind == "INT" else self.real()
@@ -149,14 +162,15 @@ class Generator:
 
     def callable(self, function):
         """Routines that the present one sees: those of its file, and of others those that are public."""
-        return [r for r in self.routines if r.function == function and self.sees(r)]
+        kinds = {"": ("",), "number": ("INT", "REAL"), "point": ("E6POS",)}[function]
+        return [r for r in self.routines if r.function in kinds and self.sees(r)]
 
     def sees(self, routine):
         here = "part" if self.here is None else self.here.file
         return routine.file in (here, "other", "lib/shared") and (routine.file != "part" or here == "part")
 
     def function_call(self):
-        found = self.callable(True)
+        found = self.callable("number")
         if found and self.maybe(0.9):
             return self.call(self.one(*found))
         return f"GONE({self.argument('E6POS')})" if self.maybe(0.5) else ""
@@ -179,6 +193,10 @@ class Generator:
 
     def assignment(self):
         choice = int(self.rng.integers(11))
+        if choice == 0 and self.maybe(0.1) and self.in_part():
+            return f"SX.{self.one('N', 'R')}={self.one(self.integer(), self.real())}"
+        if choice == 1 and (found := self.callable("point")):
+            return f"{self.element() if self.maybe(0.5) else self.point()}={self.call(self.one(*found))}"
         if choice == 0:
             return f"{self.point()}={self.aggregate()}"
         if choice == 1:
@@ -215,7 +233,7 @@ class Generator:
         )
 
     def calling(self):
-        found = self.callable(False)
+        found = self.callable("")
         if found and self.maybe(0.9):
             return self.call(self.one(*found))
         return self.one("GONE2()", f"GONE3({self.point()})", f"GONE4({self.one(*self.names('INT'))})", 'MSG("a;b")')
@@ -294,7 +312,7 @@ class Generator:
         self.here = routine
         parameters = ",".join(name + (f":{way}" if way else "") for name, _, way in routine.parameters)
         public = "GLOBAL " if routine.file == "lib/shared" or self.maybe(0.2) else ""
-        head = f"{public}DEFFCT INT {routine.name}({parameters})" if routine.function else None
+        head = f"{public}DEFFCT {routine.function} {routine.name}({parameters})" if routine.function else None
         lines = [head or f"{public}DEF {routine.name}({parameters})"]
         lines += [f"DECL {kind} {name}" for name, kind, *_ in (*routine.parameters, *routine.local)]
         for name, kind, *_ in routine.local:
@@ -302,11 +320,13 @@ class Generator:
         for _ in range(int(self.rng.integers(1, 5))):
             lines += self.statement()
         if self.maybe(0.08):
-            lines += ["IF $IN[3] THEN", "RETURN" + (" (1)" if routine.function else ""), "ENDIF", self.assignment()]
+            result = "" if not routine.function else " XG1" if routine.function == "E6POS" else " (1)"
+            lines += ["IF $IN[3] THEN", f"RETURN{result}", "ENDIF", self.assignment()]
         if self.maybe(0.04 if routine.function or not self.moving else 0.5):
             lines.append(self.motion())
         if routine.function:
-            lines.append(f"RETURN ({self.integer()})")
+            given = self.real() if self.maybe(0.15) else self.integer()
+            lines.append(f"RETURN {self.point()}" if routine.function == "E6POS" else f"RETURN ({given})")
         self.here = None
         return [*lines, "ENDFCT" if routine.function else "END"]
 

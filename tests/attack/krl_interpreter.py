@@ -91,6 +91,7 @@ class Choices:
 class Variable:
     kind: str = ""
     value: object = None
+    members: dict = field(default_factory=dict)
 
 
 @dataclass
@@ -112,7 +113,10 @@ class Place:
 
     def set(self, new):
         new = copy.deepcopy(new)
+        members = self.variable.members
         if not self.path:
+            if isinstance(new, dict) and members:
+                new = {name: fitting(members.get(name, ""), item) for name, item in new.items()}
             self.variable.value = fitting(self.variable.kind, new)
             return
         if not isinstance(self.variable.value, dict):
@@ -121,7 +125,7 @@ class Place:
         for step in self.path[:-1]:
             value = value.setdefault(step, {})
         last = self.path[-1]
-        kind = self.variable.kind if isinstance(last, int) else "REAL" if last in CARTESIAN else ""
+        kind = self.variable.kind if isinstance(last, int) else "REAL" if last in CARTESIAN else members.get(last, "")
         value[last] = fitting(kind, new)
 
 
@@ -141,6 +145,7 @@ class Routine:
     parameters: list
     body: list
     public: bool
+    result: str = ""
 
 
 @dataclass
@@ -216,7 +221,7 @@ class Controller:
         self.rng, self.cell, self.choices, self.force = rng, (base, tool), choices, ""
         self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
         self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
-        self.modules, self.motions, self.submit = {}, [], []
+        self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
         self.stood = base, tool
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
@@ -246,6 +251,9 @@ class Controller:
         public = False
         while reader.peek() in ("DECL", "GLOBAL", "CONST"):
             public |= reader.take() == "GLOBAL"
+        if reader.peek() == "STRUC":
+            self.structure_type(reader)
+            return
         kind = ""
         if len(reader.tokens) > reader.at + 1 and reader.tokens[reader.at + 1][0] == "name":
             kind = reader.take()
@@ -258,15 +266,36 @@ class Controller:
             table = self.shared if public else variables
             variable = table.get(name) or (variables.get(name) or self.shared.get(name) if not kind else None)
             if variable is None or (kind and not public and name not in variables):
-                variable = table[name] = Variable(kind)
+                variable = table[name] = Variable(kind, None, self.structures.get(kind, {}))
             if isinstance(variable, Variable) and kind and not variable.kind:
                 variable.kind, variable.value = kind, fitting(kind, variable.value)
+            if isinstance(variable, Place) and kind in ("INT", "REAL"):
+                self.convert_argument(variable, kind)
             if reader.peek() == "=":
                 reader.take()
                 Place(variable, [] if index is None else [int(index)]).set(self.expression(reader))
             if reader.peek() != ",":
                 return
             reader.take()
+
+    def structure_type(self, reader):
+        """STRUC name type member, member, type member …"""
+        reader.take("STRUC")
+        members, kind = self.structures.setdefault(reader.take(), {}), ""
+        while reader.kind():
+            first = reader.take()
+            if reader.kind() == "name":
+                kind, first = first, reader.take()
+            members[first] = kind
+            if reader.kind():
+                reader.take(",")
+
+    def convert_argument(self, place, kind):
+        """What happens to a variable of another type that is given by reference is not documented."""
+        value = place.get()
+        other = isinstance(value, int | float) and not isinstance(value, bool) and fitting(kind, value) != value
+        if other and self.rng is not None and self.rng.random() < 0.5:
+            place.set(fitting(kind, value))
 
     def source(self, module, file, text):
         routine, stack = None, []
@@ -277,13 +306,14 @@ class Controller:
                 word, line = "FORCE", found[1].strip()
             elif found := LABEL.match(line):
                 word, line = "LABEL", found[1].upper()
-            head = re.match(r"(?i)(GLOBAL\s+)?DEF(?:FCT\s+\w+)?\s+(\w+)\s*\(([^)]*)\)", line)
+            head = re.match(r"(?i)(GLOBAL\s+)?DEF(?:FCT\s+(\w+))?\s+(\w+)\s*\(([^)]*)\)", line)
             if head:
                 parameters = []
-                for part in filter(None, map(str.strip, head[3].split(","))):
+                for part in filter(None, map(str.strip, head[4].split(","))):
                     name, _, way = part.partition(":")
                     parameters.append((name.strip().upper(), way.strip().upper() == "IN"))
-                routine = Routine(module, head[2].upper(), parameters, [], bool(head[1]))
+                result = (head[2] or "").upper()
+                routine = Routine(module, head[3].upper(), parameters, [], bool(head[1]), result)
                 module.routines[routine.name] = routine
                 stack = [routine.body]
             elif word in ("END", "ENDFCT"):
@@ -487,7 +517,19 @@ class Controller:
             return
         place = self.place(reader)
         reader.take("=")
-        place.set(self.expression(reader))
+        value = self.expression(reader)
+        if self.rng is not None and self.rng.random() < 0.5:  # when the index is evaluated is not documented
+            place = self.place(Reader(line))
+        place.set(value)
+
+    def complete(self, value):
+        """A frame with what the controller takes for components that are not given: nobody knows what that is."""
+        if not isinstance(value, dict):
+            raise Invalid("not a frame")
+        missing = [name for name in CARTESIAN if name not in value]
+        if missing and self.rng is None:
+            raise Invalid("components are missing")
+        return value | {name: float(self.rng.uniform(-9, 9)) for name in missing}
 
     def system(self, reader):
         name, part = reader.take(), None
@@ -501,7 +543,7 @@ class Controller:
         reader.take("=")
         value = self.expression(reader)
         if name in ("$BASE", "$TOOL"):
-            frame = pose(value) if part is None else None
+            frame = pose(self.complete(value)) if part is None else None
             if part is not None:
                 old = components(self.base if name == "$BASE" else self.tool)
                 old[part] = float(value)
@@ -531,7 +573,7 @@ class Controller:
             data = self.shared[f"{command[1:]}_DATA"].value
             if int(value) not in data:
                 raise Invalid("no such frame")
-            setattr(self, command[1:].lower(), pose(data[int(value)]))
+            setattr(self, command[1:].lower(), pose(self.complete(data[int(value)])))
         else:
             raise Invalid(command)
 
@@ -603,7 +645,7 @@ class Controller:
         try:
             self.block(routine.body)
         except _Return as result:
-            return result.args[0]
+            return fitting(routine.result, result.args[0])
         finally:
             self.frames.pop()
             self.callers.pop()
@@ -695,13 +737,22 @@ class Controller:
     def sign(self, reader):
         if reader.peek() in ("+", "-"):
             return self.sign(reader) if reader.take() == "+" else -self.sign(reader)
-        value = self.primary(reader)
+        value = self.operand(reader)
         while reader.peek() == ":":
             reader.take()
-            other = self.primary(reader)
+            other = self.operand(reader)
             last = {name: other[name] for name in ("S", "T") if name in other}
             value = components(pose(value) @ pose(other)) | last
         return value
+
+    def operand(self, reader):
+        """A value; of a chain of frames, variables must have all components."""
+        named = reader.kind() == "name"
+        value = self.primary(reader)
+        chained = reader.peek() == ":" or (
+            reader.at > 1 and any(token == ":" for _, token in reader.tokens[: reader.at])
+        )
+        return self.complete(value) if named and chained and isinstance(value, dict) and "A1" not in value else value
 
     def primary(self, reader):
         kind, token = reader.kind(), reader.peek()
