@@ -117,10 +117,11 @@ def rotation_vector(rotation: Array) -> Array:
     )
     small = 0.5 * small  # sin(angle)·axis
     square = np.einsum("...i,...i->...", small, small)
+    # near half a turn about a unit axis a the diagonal is 2a² − 1: two entries above ½ are those of a small turn
     if (
         square.max(initial=0.0) < _SMALL_SINE**2
-        and (rotation[..., 0, 0] > 0.0).all()
-        and (rotation[..., 1, 1] > 0.0).all()
+        and (rotation[..., 0, 0] > 0.5).all()
+        and (rotation[..., 1, 1] > 0.5).all()
     ):
         return np.asarray(small * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))[..., None])  # asin(s)/s
     sine = np.sqrt(square)

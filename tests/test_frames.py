@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from postproc import frames
 
@@ -78,3 +78,124 @@ def test_angle_between_rotations_is_that_of_the_rotation_from_one_to_the_other(s
     one = frames.rotation_from_vector(np.array([[0.3, -1.0, 0.8]]))
     other = frames.rotation_from_vector(size * axis) @ one
     assert frames.angle_between(one, other) == pytest.approx(size, rel=1e-3 if size < 1e-9 else 1e-8, abs=1e-15)
+
+
+def random_poses(count, seed=3):
+    rng = np.random.default_rng(seed)
+    pose = np.tile(np.eye(4), (count, 1, 1))
+    pose[:, :3, :3] = Rotation.random(count, random_state=seed).as_matrix()
+    pose[:, :3, 3] = rng.normal(size=(count, 3))
+    return pose
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 4.9e-3, 5.1e-3, 9e-3, 1.0])
+def test_rotations_about_an_axis_of_the_frame_are_sine_and_cosine_to_the_last_digit(size):
+    for axis in range(3):
+        vector = size * np.eye(3)[axis]
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        rotation = frames.rotation_from_vector(vector)
+        assert rotation[k, j] == pytest.approx(np.sin(size), rel=4e-16)
+        assert rotation[j, k] == pytest.approx(-np.sin(size), rel=4e-16)
+        np.testing.assert_allclose(rotation[[axis, j, k], [axis, j, k]], [1, np.cos(size), np.cos(size)], atol=2e-16)
+        np.testing.assert_allclose(frames.rotation_vector(rotation), vector, rtol=1e-15, atol=1e-16)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 0.2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rotation_vectors_near_half_a_turn_are_exact_whatever_the_axis(off, sign):
+    axes = np.concatenate([np.eye(3), np.random.default_rng(4).normal(size=(30, 3)), [[1, 1, 0], [-1, 0, 2]]])
+    axes = sign * axes / np.linalg.norm(axes, axis=1)[:, None]
+    vector = (np.pi - off) * axes
+    rotation = Rotation.from_rotvec(vector).as_matrix()
+    found = frames.rotation_vector(rotation)
+    assert np.abs(frames.norm(found) - (np.pi - off)).max() < 1e-14
+    np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), rotation, rtol=0, atol=2e-15)
+    if off >= 1e-12:
+        np.testing.assert_allclose(found, vector, rtol=0, atol=1e-14)
+    else:  # both signs mean the same: the largest entry is positive
+        assert (found[np.arange(len(found)), np.abs(found).argmax(axis=1)] > 0.0).all() or off == 0.0
+    one = np.array([frames.rotation_vector(each) for each in rotation])
+    np.testing.assert_array_equal(one, found)
+    pairs = rotation[:34].reshape(2, 17, 3, 3)
+    np.testing.assert_array_equal(frames.rotation_vector(pairs), found[:34].reshape(2, 17, 3))
+
+
+def test_rotation_vectors_of_turns_of_any_size_at_once_are_those_of_scipy():
+    vector = np.random.default_rng(5).normal(size=(200, 3))
+    vector *= (np.linspace(0.0, 3.14, 200) / np.linalg.norm(vector, axis=1))[:, None]
+    rotation = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(frames.rotation_vector(rotation), vector, rtol=0, atol=3e-14)
+    np.testing.assert_allclose(frames.rotation_from_vector(vector), rotation, rtol=0, atol=1e-15)
+    quarter = np.diag([-1.0, -1.0, 1.0])  # no sine, and no small turn
+    np.testing.assert_allclose(frames.rotation_vector(quarter), [0, 0, np.pi], atol=1e-15)
+    np.testing.assert_allclose(frames.rotation_vector(np.diag([1.0, -1.0, -1.0])), [np.pi, 0, 0], atol=1e-15)
+
+
+def test_half_a_turn_about_the_bisector_of_two_axes_is_not_taken_for_none():
+    for pair in ([0, 1], [0, 2], [1, 2]):
+        axis = np.zeros(3)
+        axis[pair] = np.sqrt(0.5)
+        for off in (0.0, 1e-15, 1e-5, 1e-3):
+            turn = Rotation.from_rotvec((np.pi - off) * axis).as_matrix()
+            np.testing.assert_allclose(frames.norm(frames.rotation_vector(turn)), np.pi - off, rtol=1e-14)
+
+
+def test_products_inverses_and_twists_are_those_of_matrices():
+    one, other, third = random_poses(20), random_poses(20, 4), random_poses(20, 5)
+    for left in (one[0], one):
+        for right in (third[0], third):
+            expected = np.array(
+                [
+                    a @ b @ c
+                    for a, b, c in zip(
+                        np.broadcast_to(left, one.shape), other, np.broadcast_to(right, one.shape), strict=True
+                    )
+                ]
+            )
+            np.testing.assert_allclose(frames.product(left, other, right), expected, rtol=0, atol=2e-14)
+    np.testing.assert_allclose(frames.product(one[0], other), one[0] @ other, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(frames.inverse(one), np.linalg.inv(one), rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(frames.inverse(one)[:, 3], np.tile([0.0, 0, 0, 1], (20, 1)))
+    twist = frames.twist_between(one, other)
+    turn = Rotation.from_matrix(other[:, :3, :3] @ np.swapaxes(one[:, :3, :3], 1, 2)).as_rotvec()
+    np.testing.assert_allclose(twist, np.concatenate([(other - one)[:, :3, 3], turn], axis=1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        frames.twist_between(one[0], other), [frames.twist_between(one[0], b) for b in other], atol=1e-15
+    )
+    moved = frames.displaced(one[0], twist)
+    np.testing.assert_allclose(moved[:, :3, 3], one[0, :3, 3] + twist[:, :3], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(moved[:, :3, :3], Rotation.from_rotvec(turn).as_matrix() @ one[0, :3, :3], atol=1e-14)
+    np.testing.assert_array_equal(moved[:, 3], np.tile([0.0, 0, 0, 1], (20, 1)))
+
+
+def test_interpolated_poses_are_those_of_scipys_slerp_each_at_its_own_place():
+    one, other = random_poses(8), random_poses(8, 4)
+    t = np.linspace(0.0, 1.0, 8)
+    found = frames.interpolated(one, other, t)
+    for row in range(8):
+        between = Slerp([0.0, 1.0], Rotation.from_matrix([one[row, :3, :3], other[row, :3, :3]]))(t[row])
+        np.testing.assert_allclose(found[row, :3, :3], between.as_matrix(), rtol=0, atol=1e-12)
+        expected = (1.0 - t[row]) * one[row, :3, 3] + t[row] * other[row, :3, 3]
+        np.testing.assert_allclose(found[row, :3, 3], expected, rtol=0, atol=1e-14)
+
+
+def test_rows_are_looked_at_whole():
+    values = np.array([[1.0, -5.0, 2.0], [-1.0, 0.5, 0.25], [0.0, 0.0, 7.0]])
+    assert frames.largest(values).tolist() == [5.0, 1.0, 7.0]
+    truths = values > 1.5
+    assert frames.any_column(truths).tolist() == [True, False, True]
+    np.testing.assert_allclose(frames.norm(values), np.linalg.norm(values, axis=1), rtol=1e-15)
+    a, b = np.random.default_rng(6).normal(size=(2, 5, 3))
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", frames.hat(a), b), np.cross(a, b), rtol=0, atol=1e-15)
+    angle = np.linspace(-400.0, 400.0, 4001)
+    np.testing.assert_allclose(frames.sine_and_cosine(angle), [np.sin(angle), np.cos(angle)], rtol=0, atol=1e-13)
+    near = np.linspace(-3.2, 3.2, 1001)
+    np.testing.assert_allclose(frames.sine_and_cosine(near), [np.sin(near), np.cos(near)], rtol=0, atol=6e-16)
+
+
+@given(st.floats(-180.0, 180.0), st.sampled_from([90.0, -90.0]), st.floats(-180.0, 180.0))
+def test_at_the_pole_a_is_zero_and_close_to_it_a_is_found(a, b, c):
+    at = frames.xyzabc_from_pose(frames.pose_from_xyzabc([1.0, -2.0, 3.0, a, b, c]))
+    np.testing.assert_allclose(at[[0, 1, 2, 3, 4]], [1.0, -2.0, 3.0, 0.0, b], rtol=0, atol=1e-6)
+    near = frames.xyzabc_from_pose(frames.pose_from_xyzabc([0.0, 0, 0, a, b * (1.0 - 1e-6), c]))
+    assert (near[3] - a + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from postproc import frames, kinematics, robot
 from postproc.errors import ModelError
@@ -158,3 +159,99 @@ def test_an_arm_without_spherical_wrist_is_refused(tmp_path):
         )
     with pytest.raises(ModelError, match="spherical wrist"):
         kinematics.closed_form(robot.load(tmp_path))
+
+
+def test_a_path_of_many_ptp_and_lin_moves_takes_the_branch_and_the_turns_that_each_asks_for():
+    """Every joint angle is chosen first; the path is asked for by poses, S and T alone."""
+    arm = robot.load(robot.find("kuka_kr270"))
+    wanted = np.radians(
+        [
+            [10, -70, 100, 150, 40, 120],  # PTP with S and T
+            [12, -70, 100, 165, 40, 150],  # LIN
+            [14, -72, 100, 190, 40, 200],  # LIN, through half a turn of A4 and A6
+            [16, -72, 98, 200, 42, 230],  # PTP without S and T: the branch and the nearest turn are kept
+            [-20, -60, 90, -30, -50, -340],  # PTP to angles
+            [-22, -60, 90, -35, -50, -345],  # LIN
+            [15, -72, 98, 20, 42, -310],  # PTP with S, other than before: the nearest turn
+            [15, -72, 98, -160, -42, 170],  # PTP with S and T
+            [15, -72, 96, -150, -42, 190],  # LIN
+            [15, -72, 96, -150, -42, -170],  # PTP with S and T: a whole turn of A6 back
+            [17, -71, 96, -152, -43, -185],  # PTP without S and T
+        ]
+    )
+    ptp = np.array([0, 3, 4, 6, 7, 9, 10])
+    free = np.isin(np.arange(len(wanted)), ptp)
+    axes = np.full((len(ptp), 6), np.nan)
+    axes[2] = wanted[4]
+    bits = ((wanted[ptp] < 0.0) * 2 ** np.arange(6)).sum(axis=1)
+    status = np.array([2, -1, -1, 2, 6, 6, -1])
+    turn = np.where([True, False, False, False, True, True, False], bits, -1)
+    poses = np.array([Arm.load(robot.find("kuka_kr270")).nominal_tcp(row, np.eye(4)) for row in wanted])
+    start = np.radians([0.0, -90.0, 90.0, 0.0, 60.0, 0.0])
+    path = kinematics.follow(arm, poses.__getitem__, start, free, axes, status, turn)
+    np.testing.assert_allclose(np.degrees(path.q), np.degrees(wanted), atol=1e-7)
+    assert path.branch.tolist() == [2, 2, 2, 2, 6, 6, 2, 6, 6, 6, 6]
+    assert kinematics.status_of(arm, wanted).tolist() == path.branch.tolist()
+
+
+def test_turns_beyond_the_limits_are_taken_only_where_none_inside_has_the_sign_that_is_asked_for():
+    arm = robot.load(robot.find("kuka_kr270"))
+    q = np.radians([[10.0, -70, 100, 30, 40, 20]])
+    pose = Arm.load(robot.find("kuka_kr270")).nominal_tcp(q[0], np.eye(4))[None]
+
+    def solved(turn):
+        path = kinematics.follow(
+            arm, pose.__getitem__, q[0], np.array([True]), np.full((1, 6), np.nan), np.array([2]), np.array([turn])
+        )
+        return np.degrees(path.q[0]).round(6).tolist()
+
+    assert solved(0b000010) == [10, -70, 100, 30, 40, 20]
+    assert solved(0b101010) == [10, -70, 100, -330, 40, -340]
+    assert solved(0b001010) == [10, -70, 100, -330, 40, 20]
+    assert solved(0b000011) == [10, -70, 100, 30, 40, 20]  # A1 at -350° is out of its limits, 10° is not
+    assert solved(0b000000) == [10, -70, 100, 30, 40, 20]  # and so is A2 at 290°
+
+
+def test_a_path_without_solution_names_all_its_rows_and_one_that_starts_on_the_other_branch_stays_there():
+    arm = robot.load(robot.find("kuka_kr270"))
+    oracle = Arm.load(robot.find("kuka_kr270"))
+    q = np.radians([[10.0, -70, 100, 30, -40, 20], [12.0, -70, 100, 30, -42, 20]])
+    pose = np.array([oracle.nominal_tcp(row, np.eye(4)) for row in q])
+    none = (np.zeros(2, dtype=bool), np.empty((0, 6)), np.empty(0), np.empty(0))
+    path = kinematics.follow(arm, pose.__getitem__, q[0], *none)
+    np.testing.assert_allclose(path.q, q, atol=1e-9)
+    assert path.branch.tolist() == [6, 6]
+    pose[:, 0, 3] += 9.0
+    with pytest.raises(kinematics.UnreachableError, match="2 poses") as found:
+        kinematics.follow(arm, pose.__getitem__, q[0], *none)
+    assert found.value.rows == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('<axis xyz="0 0 -1"/>', '<axis xyz="0 0.001 -1"/>'),  # A1 is not vertical
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0.001"/>'),  # A2 is not level
+    ],
+)
+def test_an_arm_whose_first_axes_are_not_vertical_and_parallel_is_refused(tmp_path, old, new):
+    folder = robot.find("kuka_kr270")
+    text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "robot.urdf").write_text(text.replace(old, new, 1), encoding="utf-8")
+    (tmp_path / "model.toml").write_bytes((folder / "model.toml").read_bytes())
+    with pytest.raises(ModelError, match="vertical A1, parallel A2 and A3"):
+        kinematics.closed_form(robot.load(tmp_path))
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-4, 4.9e-3, 5.1e-3, 0.5, 3.0])
+def test_twists_by_components_are_exact_on_both_sides_of_the_series(size):
+    axes = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0.6, -0.48, 0.64]])
+    start = frames.pose_from_xyzabc([[100.0, 200, 300, 10 * n, 20, -30] for n in range(4)])
+    shift = np.array([0.1, -0.2, 0.3])
+    end = start.copy()
+    end[:, :3, :3] = Rotation.from_rotvec(size * axes).as_matrix() @ start[:, :3, :3]
+    end[:, :3, 3] += shift
+    found = kinematics.twist_between(kinematics.components(start), kinematics.components(end)).T
+    np.testing.assert_allclose(found[:, :3], np.tile(shift, (4, 1)), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found[:, 3:], size * axes, rtol=0, atol=2e-15 if size < 0.1 else 1e-14)

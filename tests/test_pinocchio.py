@@ -149,7 +149,9 @@ def spherical_arm(rng):
     shoulder = rng.uniform(-0.5, 0.5) * up + a1 * ahead
     elbow = shoulder + c2 * bar[0]
     wrist = elbow + c3 * bar[1] + elbow_offset * fore + side * across
-    points = [np.array([0, 0, 0.1]), shoulder, elbow, wrist - 0.3 * bar[1], wrist, wrist + c4 * hand]
+    along = wrist + rng.uniform(-0.2, 0.2) * second  # each joint lies anywhere on its axis
+    points = np.array([[0, 0, 0.1], shoulder, elbow, wrist - 0.3 * bar[1], along, wrist + c4 * hand])
+    points = points + rng.uniform(-0.5, 0.5, 3)  # A1 does not go through the root
     axes = [up, across, across, bar[1], second, hand]
     signs = rng.choice([-1.0, 1.0], 6)
     text = ['<robot name="arm"><link name="link_0"/><link name="flange"/>']
