@@ -41,6 +41,7 @@ REFUSED_HERE = re.compile(
 """What rs274 may accept and the reader refuses, see `postproc.dialects.gcode`."""
 ACCEPTED_HERE = re.compile(
     r"(?i)too many m codes|[IJK] word given for arc|mixed radius|no percent sign or program end|tool"
+    r"|axis values without a g code"
 )
 """What rs274 may refuse and the reader accepts."""
 ONLY_OTHER_AXIS = re.compile(r"(?im)^/?(n\d+)? *[ab] *0\.? *([(;].*)?$")

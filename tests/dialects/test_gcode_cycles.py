@@ -251,3 +251,18 @@ def test_M_codes_of_the_shop_are_its_lines_or_nothing() -> None:
     assert [(e.kind, e.value, e.before) for e in program.events] == [("m_code", 51.0, 1)]
     with pytest.raises(ProgramError, match=r"\[m_codes\] M52"):
         read(HEAD + "M52\nM2", cell)
+
+
+@pytest.mark.parametrize("bare", ["Z15.", "G91 Z10", "Z15\nZ20"])
+def test_a_retract_after_g80_is_a_rapid_as_on_fanuc_controls(bare):
+    program = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
+    written = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\nG0 {bare}\nM2\n")
+    np.testing.assert_array_equal(program.motions.target, written.motions.target)
+    assert program.motions.rapid[-1]
+    assert "motion-after-g80" in {issue.kind for issue in program.issues}
+
+
+@pytest.mark.parametrize("bare", ["Z-5", "X9", "X9 Z15", "Z15\nX9"])
+def test_other_coordinates_after_g80_are_refused(bare):
+    with pytest.raises(ProgramError, match="coordinates without G0, G1, G2 or G3"):
+        read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")

@@ -220,6 +220,7 @@ ACCEPTED_HERE_ONLY = {
     "an offset of zero across the plane": "G0 X0 Y0 Z0\nG2 X1 I.5 K0 F10\nM2",
     "an axis at zero alone, after an arc": "G0 X0 Y0 Z0\nG2 X1 I.5 F10\nA0\nM2",
     "an axis at zero that rs274 has not": "G0 X0 Y0 Z0 U0\nM2",
+    "a retract after G80": "G0 X0 Y0 Z0\nG80\nZ5\nM2",
     "five M codes in a block": "G0 X1 Y1 Z1\nM3 M6 M8 M48 M0 T1 S1\nM2",
 }
 REFUSED_HERE_ONLY = {

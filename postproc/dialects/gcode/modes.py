@@ -8,7 +8,8 @@ Decisions where controls differ:
 - **G61, G61.1** switch approximate positioning off, **G64** switches it on again. ``G64 P`` allows the path to leave a
   corner by P. The approximation distance is then at most 2·P: the parabola of the controller leaves the corner by half
   the distance times the sine of half the turn, so no corner is rounded by more than P.
-- **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first.
+- **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first. A retract along the tool is the
+  exception: it is a rapid, as on Fanuc controls, whose posts rely on it.
 - **F** is in the units of its own block, also if G20 or G21 is in the same block.
 - **A0, U0** (and B, C, V, W) keep an axis at zero that the robot does not have: they are ignored, and an issue says so.
 - **%**: the first one opens the program (text after it is ignored), the next one ends it. A program that begins with %

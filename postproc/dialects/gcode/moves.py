@@ -518,6 +518,8 @@ class _Walk:
         row = np.concatenate([part[0] for part in parts])
         code, begin, end, turn = (np.concatenate([part[n] for part in parts]) for n in (1, 2, 3, 4))
         frame, tool = (np.repeat([part[n] for part in parts], [len(part[0]) for part in parts]) for n in (5, 6))
+        unknown = self._unknown()
+        self._retracts(row, code, end - begin, turn, unknown)
         return Moves(
             row=row,
             code=code,
@@ -530,11 +532,33 @@ class _Walk:
             home=flags[1],
             frames=np.stack(self.frames),
             events=self.events,
-            unknown=self._unknown(),
+            unknown=unknown,
             offset=self.offset,
             faults=self.faults,
             remarks=self.remarks,
         )
+
+    def _retracts(self, row: Ints, code: Array, step: Array, turn: Array, unknown: Sequence[tuple[int, int]]) -> None:
+        """Turn bare coordinates after G80 into rapids (in place) if they retract along the tool; refuse others.
+
+        A Fanuc control moves in rapid there, LinuxCNC refuses all of them.
+
+        :param step: (N, 3) end minus start of the moves.
+        """
+        at = np.flatnonzero(code == codes.CANCEL_CYCLE)
+        if not len(at):
+            return
+        tool = direction(self.setting.axes, turn[at, 1] * RAD_PER_DEG)
+        along = np.einsum("ni,ni->n", step[at], tool)
+        aside = np.abs(step[at] - along[:, None] * tool).max(axis=1)
+        retracts = (along > 0.0) & (aside < _FEWEST) & (turn[at, 0] == turn[at, 1]).all(axis=1)
+        for first, last in unknown:
+            retracts &= (row[at] < first) | (row[at] > last)
+        code[at[retracts]] = 0.0
+        message = "A retract without G0 after G80 is read as a rapid, as on Fanuc controls."
+        self.remarks += [(int(n), "info", "motion-after-g80", message) for n in row[at[retracts]]]
+        for n in row[at[~retracts]][:1].tolist():
+            self.faults.append((n, "coordinates without G0, G1, G2 or G3", "Write the motion code."))
 
     def _unknown(self) -> list[tuple[int, int]]:
         """Return ranges of rows with an unknown position: each lasts until every lost axis is programmed again."""

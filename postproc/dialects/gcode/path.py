@@ -22,7 +22,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.modes import Modes
@@ -212,12 +211,9 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
             faults.setdefault(row, Fault(row, problem, advice))
 
     count = len(rows.motion)
-    axes = rows.placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     dwelling = np.zeros(count, dtype=bool)
     dwelling[[row for row in modes.dwells if row < count]] = True
-    cancelled = axes & (rows.motion == codes.CANCEL_CYCLE) & ~doubt.motion
-    check(cancelled, "coordinates without G0, G1, G2 or G3", "Write the motion code.", first=True)
     used = (rows.moving & arc) | rows.drilling | doubt.motion
     centred = any_column(~np.isnan(rows.ijk))
     stray = centred | ~(np.isnan(rows.radius) & np.isnan(rows.turns))

@@ -17,11 +17,11 @@ This reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a c
 missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number, more
 than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W) without
 effect, M98 and CALL to files with other names than LinuxCNC's, G15, G40.1, G50, G50.1 and G69, G5.1 Q, G187 and the
-like, ``:1001``. It accepts less: a cutting or relative move or a change of the work offset before X, Y and Z have been
-programmed (rs274 begins at zero; only a G1 with all three may come first, or one up to the highest Z), parameters that
-the program has not set, coordinates after a closing ``%``, signs like ``--1``, decimals in N, an arc in the block of a
-G4, numbers of 10⁷ and more, a program without motion, and every code that `codes` refuses. Each of these has a test.
-In G18 and G19 rs274 confuses the axes of G84.
+like, ``:1001``, a retract after G80 without G0. It accepts less: a cutting or relative move or a change of the work
+offset before X, Y and Z have been programmed (rs274 begins at zero; only a G1 with all three may come first, or one up
+to the highest Z), parameters that the program has not set, coordinates after a closing ``%``, signs like ``--1``,
+decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program without motion, and every code that
+`codes` refuses. Each of these has a test. In G18 and G19 rs274 confuses the axes of G84.
 """
 
 from __future__ import annotations
