@@ -490,3 +490,27 @@ def test_relative_motions_with_their_frame_behind_the_approximation():
 
 def pose_x(found):
     return found.motions.target[0, :3, 0]
+
+
+# --- interrupts that lead back to the path ---------------------------------------------------------------------------
+
+STOPPED = "DEF STOPPED( )\nBRAKE\nWAIT FOR $IN[7]\n{}\nEND\n"
+DECLARED = ["INTERRUPT DECL 3 WHEN $IN[6]==TRUE DO STOPPED( )", "INTERRUPT ON 3", "LIN XP1"]
+
+
+@pytest.mark.parametrize("back", ["PTP $AXIS_RET", "ptp $axis_ret", "LIN $POS_RET", "SPTP $POS_RET"])
+def test_an_interrupt_that_only_leads_back_to_the_path_leaves_it_as_it_is(back):
+    assert x_y_z(program(*DECLARED, subs=STOPPED.format(back))) == UNTOUCHED
+
+
+@pytest.mark.parametrize(
+    "away", ["PTP XP3", "PTP $AXIS_RET\nLIN XP3", "LIN $POS_RET:XP3", "LIN_REL {Z 5}", "PTP $POS_ACT"]
+)
+def test_an_interrupt_that_leads_elsewhere_is_refused(away):
+    with pytest.raises(ProgramError, match="INTERRUPT moves the robot"):
+        program(*DECLARED, subs=STOPPED.format(away))
+
+
+def test_a_motion_back_to_where_an_interrupt_was_is_not_followed_in_order():
+    with pytest.raises(ProgramError):
+        program("STOPPED()", "LIN_REL {Z 5}", subs=STOPPED.format("PTP $AXIS_RET"))

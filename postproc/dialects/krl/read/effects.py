@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 
 from msgspec import Struct, field
 
+from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import DECLARING, NAME, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
@@ -25,7 +26,7 @@ from postproc.dialects.krl.language.statements import (
     reference_of,
     word_at,
 )
-from postproc.dialects.krl.language.values import Call
+from postproc.dialects.krl.language.values import Call, Reference
 from postproc.dialects.krl.read.bas import BAS_SETS
 from postproc.dialects.krl.read.force_notes import noted_lines
 from postproc.dialects.krl.read.known import Scope
@@ -33,6 +34,8 @@ from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import ProgramError
 
+_STOPPED = frozenset({"$AXIS_RET", "$POS_RET"})
+"""Where the robot left its path when it was stopped by an interrupt (KUKA, System Variables)."""
 _RAPID = ("PTP", "SPTP")
 ACTION = re.compile(r"\bDO\b[ \t]*", re.I)
 """Behind it stands what an INTERRUPT or a TRIGGER does."""
@@ -55,6 +58,7 @@ class Effects(Struct, eq=False):
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
+    :ivar back: where it moves to where an interrupt has stopped it.
     :ivar force: where a force comment stands; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
     :ivar jumps: True where it may not run line by line: GOTO, RESUME.
@@ -64,6 +68,7 @@ class Effects(Struct, eq=False):
     writes: dict[str, Place] = {}
     anytime: dict[str, Place] = {}
     motion: Place | None = None
+    back: Place | None = None
     force: Place | None = None
     absent: dict[str, str] = {}
     jumps: bool = False
@@ -87,6 +92,7 @@ class Effects(Struct, eq=False):
     def _add_rest(self, other: Effects) -> None:
         self.absent = other.absent | self.absent
         self.motion = self.motion or other.motion
+        self.back = self.back or other.back
         self.resumes = self.resumes or other.resumes
 
 
@@ -123,6 +129,7 @@ class Analysis:
                 direct = self._of_routine(*reached)
                 total.add(direct.now)
                 self._add_later(total, direct)
+            total.motion = total.motion or total.back
             self._all[routine] = total
         return self._all[routine]
 
@@ -160,7 +167,10 @@ class Analysis:
         return self._noted[source]
 
     def of_action(self, module: Module, routine: Routine, place: Place, start: int, stop: int) -> Effects:
-        """Return what an interrupt or a trigger that stands in a routine may do."""
+        """Return what an interrupt or a trigger that stands in a routine may do.
+
+        Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
+        """
         direct, total = _Direct(), Effects()
         _Statement(self, module, routine, place, direct.later, direct.called_later).read_event(start, stop)
         self._add_later(total, direct)
@@ -243,7 +253,10 @@ class _Statement(Struct, eq=False):
         text = self.place.source.text
         word = word_at(text, start, stop)
         if word in MOTION_WORDS or word in SPLINES:
-            self.effects.motion = self.effects.motion or self.place
+            if self._leads_back(start + len(word), stop):
+                self.effects.back = self.effects.back or self.place
+            else:
+                self.effects.motion = self.effects.motion or self.place
         elif word in DECLARING or declares(text, start, stop):
             return
         elif word == "BAS":
@@ -258,6 +271,15 @@ class _Statement(Struct, eq=False):
         except ProgramError:
             return
         self._calls(start, stop)
+
+    def _leads_back(self, start: int, stop: int) -> bool:
+        """Return whether the target of a motion is where an interrupt has stopped the robot."""
+        try:
+            value, end = parse(self.place.source, start, stop)
+        except ProgramError:
+            return False
+        whole = isinstance(value, Reference) and value.field is None and value.name in _STOPPED
+        return whole and not self.place.source.text[end:stop].strip()
 
     def _calls(self, start: int, stop: int) -> None:
         try:
