@@ -16,12 +16,10 @@ from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
-from postproc.report.verdict import State, verdict
+from postproc.report.verdict import NOTHING_MM, State, nothing_corrected, verdict
 
 ROUNDING_MM = 1e-4
 """What rounding the written numbers (X, Y, Z to 1e-4 mm) may leave at a target: below it a factor says nothing."""
-_NOTHING_MM = 1e-6
-"""A deviation below this everywhere is none: what is left of it is noise of the arithmetic."""
 
 
 class Distances(TypedDict):
@@ -258,7 +256,9 @@ def improvement(before_mm: float, after_mm: float) -> float | None:
 
 def nothing_to_correct(content: Summary) -> str | None:
     """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
-    if not (content["targets"] and content["before"]["max_mm"] < _NOTHING_MM):
+    if (kept := nothing_corrected(content)) is not None:
+        return kept
+    if not (content["targets"] and content["before"]["max_mm"] < NOTHING_MM):
         return None
     why = "no cutting move carries a force" if content["max_force_N"] == 0.0 else "the forces do not move the tool"
     return f"Nothing to correct: {why}, the arm stands as programmed."

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
 from postproc.report.tables import PLAIN, Display
-from postproc.report.verdict import WORDS, State
+from postproc.report.verdict import WORDS, State, nothing_corrected
 
 _TOLD: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
@@ -23,7 +23,7 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     verdict = content["verdict"]
     word = WORDS[content["mode"] != "predict", verdict["state"]]
     lines = [
-        f"{content['program']}  on {content['robot']}: {targets(content)}",
+        f"{content['program']}  on {content['robot']}: {nothing_corrected(content) or targets(content)}",
         display.verdict(word, verdict["state"]),
     ]
     lines += [f"  - {reason}" for reason in verdict["reasons"][:_REASONS]]

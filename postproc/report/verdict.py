@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from postproc.report.summary import Summary
 
 State = Literal["ok", "warning", "failed"]
+NOTHING_MM = 1e-6
+"""A deviation below this everywhere is none: what is left of it is noise of the arithmetic."""
 NARROW_DEG = 5.0
 """A joint that comes nearer to its limit is something to look at."""
 WORDS: dict[tuple[bool, State], str] = {
@@ -26,6 +28,8 @@ WORDS: dict[tuple[bool, State], str] = {
 }
 """The verdict in a word: (is there a program to run, state)."""
 _PLACES = 9
+_KEPT = ("unresolved", "motions-elsewhere")
+"""Kinds of issues about motions and calls that stay as they are."""
 _FOREMOST = {
     "convert": ("motions-elsewhere",),
     "nominal": ("motions-elsewhere",),
@@ -67,11 +71,21 @@ def verdict(result: Result, content: Summary) -> Verdict:
         [_told(i.message, i.source_line, i.count) for i in warnings if (i.kind in _FOREMOST[result.mode]) is first]
         for first in (True, False)
     )
-    doubtful = [*foremost, *doubtful, *_model(result.robot), *others]
+    kept = nothing_corrected(content)
+    doubtful = [*([] if kept is None else [kept]), *foremost, *doubtful, *_model(result.robot), *others]
     if content["mode"] != "predict" and result.documents:
         holds.append("the program was read back as it is written, and simulated with its rounded numbers")
     state: State = "failed" if failed else "warning" if doubtful else "ok"
     return Verdict(state, tuple(failed + doubtful or holds), tuple(holds), tuple(_assumptions(result)))
+
+
+def nothing_corrected(content: Summary) -> str | None:
+    """Return a sentence that says so if motions stay as they are and no other one was corrected."""
+    kept = sum(issue["count"] for issue in content["issues"] if issue["kind"] in _KEPT)
+    if content["mode"] != "convert" or not kept or content["before"]["max_mm"] >= NOTHING_MM:
+        return None
+    motions = "1 motion or call stays as it is" if kept == 1 else f"{kept} motions and calls stay as they are"
+    return f"Nothing was corrected: {motions}."
 
 
 def _told(message: str, line: int | None, count: int = 1) -> str:

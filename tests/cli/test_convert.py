@@ -369,3 +369,22 @@ def test_processes_give_the_same_files_as_one_after_the_other(folder):
     assert one.pop("index.html") != two.pop("index.html")  # each says which folder it is of
     assert len(one) == 15
     assert one == two
+
+
+def test_a_program_in_which_nothing_was_corrected_says_so_in_its_first_line(folder):
+    stand = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}"
+    cut = [f"LIN {{X {x},Y 0,Z 10,A 0,B 0,C 180}}" for x in (0, 50)]
+    lines = ["DEF part()", "BAS(#INITMOV,0)", "$VEL.CP=0.05", stand, ";FORCE FX=200 FY=100 FZ=-100"]
+    loop = ["WHILE $IN[1]", *cut, "ENDWHILE", stand, "END", ""]
+    Path("part.src").write_text("\n".join([*lines, *loop]))
+    told = CliRunner().invoke(main, ["convert", "part.src", "--cell", CELL_270, "--keep-unresolved"]).output
+    first, _, reason = told.splitlines()[:3]
+    assert first == "part.src  on kuka_kr270: Nothing was corrected: 2 motions and calls stay as they are."
+    assert reason == "  - Nothing was corrected: 2 motions and calls stay as they are."
+    assert "Nothing to correct" not in told
+    Path("part.src").write_text("\n".join([*lines, *cut, *loop]))
+    told = (
+        CliRunner().invoke(main, ["convert", "part.src", "--cell", CELL_270, "--keep-unresolved", "--overwrite"]).output
+    )
+    assert "Nothing was corrected" not in told
+    assert "compensated" in told
