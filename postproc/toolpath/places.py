@@ -106,7 +106,7 @@ class Pieces(Struct, frozen=True, eq=False):
         inside = np.arange(len(out.motion)) - np.repeat(np.cumsum(parts) - parts, parts)
         parts = np.repeat(parts, parts)
         begin = out.begin + (out.end - out.begin) * (inside / parts)
-        end = np.where(inside == parts - 1, out.end, np.append(begin[1:], 1.0))
+        end = np.where(inside == parts - 1, out.end, np.roll(begin, -1))
         number, least = -(-out.number // parts), -(-out.least // parts)
         return Pieces(out.motion, begin, end, number, least, out.samples / parts, out.uncertain)
 

@@ -97,7 +97,7 @@ def test_a_program_in_inches_that_meets_stock_in_mm_is_told(tmp_path):
 
 
 def test_a_mesh_that_is_25_times_too_large(tmp_path):
-    mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [100, 80, 20]]) * 25.4)
+    mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [20, 16, 20]]) * 25.4)
     mesh.export(tmp_path / "stock.stl")
     text = gcode("G0 X10 Y20 Z700", "Z25", "G1 Z17 F2400", "X90")
     _, found = forces(tmp_path, text, mesh_process("stock.stl"))

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from postproc.cell import Rotary
 from postproc.errors import ForceError
 from tests.machining.setting import AL7075, CELL, forces, gcode, line_of, on_line, process, tool
-from tests.machining.test_against_teeth import close
+from tests.machining.test_against_teeth import close, tooth_by_tooth
 from tests.oracle.teeth import Teeth
 
 FIVE = replace(CELL, rotary=Rotary(axes=["C", "B"], signs=[1, 1]))
@@ -31,10 +31,9 @@ def tilted(degrees):
 
 
 def expected(teeth, axes, tip, direction, material, per_tooth=0.1):
-    own = teeth.mean(
-        axes.T @ tip, axes.T @ direction, per_tooth, lambda p: material(p @ axes.T), steps=360,
+    return tooth_by_tooth(
+        teeth, axes.T @ tip, axes.T @ direction, per_tooth, lambda p: material(p @ axes.T), steps=360,
     )  # fmt: skip
-    return own[0]
 
 
 @pytest.mark.parametrize("degrees", [-15.0, 25.0, 60.0])
@@ -46,7 +45,7 @@ def test_a_tool_askew_along_an_edge(tmp_path, degrees, shape):
     program, found = forces(tmp_path, text, process(tool(10, 4, shape), BOX), FIVE)
     teeth = Teeth(5.0, 5.0 if shape == "ball" else 0.0, 4, AL7075).side(40.0, discs=1500)
     force = expected(teeth, tilted(degrees), np.array([58, 0, -1.5]), np.array([0, 1.0, 0]), in_box)
-    close(on_line(program, found, line_of(text, block), 0.5)[:3], force)
+    close(on_line(program, found, line_of(text, block), 0.5), force)
 
 
 @pytest.mark.parametrize("degrees", [-20.0, 20.0])
@@ -55,7 +54,7 @@ def test_a_ball_askew_that_is_drawn_or_pushed(tmp_path, degrees):
     program, found = forces(tmp_path, text, process(tool(10, 4, "ball"), BOX), FIVE)
     teeth = Teeth(5.0, 5.0, 4, AL7075, discs=400)
     force = expected(teeth, tilted(degrees), np.array([30, 0, -2.0]), np.array([-1.0, 0, 0]), in_box)
-    close(on_line(program, found, line_of(text, "G1 X-10 F2400 (here)"), 0.5)[:3], force)
+    close(on_line(program, found, line_of(text, "G1 X-10 F2400 (here)"), 0.5), force)
 
 
 TWO = process(tool(10, 4), BOX).replace("[stock]", "[tools.2]\n" + tool(100, 4) + "[stock]")
@@ -70,7 +69,7 @@ def test_a_tool_that_is_turned_between_two_cuts_meets_what_is_left(tmp_path):
     force = expected(
         teeth, tilted(30.0), np.array([58, 0, -3.5]), np.array([0, 1.0, 0]), lambda p: in_box(p, -2.0)
     )  # fmt: skip
-    close(on_line(program, found, line_of(text, "Y50 (here)"), 0.5)[:3], force)
+    close(on_line(program, found, line_of(text, "Y50 (here)"), 0.5), force)
     assert found.removed == pytest.approx(60 * 80 * 2e-9, rel=0.1)
 
 
@@ -81,8 +80,8 @@ def test_what_one_program_leaves_is_the_stock_of_the_next(tmp_path):
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X70 (here)")
     program, found = forces(tmp_path, text, TWO, stock=tmp_path / "rest.stl")
     teeth = Teeth(5.0, 0.0, 4, AL7075).side(3.0)
-    force, _ = teeth.mean((30, 0, -3), (1, 0, 0), 0.1, lambda p: in_box(p, -2.0), steps=360)
-    close(on_line(program, found, line_of(text, "X70 (here)"), 0.5)[:3], force)
+    force = tooth_by_tooth(teeth, (30, 0, -3), (1, 0, 0), 0.1, lambda p: in_box(p, -2.0), steps=360)
+    close(on_line(program, found, line_of(text, "X70 (here)"), 0.5), force)
 
 
 def test_a_tool_that_turns_while_it_cuts_is_refused(tmp_path):

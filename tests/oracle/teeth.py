@@ -52,7 +52,12 @@ class Teeth:
         return tuple(cuts * (k * chip + e * rub) * length for k, e in ((ktc, kte), (krc, kre), (kac, kae)))
 
     def mean(self, tip, direction, per_tooth, material, hand=1, steps=1440):
-        """Return mean force (3,) in x along the feed, y to its left, z up, and mean torque [N·mm].
+        """Return mean force (3,) in x along the feed, y to its left, z up, and mean torque [N·mm]: see `wrench`."""
+        wrench = self.wrench(tip, direction, per_tooth, material, hand, steps)
+        return wrench[:3], wrench[5] * hand
+
+    def wrench(self, tip, direction, per_tooth, material, hand=1, steps=1440):
+        """Return mean force and moment about the tip (6,) in x along the feed, y to its left, z up [N, N·mm].
 
         :param tip: where the tip is; `direction` of the feed, a unit vector; `per_tooth` the feed per tooth.
         :param material: of points (n, 3): is there material, other than what this way has cut so far?
@@ -63,7 +68,7 @@ class Teeth:
         left = np.array([-ahead[1], ahead[0], 0.0])
         distance, height, length, kappa = np.array(self.pieces).T
         turned = 2 * math.pi * (np.arange(steps) + 0.5)[:, None] / steps
-        total, torque = np.zeros(3), 0.0
+        total, moment = np.zeros(3), np.zeros(3)
         for tooth in range(self.teeth):
             angle = turned + 2 * math.pi * tooth / self.teeth
             out = np.sin(angle) * ahead + hand * np.cos(angle) * left  # from the axis to the tooth
@@ -78,5 +83,5 @@ class Teeth:
             upwards = np.cos(kappa)[:, None] * out + np.sin(kappa)[:, None] * up
             force = -tangential[..., None] * moves - radial[..., None] * normal + axial[..., None] * upwards
             total += force.sum(axis=(0, 1)) / steps
-            torque += (tangential * distance).sum() / steps
-        return np.array([total @ ahead, total @ left, total[2]]), torque
+            moment += np.cross(point - tip, force).sum(axis=(0, 1)) / steps
+        return np.array([each @ axis for each in (total, moment) for axis in (ahead, left, np.array([0, 0, 1.0]))])

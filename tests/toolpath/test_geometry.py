@@ -170,13 +170,14 @@ def test_the_arc_through_three_points_is_the_one_they_were_taken_from():
     rng = np.random.default_rng(5)
     for _ in range(30):
         turn = Rotation.random(random_state=rng)
-        centre, radius, sweep = rng.normal(size=3), rng.uniform(0.1, 2.0), rng.uniform(0.3, 6.0)
+        radius, sweep = 10 ** rng.uniform(-4.0, 1.0), rng.uniform(0.3, 6.0)
+        centre = radius * rng.normal(size=3)
         angles = np.array([0.0, rng.uniform(0.2, 0.8) * sweep, sweep])
         spots = centre + radius * turn.apply(np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1))
         found = toolpath.circle_through(*spots[:, None])
         expected = centre, spots[0] - centre, radius * turn.apply([0.0, 1.0, 0.0]), sweep
         for one, other in zip(found, expected, strict=True):
-            np.testing.assert_allclose(one[0], other, atol=1e-10)
+            np.testing.assert_allclose(one[0], other, atol=1e-10 * max(radius, np.max(other)))
 
 
 def test_three_points_on_a_line_give_a_circle_that_is_finite():

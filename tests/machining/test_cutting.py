@@ -1,0 +1,187 @@
+"""Mean and peak of a turn against the formulas of the edge, summed finely, and against teeth that turn.
+
+What is in material is given here by angles and heights: no map of the stock is asked.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from postproc.machining import cutting
+from postproc.machining.material import CuttingLaw
+from postproc.machining.sampling import Engaged
+from postproc.machining.tool import Cutter, edge
+from postproc.machining.turn import Turn
+
+LINEAR = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
+KIENZLE = CuttingLaw((900e6, 400e6, 250e6), (0.0, 0.0, 0.0), 0.25, 0.1, "Kienzle")
+FLAT, BALL, BULL = Cutter(5e-3, 0.0, 3), Cutter(5e-3, 5e-3, 2), Cutter(8e-3, 2e-3, 5)
+DRILL = Cutter(4e-3, 0.0, 2, drill=True)
+TOP = 7e-3
+"""Height of material above the tip [m]."""
+
+
+def turn_of(cutter, law=LINEAR, step=0.2e-3, descent=0.0):
+    return Turn.of(edge(cutter, step), cutter, law, step, descent)
+
+
+def engaged_of(turn, begin, end, *, in_part=True):
+    """Edge in material between two angles, up to `TOP` above the tip."""
+    over = np.minimum(turn.phi + 0.5 * turn.width, end) - np.maximum(turn.phi - 0.5 * turn.width, begin)
+    inside = np.clip(over / turn.width, 0.0, 1.0) if in_part else (turn.phi > begin) & (turn.phi < end)
+    rise = np.where(turn.rise > 0.0, turn.rise, 1.0)
+    share = np.where(turn.rise > 0.0, np.clip((TOP - turn.low) / rise, 0.0, 1.0), 1.0)
+    length = np.where(np.isfinite(turn.rise), turn.length * share, TOP - turn.low) * inside
+    start = turn.low[turn.side].astype(float)
+    moment = 0.5 * (TOP**2 - start**2) * inside[turn.side]
+    return Engaged(length[None].astype(np.float32), moment[None].astype(np.float32))
+
+
+def edge_force(law, chip, phi, kappa, rubbing=1.0):
+    """Forces (..., 3) per length of edge, of the docstring of `cutting`: x along the feed, z to the spindle [N/m]."""
+    sin, cos, sk, ck, zero = np.sin(phi), np.cos(phi), np.sin(kappa), np.cos(kappa), 0.0 * (phi + kappa)
+    cut = np.maximum(chip, 1e-15)
+    size = [k * cut * (cut * 1e3) ** -law.exponent + e * rubbing for k, e in zip(law.cutting, law.edge, strict=True)]
+    tangential, radial, axial = (np.where(chip > 1e-12, each, 0.0)[..., None] for each in size)
+    normal = np.stack([sk * sin, sk * cos, zero - ck], axis=-1)
+    along = np.stack([ck * sin, ck * cos, zero + sk], axis=-1)
+    return tangential * np.stack([zero - cos, zero + sin, zero], axis=-1) - radial * normal + axial * along
+
+
+def pieces_of(cutter, count, *, face):
+    """Middles of pieces of edge in material: distance from the axis, height, length, angle of the normal; (P,) each."""
+    flat, middles, columns = cutter.radius - cutter.corner, (np.arange(count) + 0.5) / count, []
+    if not cutter.drill and cutter.corner < TOP:
+        height = TOP - cutter.corner
+        columns.append((np.full(count, cutter.radius), cutter.corner + height * middles, height, 0.5 * np.pi))
+    if cutter.corner > 0.0:
+        most = np.arccos(np.clip(1.0 - TOP / cutter.corner, 0.0, 1.0))
+        kappa = most * middles
+        height = cutter.corner * (1.0 - np.cos(kappa))
+        columns.append((flat + cutter.corner * np.sin(kappa), height, cutter.corner * most, kappa))
+    if flat > 0.0 and face:
+        columns.append((flat * middles, np.zeros(count), flat, 0.0))
+    parts = [np.broadcast_arrays(one, two, length / count, kappa) for one, two, length, kappa in columns]
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def mean_by_sums(cutter, law, feed, descent, begin, end, rubbing):
+    """Mean wrench about the tip (6,) and the volume that a tooth takes in a turn [m³]."""
+    distance, height, length, kappa = pieces_of(cutter, 30, face=descent > 0.0)
+    count = 360
+    phi = (begin + (np.arange(count) + 0.5) / count * (end - begin))[:, None]
+    chip = feed * np.sin(kappa) * np.sin(phi) + descent * np.cos(kappa)
+    force = edge_force(law, chip, phi, kappa, np.where(kappa > 0.0, 1.0, rubbing)) * length[:, None]
+    point = np.stack([distance * np.sin(phi), distance * np.cos(phi), height + 0.0 * phi], axis=-1)
+    whole = np.concatenate([force.sum(axis=(0, 1)), np.cross(point, force).sum(axis=(0, 1))])
+    width = (end - begin) / count
+    return whole * width * cutter.teeth / (2.0 * np.pi), (np.maximum(chip, 0.0) * distance * length).sum() * width
+
+
+CASES = [
+    (FLAT, 1e-4, 0.0), (BALL, 1e-4, 0.0), (BULL, 0.6e-4, 0.0), (FLAT, 1e-4, 2e-5), (BULL, 0.8e-4, 3e-5),
+    (BALL, 1e-4, 4e-5), (BALL, 1e-4, -3e-5), (DRILL, 0.0, 6e-5), (FLAT, 0.0, 5e-5),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("law", [LINEAR, KIENZLE], ids=lambda law: law.name)
+@pytest.mark.parametrize(("cutter", "feed", "descent"), CASES)
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 2.0 * np.pi), (0.4, 1.3), (1.9, 3.6)])
+def test_mean_wrench_and_volume_are_the_integrals_of_the_formulas(law, cutter, feed, descent, begin, end):
+    steep = descent / np.hypot(feed, descent)
+    turn = turn_of(cutter, law, descent=steep)
+    n = np.ones(1, dtype=np.float32)
+    chip = cutting.chips(turn, n * np.float32(feed), n * np.float32(descent))
+    rubbing = 0.3
+    found = cutting.mean(turn, engaged_of(turn, begin, end), chip, np.float32(rubbing) * n)
+    expected, volume = mean_by_sums(cutter, law, feed, descent, begin, end, rubbing)
+    lever = np.linalg.norm(expected[:3]) * cutter.radius
+    np.testing.assert_allclose(found.wrench[0, :3], expected[:3], atol=0.01 * np.linalg.norm(expected[:3]))
+    np.testing.assert_allclose(found.wrench[0, 3:], expected[3:], atol=0.01 * max(lever, np.linalg.norm(expected[3:])))
+    assert found.removal[0] == pytest.approx(volume, rel=0.01)
+
+
+def test_chips_are_none_where_another_direction_has_none():
+    """Where a way bends, material ahead of the first direction is all that is known to be there."""
+    turn, n = turn_of(BULL, descent=0.4), np.ones(2, dtype=np.float32)
+    feed, down = n * np.float32(1e-4), np.array([3e-5, -2e-5], dtype=np.float32)
+    first = np.array([0.8, 0.6]), np.array([0.5, -0.7]), np.array([0.3, -0.2])
+    found = cutting.chips(turn, feed, down, tuple(each.astype(np.float32) for each in first))
+    normal = np.stack([turn.front, turn.across, turn.down], axis=1).astype(float)
+    for k in range(2):
+        chip = 1e-4 * normal[:, 0] + down[k] * normal[:, 2]
+        ahead = normal @ [each[k] for each in first]
+        sure = np.abs(ahead) > 1e-6
+        expected = np.where((ahead > 0) & (chip > 0), chip, 0.0)
+        np.testing.assert_allclose(found[k][sure], expected[sure], atol=1e-9)
+    assert (found[0] != cutting.chips(turn, feed, down)[0]).any()
+
+
+def peak_by_turning(cutter, law, feed, descent, begin, end):
+    """Largest force and torque of all teeth: the cutter is turned, pieces of edge lag behind with their height."""
+    distance, height, length, kappa = pieces_of(cutter, 40, face=descent > 0.0)
+    turned = np.linspace(0.0, 2.0 * np.pi / cutter.teeth, 240, endpoint=False)[:, None] + 1e-4
+    lag = np.where(kappa > 1.5707, np.tan(cutter.helix) / cutter.radius * (height - cutter.corner), 0.0)
+    force, torque = np.zeros((240, 3)), np.zeros(240)
+    for tooth in range(cutter.teeth):
+        phi = (turned + 2.0 * np.pi * tooth / cutter.teeth - lag) % (2.0 * np.pi)
+        chip = feed * np.sin(kappa) * np.sin(phi) + descent * np.cos(kappa)
+        own = edge_force(law, chip, phi, kappa) * (length * ((phi > begin) & (phi < end)))[..., None]
+        force += own.sum(axis=1)
+        torque += (distance * (np.sin(phi) * own[..., 1] - np.cos(phi) * own[..., 0])).sum(axis=1)
+    return np.linalg.norm(force, axis=1).max(), np.abs(torque).max()
+
+
+@pytest.mark.parametrize(
+    ("cutter", "feed", "descent", "begin", "end"),
+    [
+        (FLAT, 1e-4, 0.0, 0.0, np.pi), (FLAT, 1e-4, 0.0, 2.2, np.pi), (BULL, 1e-4, 0.0, 0.0, 1.0),
+        (BALL, 1e-4, 0.0, 0.5, 2.0), (Cutter(5e-3, 0.0, 4, helix=0.6), 1e-4, 0.0, 2.4, np.pi),
+        (Cutter(5e-3, 0.0, 2, helix=0.8), 1e-4, 0.0, 0.3, 1.2), (DRILL, 0.0, 5e-5, 0.0, 2.0 * np.pi),
+        (Cutter(8e-3, 2e-3, 3, helix=0.5), 1e-4, 3e-5, 0.2, 2.5),
+    ],
+)  # fmt: skip
+def test_peak_within_a_turn_is_that_of_teeth_that_turn(cutter, feed, descent, begin, end):
+    turn = turn_of(cutter, step=0.15e-3, descent=descent / np.hypot(feed, descent))
+    n = np.ones(1, dtype=np.float32)
+    chip = cutting.chips(turn, n * np.float32(feed), n * np.float32(descent))
+    force, torque = cutting.peak(turn, engaged_of(turn, begin, end, in_part=False), chip, cutter)
+    most, turning = peak_by_turning(cutter, LINEAR, feed, descent, begin, end)
+    allowed = 0.05 if cutter.helix == 0.0 else 0.12  # the helix is taken in six steps
+    assert force[0] == pytest.approx(most, rel=allowed)
+    assert torque[0] == pytest.approx(turning, rel=allowed)
+
+
+def test_products_in_pieces_are_products():
+    rng = np.random.default_rng(1)
+    for rows, inner, columns in ((1, 5, 3), (1000, 700, 6), (0, 4, 2), (3, 300_000, 1)):
+        one, other = rng.normal(size=(rows, inner)), rng.normal(size=(inner, columns))
+        np.testing.assert_allclose(cutting.times(one, other), one @ other, atol=1e-9)
+
+
+def test_the_law_of_the_chip_is_that_of_kienzle():
+    chip = np.array([0.0, 1e-6, 5e-5, 1e-3, 2e-3, -1e-5], dtype=np.float32)
+    found = KIENZLE.cutting[0] * KIENZLE.chip(chip).astype(float)
+    expected = [0.0, *(900e6 * (h * 1e3) ** -0.25 * h for h in (1e-6, 5e-5, 1e-3, 2e-3)), 0.0]
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    np.testing.assert_allclose(LINEAR.chip(chip), np.maximum(chip, 0.0))
+
+
+def test_the_edge_is_as_long_as_the_profile_and_as_high():
+    for cutter in (FLAT, BALL, BULL, DRILL, Cutter(5e-3, 4.9e-3, 2)):
+        for step in (0.05e-3, 1e-3):
+            found = edge(cutter, step)
+            below = found.kappa < 1.5707
+            profile = (cutter.radius - cutter.corner) + 0.5 * np.pi * cutter.corner
+            assert found.length[below].sum() == pytest.approx(profile)
+            assert found.rise[below].sum() == pytest.approx(cutter.corner)
+            corner = found.part == 1
+            np.testing.assert_allclose(
+                cutter.height(found.radius[corner]), found.low[corner] + 0.5 * found.rise[corner], atol=step**2 / 5e-3
+            )
+            assert (np.diff(found.low[corner]) > 0).all()
+            assert np.abs(quad(lambda x, c=cutter: c.height(np.array([x]))[0], 0, cutter.radius)[0]) == pytest.approx(
+                cutter.corner**2 * (1 - np.pi / 4), abs=1e-9
+            )
