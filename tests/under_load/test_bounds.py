@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import correction, jobs, kinematics, robot, toolpath
-from postproc.under_load import bounds
+from postproc.under_load import ImpossiblePathError, bounds
 from tests.programs import program
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -61,3 +62,99 @@ def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str) -> None:
     q = rng.uniform(-np.pi, np.pi, (50_000, 6))
     away = np.linalg.norm(kinematics.tcp(model.nominal, q, np.eye(4))[0][:, :3, 3], axis=1)
     assert 0.8 < away.max() / bounds._reach(model) < 1.0
+
+
+REACH = bounds._reach(ROBOT)
+BASE = np.array([1500.0, -200.0, 700.0])
+TO_FLANGE = np.array([0.0, 0.0, 350.0])
+
+
+def refused(made):
+    """Return the issue with which a program is refused, or None."""
+    try:
+        bounds.check_ends(made, ROBOT)
+        bounds.check_between(made, ROBOT, toolpath.segments(made, np.eye(4)))
+    except ImpossiblePathError as error:
+        return error.issue
+    return None
+
+
+def at_flange(x, y, z):
+    """Target of a move [mm, $BASE] for the flange to stand at (x, y, z) [mm] in the root."""
+    return tuple(np.array([x, y, z]) - TO_FLANGE - BASE)
+
+
+@pytest.mark.parametrize("direction", [(0.6, 0.8, 0.0), (-0.48, 0.64, 0.6), (0.0, 0.6, -0.8)])
+def test_ends_are_refused_exactly_beyond_the_reach_and_the_message_says_by_how_much(direction) -> None:
+    for size, bad in ((0.999, False), (1.001, True)):
+        spot = at_flange(*(np.array(direction) * size * REACH * 1e3))
+        made = program([("PTP", 0, 0, 50), ("PTP", *spot)], orientation=DOWN)
+        issue = refused(made)
+        assert (issue is not None) == bad
+    assert (issue.kind, issue.source_line) == ("unreachable", 2)
+    assert f"up to {REACH * 1001:.0f} mm from the robot's root, and gets {REACH * 1000:.0f} mm far" in issue.message
+
+
+def arc(angles, centre, radius, height=1000.0):
+    """Moves to an arc about a vertical axis and along it; centre and radius of the flange [mm], angles [deg]."""
+    first, last = np.radians(angles)
+    ends = [at_flange(centre[0] + radius * np.cos(a), centre[1] + radius * np.sin(a), height) for a in (first, last)]
+    middle = at_flange(centre[0], centre[1], height)
+    return [*HEAD, ("LIN", *ends[0]), ("CIRC", *ends[1], *middle, angles[1] - angles[0], UP)]
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+def test_an_arc_whose_ends_are_within_reach_is_refused_where_it_swings_out_of_it(share) -> None:
+    level = np.sqrt(REACH**2 - 1.0) * 1e3
+    radius, sweep = 1000.0, 200.0
+    for away, bad in ((level - radius - 20.0, False), (level - 0.8 * radius, True)):
+        turned = np.radians(35.0)  # the arc bulges outwards in this direction, at this share of it
+        centre = away * np.array([np.cos(turned), np.sin(turned)])
+        first = 35.0 - share * sweep
+        issue = refused(program(arc((first, first + sweep), centre, radius), orientation=DOWN))
+        assert (issue is not None) == bad
+    assert (issue.kind, issue.source_line) == ("unreachable", 4)
+    assert f"farther than the {REACH * 1e3:.0f} mm that the flange gets" in issue.message
+
+
+def test_full_circles_are_refused_by_their_radius_alone() -> None:
+    for radius, bad in ((0.99 * REACH * 1e3, False), (1.01 * REACH * 1e3, True)):
+        start = at_flange(1500.0, 0.0, 1000.0)
+        centre = at_flange(1500.0 - radius, 0.0, 1000.0)
+        made = program([*HEAD, ("LIN", *start), ("CIRC", *start, *centre, 360.0, UP)], orientation=DOWN)
+        issue = refused(made)
+        assert (issue is not None) == bad
+    assert issue.kind == "unreachable"
+
+
+def test_arcs_of_up_to_a_thousand_turns_are_taken() -> None:
+    for turns, bad in ((999.0, False), (1002.5, True)):
+        made = program([*HEAD, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * turns, UP)], orientation=DOWN)
+        issue = refused(made)
+        assert (issue is not None) == bad
+    assert (issue.kind, issue.source_line) == ("turns", 3)
+    assert issue.message.startswith("an arc of 1002.5 turns: more than 1000 are taken for a mistake")
+
+
+def test_the_longest_path_is_some_thousand_times_the_reach(monkeypatch) -> None:
+    monkeypatch.setattr(bounds, "_MOST_REACHES", 10)
+    for metres, bad in ((9.9 * REACH, False), (10.1 * REACH, True)):
+        count = round((metres - 0.05) / 0.5)
+        moves = [("LIN", 500.0 * (n % 2), 0, 0) for n in range(1, count + 1)]
+        made = program([*HEAD, *moves], orientation=DOWN)
+        path = toolpath.segments(made, np.eye(4))
+        assert (path.length.sum() > 10 * REACH) == bad
+        issue = refused(made)
+        assert (issue is not None) == bad
+    assert (issue.kind, issue.source_line) == ("path-length", 1)
+    assert issue.message.startswith("the path is 0 km long: more than 10 times the reach of the robot")
+
+
+def test_axis_targets_are_not_asked_where_they_are() -> None:
+    made = program([("PTP", 0, 0, 50), ("PTP", 9e6, 0, 0)], orientation=DOWN)
+    joints = made.motions.joints.copy()
+    joints[1] = 0.1
+    assert refused(made) is not None
+    target = made.motions.target.copy()
+    target[1, :3, 3] = np.nan
+    assert refused(replace(made, motions=replace(made.motions, joints=joints, target=target))) is None
