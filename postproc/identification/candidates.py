@@ -1,8 +1,9 @@
-"""Which springs a robot may have, and the structures made of them that are tried, from simple to rich.
+"""Candidate parameters of a robot, and the structures made of them that are tried, from simple to rich.
 
-Joint springs; compensator; gears that stiffen with the load, smoothly or with knees, and have backlash; springs of the
-links in six directions; springs where links end and under the base. Where gears feel the weights and the compensator at
-rest, these are looked for too, about what the prior states of them.
+Joint springs; compensator; gears whose compliance falls with the load, smoothly or at breakpoints, and which have
+backlash or lost motion; springs of the links in six directions; springs where links end and under the base. Where the
+gears carry the weights and the compensator's torque at rest, masses and compensator are parameters too, about what the
+prior states.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import numpy as np
 
 from postproc.frames import Array
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import joint_torques, levels_of, touched
+from postproc.identification.observability import joint_torques, levels_of
 from postproc.identification.structure import Structure
 from postproc.robot import (
     BASE,
     COMPENSATOR,
+    JOINT_COMPLIANCES,
     JOINTS,
     LINK_AXES,
     Backlash,
@@ -33,32 +35,35 @@ from postproc.robot import (
 )
 
 JOINT, COMPENSATOR_SPRING, LINK, END, AT_REST = "joint", "compensator", "link", "end", "at rest"
-FADING, KNEE, BACKLASH, LOST_MOTION = "fading", "knee", "backlash", "lost motion"
-"""Kinds of springs, of which structures are made."""
+FADING, KNEE, BACKLASH, LOST_MOTION = "fading", "breakpoint", "backlash", "lost motion"
+"""Kinds of parameters, of which structures are made."""
 GEARS = (FADING, KNEE, BACKLASH, LOST_MOTION)
-"""Those of gears that do not give way in proportion to the torque."""
+"""Kinds of gears whose deflection is not proportional to the torque."""
 
 _FADE_AT = (0.2, 0.6, 2.0)
-"""Where parts of a gear fade, over the largest torque measured on its joint."""
-_KNEES_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
-"""Where parts of a gear end: milling loads it to some hundredths of what weights do that show its springs."""
+"""Torque at which parts of a gear fade, over the largest measured on its joint."""
+_BREAKPOINTS_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
+"""Breakpoints of a gear, over the largest torque: milling needs some hundredths of the torque that shows a spring."""
 _TURNS_OVER_AT = (0.01,)
-"""Torque that turns a gear with backlash over to its other flank."""
+"""Torque that moves a gear with backlash to its other flank, over the largest."""
 _ONE_LINE = 1e-3
-"""Distance [m] between axes that are one line."""
+"""Distance [m] between axes that count as one line."""
 _LEAST_TORQUE = 1.0
-"""Largest torque [N·m] on a joint below which nothing is said of its gear."""
+"""Largest torque [N·m] on a joint below which its gear has no parameters of its own."""
 
 
 def link_springs(robot: RobotModel, rich: bool) -> tuple[LinkSpring, ...]:
-    """Return the springs of links that are told from the joints'; `rich`: also where links end, and under the base."""
+    """Return the springs of links that differ from those of the joints.
+
+    :param rich: also springs where links end, and under the base.
+    """
     along = _along_joints(robot)
     springs = (LinkSpring(link, axis) for link in ((BASE, *JOINTS) if rich else JOINTS) for axis in LINK_AXES)
     return tuple(spring for spring in springs if spring not in along and (rich or not spring.at_end))
 
 
 def _along_joints(robot: RobotModel) -> set[LinkSpring]:
-    """Return the rotations about joint axes of this robot; for axes along X, Y or Z of the joint frames."""
+    """Return the rotations that are about a joint axis; for axes along X, Y or Z of the joint frames."""
     found = set()
     for index, joint in enumerate(JOINTS):
         here = robot.nominal.axis[index]
@@ -83,11 +88,12 @@ def _gears(
 def everything(
     robot: RobotModel, data: Measurements, in_gears: bool, compensator: bool
 ) -> tuple[Structure, tuple[str, ...]]:
-    """Return the structure with all springs that a robot may have, and of which kind each parameter is.
+    """Return the structure with all candidate parameters, and the kind of each.
 
-    :param compensator: K_c and s₀ are looked for, and not the prior's.
+    :param in_gears: the gears carry weights and compensator at rest.
+    :param compensator: K_c and s₀ are free.
     """
-    joints = touched(robot, data)
+    joints = JOINT_COMPLIANCES
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     links, ends = link_springs(robot, rich=False), link_springs(robot, rich=True)
     of_kind: dict[str, Iterable[Parameter]] = {
@@ -96,11 +102,11 @@ def everything(
         LINK: links,
         END: (spring for spring in ends if spring not in links),
         FADING: _gears(FadingPart, _FADE_AT, joints, largest),
-        KNEE: _gears(Knee, _KNEES_AT, joints, largest),
+        KNEE: _gears(Knee, _BREAKPOINTS_AT, joints, largest),
         BACKLASH: _gears(Backlash, _TURNS_OVER_AT, joints, largest),
-        # where gears feel the load alone, backlash is lost motion
+        # where gears carry the load alone, backlash is lost motion
         LOST_MOTION: _gears(LostMotion, _TURNS_OVER_AT, joints, largest) if in_gears else (),
-        # a compensator that is free presses on joint 2 as it likes: masses beside it are told by nothing
+        # a free compensator replaces the weights on joint 2: masses are not identifiable then
         AT_REST: _at_rest(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
     pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
@@ -108,7 +114,7 @@ def everything(
 
 
 def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
-    """Yield what presses on the gears at rest, and how strongly is not certain: masses and compensator."""
+    """Yield the uncertain sources of torque on the gears at rest: masses and compensator."""
     wanted: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
     if robot.compensator is not None:
         wanted.append(CompensatorSize())
@@ -116,33 +122,34 @@ def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
 
 
 def has_compensator(robot: RobotModel, data: Measurements) -> bool:
-    """Return whether a compensator can be looked for: three levels of q2 show how joint 2 changes along its range."""
+    """Return whether K_c and s₀ may be free: three levels of q2 show how joint 2 changes along its range."""
     return robot.compensator is not None and int(levels_of(data).max()) >= 2
 
 
 def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
-    """Return names and kinds of springs of the structures that are tried, simple to rich.
+    """Return names and kinds of parameters of the structures that are tried, simple to rich.
 
-    What gears feel at rest goes along with every structure in which they do not give way in proportion.
+    Masses and compensator at rest are part of every structure with gears that are not linear.
     """
     gears: list[tuple[str, tuple[str, ...]]] = [
         ("", ()),
         (", gears stiffen", (FADING,)),
-        (", gears with knees", (KNEE,)),
-        (", gears stiffen, with knees", (FADING, KNEE)),
+        (", gears with breakpoints", (KNEE,)),
+        (", gears stiffen, with breakpoints", (FADING, KNEE)),
         (", gears stiffen, with backlash", (FADING, BACKLASH)),
-        (", gears with knees and backlash", (KNEE, BACKLASH)),
-        (", gears stiffen, with knees and backlash", (FADING, KNEE, BACKLASH)),
+        (", gears with breakpoints and backlash", (KNEE, BACKLASH)),
+        (", gears stiffen, with breakpoints and backlash", (FADING, KNEE, BACKLASH)),
         (", gears stiffen, with lost motion", (FADING, LOST_MOTION)),
-        (", gears with knees and lost motion", (KNEE, LOST_MOTION)),
-        (", gears stiffen, with knees and lost motion", (FADING, KNEE, LOST_MOTION)),
+        (", gears with breakpoints and lost motion", (KNEE, LOST_MOTION)),
+        (", gears stiffen, with breakpoints and lost motion", (FADING, KNEE, LOST_MOTION)),
     ]
+    rich = [gears[index] for index in (0, 1, 2, 3, 6, 9)]
     arms: list[tuple[str, tuple[str, ...], list[tuple[str, tuple[str, ...]]]]] = [
         ("joint springs", (JOINT,), gears[:2]),
-        ("springs of links", (JOINT, LINK), gears),
-        ("springs of links, their ends and the base", (JOINT, LINK, END), [gears[1], gears[3], gears[6], gears[9]]),
+        ("link springs", (JOINT, LINK), gears),
+        ("link springs, link ends and base", (JOINT, LINK, END), rich),
     ]
-    extra, told = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
+    extra, label = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
     return [
-        (arm + told + gear, (*kinds, *extra, *more)) for arm, kinds, with_gears in arms for gear, more in with_gears
+        (arm + label + gear, (*kinds, *extra, *more)) for arm, kinds, with_gears in arms for gear, more in with_gears
     ]

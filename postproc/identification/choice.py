@@ -1,21 +1,16 @@
-"""Real robots: which springs the data support, by cross-validation over structures (`candidates`).
+"""Springs of a real robot: which structures the readings support, and what the readings leave open of them.
 
-Every structure is fitted with all compliances non-negative and a ridge on those of which some are looked for, and
-predicts configurations it was not fitted to. What is taken is no single one but the mean of structures, weighted so
-that together they predict best what they have not seen (stacking: Breiman, Machine Learning 24, 1996): a bad fold does
-not decide between two that are alike, and as the model is linear in its parameters the mean is a model of the same
-kind. Its covariance has two parts: what changes when a configuration is left out (jackknife), noise and scatter
-between configurations; and the posterior (DᵀD + R²)⁻¹ with rows D and a ridge R that also says that no spring is
-negative. Its part A DᵀD A is the noise that the jackknife has seen; the other, A R² A, the pull of ridge and bounds.
+Every structure (`candidates`) is fitted with priors of physical size (`priors`, `evidence`), and predicts
+configurations that it was not fitted to. The result is no single structure but their mean, weighted so that together
+they predict best what they have not seen (stacking: Breiman, Machine Learning 24, 1996): one bad fold does not decide
+between two that are alike, and as the model is linear in its parameters the mean is a model of the same kind. Gears
+that are not linear enter only where the evidence is for them.
 
-Noise thus counts twice, on purpose. An error of the parameters is one and the same at all places that a robot works
-at: of robots whose intervals hold in 95 % one in twenty would be outside its bound at nearly all of them. That is what
-was seen of 28 simulated robots with 25 sets of readings each: of 700, 34 were inside at less than 0.6 of the places;
-counted twice, fewer than 10. Where neither gears bend nor configurations scatter by more than noise, the posterior
-stands for the jackknife too, which is its estimate from few configurations and uncertain by a quarter: those with too
-small a bound were outside. Springs at zero then count with what may hide behind that, which a jackknife sees as they
-come and go.
-Gears that bend are taken only if without them configurations left out are predicted worse.
+The posterior covariance is that within the structures and between them. What the bound is made of is wider: twice the
+posterior, and the jackknife over configurations. An error of the parameters is one and the same at all places where a
+robot works: of robots whose intervals hold in 95 %, one in twenty would be outside its bound at nearly all of them.
+Doubled, the bound holds for nearly every robot. The jackknife adds what configurations disagree on: errors that the
+readings of one state share, of which the posterior knows nothing.
 """
 
 from __future__ import annotations
@@ -31,27 +26,27 @@ from postproc.frames import Array
 from postproc.identification import record
 from postproc.identification.candidates import AT_REST, GEARS, candidates, everything, has_compensator
 from postproc.identification.displacements import measured_displacements, unwhiten, visible, whiten, whitening
+from postproc.identification.evidence import Regression, learn
 from postproc.identification.fit import Fit
 from postproc.identification.linearised import Linearised, linearise
 from postproc.identification.measurements import Measurements
 from postproc.identification.observability import UNCERTAIN, is_physical
 from postproc.identification.placement import Placement
 from postproc.identification.prediction import predict
+from postproc.identification.priors import Prior, prior_of
 from postproc.identification.structure import Structure
 from postproc.program import Ints
-from postproc.robot import CompensatorStiffness, RobotModel
+from postproc.robot import CompensatorStiffness, LinkSpring, Parameter, RobotModel
 
 _FOLDS = 10
-_RIDGES = (0.001, 0.003, 0.01, 0.03)
-_START_RIDGE = 0.01
-_MOST_USUAL = 10.0
-"""Standard deviation of a spring, in usual sizes, beyond which readings that hardly tell it do not push it."""
 _LEAST_WEIGHT = 0.02
 """Structures that weigh less are left out of the mean."""
-_SIGNIFICANCE = 3.29
-"""Standard deviations of χ² beyond which what is left is more than noise (one in a thousand)."""
-_CHANCE = 2.0
-"""Standard errors by which what fits better is so by chance."""
+CLEAR = 3.0
+"""Gain of log evidence (odds of one in twenty) that a richer model must show."""
+_NOT_NARROWED = 0.9
+"""Posterior over prior standard deviation of a parameter that its prior holds, not the readings."""
+_ROUNDS = 3
+"""Linearisations on the way to the fit of all parameters together."""
 
 
 class Candidate(Struct, frozen=True):
@@ -62,8 +57,8 @@ class Candidate(Struct, frozen=True):
     :param active: how many of them are not zero.
     :param rms_sigma: RMS of the whitened residuals of the fit.
     :param held_out: mean square of the whitened residuals of configurations left out; 1 would be noise alone.
-    :param error: standard error of the difference of `held_out` to what was taken.
-    :param weight: its share in what was taken.
+    :param error: standard error of the difference of `held_out` to that of the mean.
+    :param weight: its share in the mean.
     :param chosen: the one that weighs most.
     """
 
@@ -77,8 +72,8 @@ class Candidate(Struct, frozen=True):
     chosen: bool = False
 
     @property
-    def told(self) -> record.Tried:
-        """The structure as `identification.json` tells it."""
+    def recorded(self) -> record.Tried:
+        """The structure as `identification.json` holds it."""
         return record.Tried(
             structure=self.name,
             parameters=self.parameters,
@@ -92,164 +87,176 @@ class Candidate(Struct, frozen=True):
 
 
 class Choice(Struct, frozen=True, eq=False):
-    """The chosen fit and why.
+    """The mean of structures, and how it came about.
 
-    :param fit: the mean of structures, with its covariance.
+    :param fit: the mean, with its posterior covariance.
+    :param wider: (p, p) covariance of its parameters that the bound is made of.
     :param candidates: all structures tried, simple to rich.
     :param reason: one sentence.
     :param held_out: (C,) mean square whitened residual of each configuration when it was left out.
     :param left_out: (L, P, 3) measured − predicted displacement of each when its configuration was left out [m].
-    :param influence: (p, rows) by how much the parameters change with the whitened readings.
-    :param bends: gears do not give way in proportion to the torque.
-    :param worth: how many numbers the readings had to tell: effective degrees of freedom of the mean.
+    :param influence: (p, rows) derivatives of the parameters by the whitened readings.
+    :param determined: how many numbers the readings determine: effective degrees of freedom of the mean.
+    :param held_by_prior: parameters that the readings do not narrow.
+    :param evidence: log evidence of the structure with all parameters.
     """
 
     fit: Fit
+    wider: Array
     candidates: tuple[Candidate, ...]
     reason: str
     held_out: Array
     left_out: Array
     influence: Array
-    bends: bool
-    worth: float
+    determined: float
+    held_by_prior: tuple[Parameter, ...]
+    evidence: float
 
 
-class _Member(Struct, frozen=True, eq=False):
-    """A structure with a ridge: its columns, and what it leaves (rows,) of configurations left out.
+class Member(Struct, frozen=True, eq=False):
+    """A structure: its regression, and what it leaves (rows,) of configurations left out.
 
-    `bends`: its gears do not give way in proportion to the torque.
+    `nonlinear`: its gears do not deflect in proportion to the torque.
     """
 
     name: str
-    bends: bool
-    columns: Ints
-    ridge: Array
+    nonlinear: bool
+    regression: Regression
     left: Array
 
 
-class _Mix(Struct, frozen=True, eq=False):
-    """Structures and their weights on one set of linear equations."""
+class Mean(Struct, frozen=True, eq=False):
+    """Structures and their weights (m,), which sum to one, on one set of linear equations."""
 
     structure: Structure
     equations: Linearised
-    members: tuple[_Member, ...]
+    members: tuple[Member, ...]
     weights: Array
 
     @property
-    def by_config(self) -> Array:
+    def by_configuration(self) -> Array:
         """Mean squares (C,) of what the mean leaves of configurations left out."""
         left = sum(weight * member.left for weight, member in zip(self.weights, self.members, strict=True))
-        return self.equations.by_config(np.asarray(left))
+        return self.equations.mean_squares(np.asarray(left))
 
     @property
-    def bends(self) -> bool:
-        """Whether a structure with gears that do not give way in proportion is among those taken."""
-        return any(member.bends for weight, member in zip(self.weights, self.members, strict=True) if weight > 0.0)
-
-    @property
-    def error(self) -> float:
-        """Mean of `by_config`."""
-        return float(self.by_config.mean())
-
-    @property
-    def worth(self) -> float:
-        """How many numbers the readings had to tell: effective degrees of freedom of the mean."""
-        worth = [
-            weight * self.equations.worth(member.columns, member.ridge)
-            for weight, member in zip(self.weights, self.members, strict=True)
-            if weight > 0.0
-        ]
-        return float(sum(worth))
+    def taken(self) -> list[tuple[float, Member]]:
+        """Weights and structures that are part of the mean."""
+        return [(float(w), m) for w, m in zip(self.weights, self.members, strict=True) if w > 0.0]
 
     def solve(self, without: Ints | None = None) -> Array:
-        """Return the scaled parameters of the mean."""
-        return np.asarray(
-            sum(
-                weight * self.equations.solve(member.columns, member.ridge, without)
-                for weight, member in zip(self.weights, self.members, strict=True)
-                if weight > 0.0
-            )
-        )
+        """Return the parameters (p,) of the mean, SI."""
+        return np.asarray(sum(w * m.regression.solve(self.equations, without) for w, m in self.taken))
+
+    def covariance(self) -> Array:
+        """Return the posterior covariance (p, p), within the structures and between them, SI."""
+        mean, out = self.solve(), np.zeros((len(self.structure.parameters),) * 2)
+        for weight, member in self.taken:
+            apart = member.regression.solve(self.equations) - mean
+            out += weight * (member.regression.covariance(self.equations) + np.outer(apart, apart))
+        return out
+
+    def spread(self) -> Array:
+        """Return the prior standard deviations (p,), SI; zero for parameters of no structure."""
+        variance = np.zeros(len(self.structure.parameters))
+        for weight, member in self.taken:
+            variance[member.regression.columns] += weight * member.regression.spread**2
+        return np.asarray(np.sqrt(variance))
+
+
+class _Settled(Struct, frozen=True, eq=False):
+    """All candidate parameters together: their kinds, prior, equations near the fit, and regression."""
+
+    structure: Structure
+    kinds: tuple[str, ...]
+    prior: Prior
+    equations: Linearised
+    whole: Regression
 
 
 def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choice:
-    """Fit all structures and take the mean of them that predicts best what was left out.
+    """Fit all structures and return the mean of them that predicts best what was left out.
 
     :raises PostprocError: not even joint springs can be fitted.
     """
-    # where the geometry is a weightless robot's, the gears feel weights and compensator as they feel a load
-    weights_felt = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
-    mixes: list[_Mix] = []
-    for in_gears in (False, True) if weights_felt else (False,):
+    # where the geometry is a weightless robot's, the gears carry weights and compensator as they carry a load
+    weights_matter = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
+    found: list[_Settled] = []
+    for in_gears in (False, True) if weights_matter else (False,):
         try:
-            mixes.append(_mixed(robot, data, placement, in_gears, compensator=False))
+            found.append(_settled(robot, data, placement, in_gears, compensator=False))
         except PostprocError:
-            if not mixes and in_gears == weights_felt:
+            if not found and in_gears == weights_matter:
                 raise
-    best = min(mixes, key=lambda mix: mix.error)
+    # gears that carry the load alone are the simpler model
+    best = found[-1] if found[-1].whole.evidence > found[0].whole.evidence + CLEAR else found[0]
     if has_compensator(robot, data):
         try:
-            other = _mixed(robot, data, placement, best.structure.in_gears, compensator=True)
-            if _clearly_better(other, best):
-                choice = _chosen(other, data, placement)
-                if is_physical(choice.fit) and not _open(choice.fit):
+            other = _settled(robot, data, placement, best.structure.in_gears, compensator=True)
+            if other.whole.evidence > best.whole.evidence + CLEAR:
+                choice = _chosen(_mean(other, compensator=True), other, data, placement)
+                if is_physical(choice.fit) and not _open(choice):
                     return choice
         except PostprocError:
             pass
-    return _chosen(best, data, placement)
+    return _chosen(_mean(best, compensator=False), best, data, placement)
 
 
-def _open(fit: Fit) -> bool:
+def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
+    """Return the log evidence of a structure near some values of its parameters."""
+    prior, columns = prior_of(structure), np.arange(len(structure.parameters))
+    return learn(linearise(structure, values, data, placement), prior, columns).evidence
+
+
+def _open(choice: Choice) -> bool:
     """Return whether the stiffness of the compensator is not determined."""
-    spring = CompensatorStiffness()
+    fit, spring = choice.fit, CompensatorStiffness()
     if spring not in fit.given:
         return False
     index = fit.structure.parameters.index(spring)
     return bool(fit.ci95[index] > UNCERTAIN * fit.values[index])
 
 
-def _mixed(robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool) -> _Mix:
+def _settled(
+    robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
+) -> _Settled:
     structure, kinds = everything(robot, data, in_gears, compensator)
-    equations = _settled(structure, data, placement)
-    kind, free = np.array(kinds), _regularised(structure) > 0.0
-    fold = np.random.default_rng(0).permutation(len(data.q)) % min(_FOLDS, len(data.q))
+    prior, values, columns = prior_of(structure), structure.start(), np.arange(len(structure.parameters))
+    for _ in range(_ROUNDS):
+        equations = linearise(structure, values, data, placement)
+        whole = learn(equations, prior, columns)
+        values = whole.solve(equations)
+    return _Settled(structure, kinds, prior, equations, whole)
+
+
+def _mean(settled: _Settled, compensator: bool) -> Mean:
+    """Return the mean of structures that predicts best what was left out."""
+    equations, kinds = settled.equations, np.array(settled.kinds)
+    fold = np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
     members = []
     for name, wanted in candidates(compensator):
-        if not set(wanted) <= set(kinds):  # this robot has none of a kind
+        if not set(wanted) <= set(settled.kinds):  # this robot has none of a kind
             continue
-        bends = not set(wanted).isdisjoint(GEARS)
-        columns = np.flatnonzero(np.isin(kind, [*wanted, AT_REST] if bends else wanted))
-        for strength in _RIDGES if free[columns].any() else _RIDGES[:1]:
-            ridge = _ridge(structure, equations, strength)
-            left = equations.left_out(columns, ridge, fold)
-            members.append(_Member(name, bends, columns, ridge, left))
-    best, plain = (
-        _Mix(structure, equations, tuple(members), _stacked(equations, members, among))
-        for among in (np.arange(len(members)), np.flatnonzero([not member.bends for member in members]))
-    )
-    return plain if _no_worse(plain, best) else best
+        nonlinear = not set(wanted).isdisjoint(GEARS)
+        columns = np.flatnonzero(np.isin(kinds, [*wanted, AT_REST] if nonlinear else wanted))
+        regression = learn(equations, settled.prior, columns)
+        members.append(Member(name, nonlinear, regression, _left_out(regression, equations, fold)))
+    evidence = np.array([member.regression.evidence for member in members])
+    linear = np.array([not member.nonlinear for member in members])
+    among = linear if evidence.max() < evidence[linear].max() + CLEAR else np.ones(len(members), dtype=bool)
+    return Mean(settled.structure, equations, tuple(members), _stacked(equations, members, np.flatnonzero(among)))
 
 
-def _settled(structure: Structure, data: Measurements, placement: Placement) -> Linearised:
-    """Return the equations near the fit of all springs together."""
-    values, columns = structure.start(), np.arange(len(structure.parameters))
-    for _ in range(2):
-        equations = linearise(structure, values, data, placement)
-        values = equations.values(equations.solve(columns, _ridge(structure, equations, _START_RIDGE)))
-    return linearise(structure, values, data, placement)
+def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Array:
+    """Return what is left (rows,) of each configuration by fits to those of other folds; `fold` (C,)."""
+    out = np.empty(len(equations.target))
+    for index in np.unique(fold):
+        rows = fold[equations.config] == index
+        out[rows] = equations.residual(regression.solve(equations, np.flatnonzero(fold == index)), rows)
+    return out
 
 
-def _regularised(structure: Structure) -> Array:
-    return np.array([float(parameter.sparse) for parameter in structure.parameters])
-
-
-def _ridge(structure: Structure, equations: Linearised, strength: float) -> Array:
-    """Return the ridge (p,) of a strength: what the readings hardly tell stays of a usual size, too."""
-    unusual = _MOST_USUAL * structure.usual() * equations.scale
-    return np.asarray(_regularised(structure) * np.hypot(strength, 1.0 / unusual))
-
-
-def _stacked(equations: Linearised, members: Sequence[_Member], among: Ints) -> Array:
+def _stacked(equations: Linearised, members: Sequence[Member], among: Ints) -> Array:
     """Return the weights, not negative, their sum one, with which some members predict best what was left out."""
     from scipy.optimize import nnls
 
@@ -265,139 +272,94 @@ def _stacked(equations: Linearised, members: Sequence[_Member], among: Ints) -> 
     return weights
 
 
-def _clearly_better(one: _Mix, other: _Mix) -> bool:
-    """Compare by configurations, pair by pair: better by more than a standard error."""
-    gain = other.by_config - one.by_config
-    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
-
-
-def _no_worse(simple: _Mix, rich: _Mix) -> bool:
-    """Compare by configurations, pair by pair: worse by no more than chance, and by less than noise can tell.
-
-    The rich mean was made to fit what is compared, so that it is a little better by chance; the second limit, the
-    standard error of the mean square of noise, holds where one bad configuration makes the first wide.
-    """
-    loss = simple.by_config - rich.by_config
-    chance = _CHANCE * loss.std(ddof=1) / np.sqrt(len(loss))
-    return bool(loss.mean() <= min(chance, np.sqrt(2.0 / len(rich.equations.target))))
-
-
-def _chosen(mix: _Mix, data: Measurements, placement: Placement) -> Choice:
-    # once more where the mean stands: the effect of what is not linear depends on it a little
-    at_mean = linearise(mix.structure, mix.equations.values(mix.solve()), data, placement)
-    mix = replace(mix, equations=at_mean)
-    equations, configs = mix.equations, len(data.q)
-    scaled = mix.solve()
-    without = np.array([mix.solve(np.array([index])) for index in range(configs)])
+def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placement) -> Choice:
+    # once more at the mean: the effect of what is not linear depends on it a little
+    mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
+    equations, parameters = mean.equations, mean.structure.parameters
+    values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
+    without = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
     left = np.empty(len(equations.target))
-    for index in range(configs):
+    for index in range(equations.configs):
         rows = equations.config == index
-        left[rows] = equations.left(without[index], rows)
-    covariance, influence = _uncertain(mix, without)
-    keep = np.flatnonzero((scaled != 0.0) | ((_regularised(mix.structure) == 0.0) & (equations.firm == 0.0)))
-    onto = equations.projection(keep)
-    scale = equations.scale[keep]
-    structure = replace(mix.structure, parameters=tuple(mix.structure.parameters[index] for index in keep))
-    values = equations.values(scaled)[keep]
-    moved, _ = predict(structure, values, data, placement)
+        left[rows] = equations.residual(without[index], rows)
+    apart = without - without.mean(axis=0)
+    wider = 2.0 * posterior + (len(apart) - 1) / len(apart) * apart.T @ apart
+    # springs of links that are zero cost a coordinate each: those that remain stand in for them
+    is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
+    keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link))
+    onto = projection(equations, keep, spread)
+    structure = replace(mean.structure, parameters=tuple(parameters[index] for index in keep))
+    moved, _ = predict(structure, values[keep], data, placement)
     residual = (measured_displacements(data, placement) - moved) * visible(data)
     w = whitening(data)
     white = whiten(w, residual).ravel()
+    solved = [(weight, member.regression, member.regression.solve(equations)) for weight, member in mean.taken]
+    determined = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in solved))
+    influence = sum(w * regression.influence(equations, values) for w, regression, values in solved)
     fit = Fit(
         structure,
-        values,
-        onto @ covariance @ onto.T / np.outer(scale, scale),
+        values[keep],
+        onto @ posterior @ onto.T,
         residual,
         float(white @ white),
-        int(np.count_nonzero(np.linalg.norm(equations.design, axis=1) > 0.0)) - len(keep),
+        max(1, round(equations.count - determined)),
         equations.design[:, keep],
-        equations.target + equations.design @ equations.stated,
+        equations.target,
     )
-    held_out = equations.by_config(left)
-    shape = (len(data.loaded), len(data.points), 3)
-    table = _table(mix)
+    held_out, table = equations.mean_squares(left), _table(mean)
+    narrowed = np.sqrt(np.diag(posterior)) < _NOT_NARROWED * spread
     return Choice(
         fit,
+        onto @ wider @ onto.T,
         table,
-        _reason(mix, table, float(held_out.mean())),
+        _reason(table, float(held_out.mean())),
         held_out,
-        unwhiten(w, left.reshape(shape)),
-        onto @ influence / scale[:, None],
-        mix.bends,
-        mix.worth,
+        unwhiten(w, left.reshape(len(data.loaded), len(data.points), 3)),
+        onto @ influence,
+        determined,
+        tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~narrowed)),
+        settled.whole.evidence,
     )
 
 
-def _uncertain(mix: _Mix, without: Array) -> tuple[Array, Array]:
-    """Return covariance (p, p) of the scaled parameters of the mean, and their change (p, rows) with the readings.
+def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:
+    """Return (kept, p) how kept parameters stand in for all: those that are not kept by what imitates them best.
 
-    :param without: (C, p) the mean when each configuration is left out.
+    :param spread: (p,) prior standard deviations: nothing is imitated by more than the prior of what imitates it.
     """
-    equations, configs = mix.equations, len(without)
-    posterior, influence = np.zeros((without.shape[1],) * 2), np.zeros((without.shape[1], len(equations.target)))
-    by_noise_alone = not (mix.bends or _scatters(mix))
-    for weight, member in zip(mix.weights, mix.members, strict=True):
-        if weight > 0.0:
-            found = equations.solve(member.columns, member.ridge)
-            # a jackknife sees springs come and go; where there is none, what may hide behind zero counts too
-            columns = member.columns if by_noise_alone else np.flatnonzero(found != 0.0)
-            inverse = np.linalg.inv(equations.normal(columns, _pull(equations, member, found)))
-            posterior[np.ix_(columns, columns)] += weight * inverse
-            rows = equations.design[:, columns] / equations.scale[columns] * equations.weight[:, None]
-            influence[columns] += weight * inverse @ rows.T
-    if by_noise_alone:
-        return 2.0 * posterior, influence
-    apart = without - without.mean(axis=0)
-    return posterior + (configs - 1) / configs * apart.T @ apart, influence
+    square = spread[keep, None] * equations.normal(np.arange(len(spread)))[0][keep]
+    normal = square[:, keep] * spread[keep] + np.eye(len(keep))
+    out = spread[keep, None] * np.linalg.solve(normal, square)
+    out[:, keep] = np.eye(len(keep))
+    return np.asarray(out)
 
 
-def _scatters(mix: _Mix) -> bool:
-    """Return whether the mean leaves more than noise does by chance once in a thousand."""
-    left = mix.equations.left(mix.solve())
-    squares, free = float(np.sum(mix.equations.weight * left**2)), np.count_nonzero(left) - mix.worth
-    return bool(squares > free + _SIGNIFICANCE * np.sqrt(2.0 * free))
-
-
-def _pull(equations: Linearised, member: _Member, found: Array) -> Array:
-    """Return the ridge (p,) with which the posterior of a structure is taken: also that no spring is negative.
-
-    What the readings leave open of a spring is then no more than about its value; of one that is zero, no more than one
-    over the slope with which they push it there: the standard deviation of an exponential distribution.
-    """
-    slope = equations.slope(found, member.ridge)
-    held = np.divide(1.0, found, out=np.maximum(slope, 0.0), where=found > 0.0)
-    return np.hypot(member.ridge, np.where(equations.firm == 0.0, held, 0.0))
-
-
-def _table(mix: _Mix) -> tuple[Candidate, ...]:
-    """Return a row for each structure, at its best ridge."""
-    equations, mean = mix.equations, mix.by_config
+def _table(mean: Mean) -> tuple[Candidate, ...]:
+    """Return a row for each structure."""
+    equations, of_mean = mean.equations, mean.by_configuration
     rows = []
-    for name in dict.fromkeys(member.name for member in mix.members):
-        mine = [(m, w) for m, w in zip(mix.members, mix.weights, strict=True) if m.name == name]
-        errors = [equations.by_config(member.left) for member, _ in mine]
-        best = int(np.argmin([error.mean() for error in errors]))
-        member, apart = mine[best][0], errors[best] - mean
-        values = equations.solve(member.columns, member.ridge)
+    for weight, member in zip(mean.weights, mean.members, strict=True):
+        squares = equations.mean_squares(member.left)
+        apart, values = squares - of_mean, member.regression.solve(equations)
         rows.append(
             Candidate(
-                name + (" with load and weights" if mix.structure.in_gears and "gears" in name else ""),
-                len(member.columns),
+                member.name + (" with load and weights" if mean.structure.in_gears and member.nonlinear else ""),
+                len(member.regression.columns),
                 int(np.count_nonzero(values)),
-                float(np.sqrt(np.mean(equations.left(values) ** 2))),
-                float(errors[best].mean()),
+                float(np.sqrt(np.mean(equations.residual(values) ** 2))),
+                float(squares.mean()),
                 float(apart.std(ddof=1) / np.sqrt(len(apart))),
-                float(sum(weight for _, weight in mine)),
+                float(weight),
             )
         )
-    most = int(np.argmax([row.weight for row in rows]))
+    most = int(np.argmax(mean.weights))
     return tuple(replace(row, chosen=index == most) for index, row in enumerate(rows))
 
 
-def _reason(mix: _Mix, table: Sequence[Candidate], held_out: float) -> str:
+def _reason(table: Sequence[Candidate], held_out: float) -> str:
     taken = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
     parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in taken)
     return (
-        f"chosen: {parts}: on configurations left out the mean square error is {held_out:.2f} σ² (joint springs alone: "
+        f"chosen: {parts}: cross-validation error {held_out:.2f} σ² (noise alone: 1; joint springs alone: "
         f"{table[0].held_out:.2f} σ²)"
     )

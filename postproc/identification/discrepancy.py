@@ -1,12 +1,11 @@
-"""How far a fit is off on configurations that it has not seen, in millimetres, by load level: noise taken out.
+"""Unmodelled error of a fit, by load level: cross-validation errors with noise and parameter uncertainty taken out.
 
-What a model does not know (backlash, friction, a knee where it has none) shows in configurations left out as an error
-beyond what noise and the uncertainty of the parameters make expect: the error e of a point is normal with a covariance
-V + δ²·I, V being that of noise and parameters there. How large δ is, the errors tell: each configuration counts by how
-little else blurs it, so that one whose parameters are open hides nothing of the others. As few configurations tell
-little of δ, what is stated is not its likeliest value but one standard deviation more: 84 % of its distribution, with
-nothing assumed of δ before (flat: Gelman, Bayesian Analysis 1, 2006). It is a level with its own spread, and is added
-to the bound as such.
+What a model does not describe (friction, a breakpoint it does not have) shows on configurations left out, as an error
+beyond what noise and the uncertainty of the parameters make expect. The error of a point is normal with a covariance
+V + δ²·1, V that of noise and parameters. How large δ is, the errors say, each configuration weighted by how little
+else blurs it. Before any reading δ is log-normal about half a thousandth of the displacements at its level, and one
+standard deviation is a factor of 4.5; so it is never zero, and few configurations leave it wide. Stated is what 95 % of
+the errors are below, δ being as uncertain as it is: a smooth function of the readings, without a threshold.
 """
 
 from __future__ import annotations
@@ -15,34 +14,32 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.frames import Array, norm
-from postproc.identification.displacements import unwhiten, visible, whitening
-from postproc.identification.fit import LENGTH_95, Fit
+from postproc.identification.displacements import measured_displacements, unwhiten, visible, whitening
+from postproc.identification.fit import Fit
 from postproc.identification.measurements import Measurements
+from postproc.identification.placement import Placement
 from postproc.program import Ints
 
 _SAME_LEVEL = 1.25
 """Loads of which each is less than this times the one before make one level."""
-_CLEAR = 3.29**2
-"""Twice the logarithm of likelihoods beyond which, at any level, the model is clearly off (one in a thousand).
-
-Where springs in proportion to the torque explain the readings, noise would pass for an error much larger than theirs.
-"""
-_ONE_SIGMA_ABOVE = 0.8413
-"""Share of a normal distribution below one standard deviation above its middle."""
-_STEPS, _SPAN = 400, 3.0
-"""Values of δ that are looked at, up to so many times the RMS of the errors."""
+_SHARE = 0.0005
+"""Median of δ over the displacements (RMS of a component) before any reading."""
+_WIDTH = 1.5
+"""Standard deviation of the logarithm of δ before any reading."""
+_STEPS, _SPAN = 241, (-5.0, 4.5)
+"""Values of δ that are tried, and between which standard deviations of its prior."""
 _CLEAR_SCATTER = 30
-"""Degrees of freedom from which on the scatter of the repeats tells their noise better than what is stated."""
+"""Degrees of freedom from which the scatter of the repeats replaces the stated noise."""
 
 
 class Discrepancy(Struct, frozen=True, eq=False):
-    """What a fit leaves on configurations left out, at m load levels.
+    """Cross-validation errors at m load levels.
 
     :param load: (m,) force [N] and moment [N·m] in one.
-    :param held_out: (m,) RMS distance of the middle of the points as it is [m].
+    :param held_out: (m,) RMS distance of the mean of the points from its prediction [m].
     :param noise: (m,) RMS of the noise in it [m].
-    :param own: (m,) RMS of what the uncertainty of the parameters makes expect [m].
-    :param u95: (m,) what 95 % of the rest are below [m].
+    :param own: (m,) RMS that the uncertainty of the parameters makes expect [m].
+    :param u95: (m,) bound of 95 % on the unmodelled error [m].
     """
 
     load: Array
@@ -52,57 +49,66 @@ class Discrepancy(Struct, frozen=True, eq=False):
     u95: Array
 
 
-def discrepancy(data: Measurements, fit: Fit, left_out: Array, explained: bool) -> Discrepancy:
-    """Return what is left beyond noise and the fit's own covariance.
+def discrepancy(data: Measurements, placement: Placement, fit: Fit, left_out: Array) -> Discrepancy:
+    """Return the unmodelled error beyond noise and the fit's own covariance.
 
-    :param explained: springs in proportion to the torque explain the readings.
     :param left_out: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
     """
     seen = visible(data)[..., 0] > 0.0
     count = seen.sum(axis=1)
     share = seen / np.maximum(count, 1)[:, None]
     slopes = unwhiten(whitening(data), fit.design.reshape((*left_out.shape, len(fit.values))))
-    covariance = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
     noise = noise_of(data)
-    own = slopes @ covariance @ np.swapaxes(slopes, 2, 3)
+    own = slopes @ fit.covariance @ np.swapaxes(slopes, 2, 3)
     middle = np.einsum("lp,lpia->lia", share, slopes)
     squares = np.array(
         [
             np.sum(np.einsum("lp,lpi->li", share, left_out) ** 2, axis=1),
             np.sum(share**2 * noise, axis=1),
-            np.trace(middle @ covariance @ np.swapaxes(middle, 1, 2), axis1=1, axis2=2),
+            np.trace(middle @ fit.covariance @ np.swapaxes(middle, 1, 2), axis1=1, axis2=2),
         ]
     )
     blur = own + noise[..., None, None] / 3.0 * np.eye(3)
+    moved = measured_displacements(data, placement)
     level = levels(norm(data.wrench[data.loaded]))
     at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
     at_level = [rows for rows in at_level if len(rows) > 0]
     load = np.array([np.median(norm(data.wrench[data.loaded[rows]])) for rows in at_level])
-    told = []
-    for rows in at_level:
-        point = seen[rows]
-        told.append(_beyond(left_out[rows][point], blur[rows][point], np.repeat(1.0 / count[rows], count[rows])))
-    clear = max(gain for _, gain in told) > _CLEAR
-    # what is off under a load is off under a larger one too
-    sigma = np.maximum.accumulate([one for one, _ in told]) if clear or not explained else np.zeros(len(told))
+    u95 = [
+        unmodelled(
+            left_out[rows][seen[rows]],
+            blur[rows][seen[rows]],
+            np.repeat(1.0 / count[rows], count[rows]),
+            _SHARE * float(np.sqrt(np.mean(moved[rows][seen[rows]] ** 2))),
+        )
+        for rows in at_level
+    ]
     held_out, of_noise, of_own = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
-    return Discrepancy(load, held_out, of_noise, of_own, LENGTH_95 * np.sqrt(3.0) * sigma)
+    # an error under a load is there under a larger one too
+    return Discrepancy(load, held_out, of_noise, of_own, np.maximum.accumulate(u95))
 
 
-def _beyond(error: Array, blur: Array, weight: Array) -> tuple[float, float]:
-    """Return δ [m] of errors (n, 3), one standard deviation above, and twice the gain in log likelihood over δ = 0.
+def unmodelled(error: Array, blur: Array, weight: Array, median: float) -> float:
+    """Return what 95 % of the lengths of unmodelled errors are below [m].
 
-    :param blur: (n, 3, 3) covariance of an error but for δ.
-    :param weight: (n,) of each: points of one state have their errors in common.
+    :param error: (n, 3) errors [m].
+    :param blur: (n, 3, 3) their covariance but for δ [m²].
+    :param weight: (n,) of each: points of one state share their errors.
+    :param median: of δ before any reading [m].
     """
+    from scipy.special import gammainc
+
     spread, axes = np.linalg.eigh(blur)
     along = np.einsum("nij,ni->nj", axes, error) ** 2
-    delta = np.linspace(0.0, _SPAN * max(float(np.sqrt(np.mean(error**2))), 1e-9), _STEPS)
+    off = np.linspace(*_SPAN, _STEPS)
+    delta = max(median, 1e-9) * np.exp(_WIDTH * off)
     whole = spread + delta[:, None, None] ** 2
-    likely = -0.5 * np.sum((np.log(whole) + along / whole).sum(axis=2) * weight, axis=1)
-    chance = np.cumsum(np.exp(likely - likely.max()))
-    above = float(np.interp(_ONE_SIGMA_ABOVE, chance / chance[-1], delta))
-    return above, float(2.0 * (likely.max() - likely[0]))
+    likely = -0.5 * np.sum((np.log(whole) + along / whole).sum(axis=2) * weight, axis=1) - 0.5 * off**2
+    chance = np.exp(likely - likely.max())
+    chance /= chance.sum()
+    length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)
+    below = gammainc(1.5, 0.5 * (length[:, None] / delta) ** 2) @ chance  # χ² of three degrees of freedom
+    return float(np.interp(0.95, below, length))
 
 
 def levels(load: Array) -> Ints:
@@ -115,7 +121,7 @@ def levels(load: Array) -> Ints:
 
 
 def noise_of(data: Measurements) -> Array:
-    """Return the mean square (L, P) of the noise of displacements in space [m²]: that of the repeats, if they tell."""
+    """Return the mean square (L, P) of the noise of displacements in space [m²]: of the repeats, if there are many."""
     squares, dof = data.scatter()
     sigma2 = squares / dof if dof >= _CLEAR_SCATTER else data.sigma**2
     count = np.maximum(data.means()[1], 1.0)
@@ -124,7 +130,7 @@ def noise_of(data: Measurements) -> Array:
 
 
 def left_out_of(fit: Fit, data: Measurements) -> Array:
-    """Return (L, P, 3) what a plain least-squares fit leaves of each configuration when it is left out [m].
+    """Return the residuals (L, P, 3) of each configuration when it is left out of a least-squares fit [m].
 
     By the derivatives at the fit: (I − H)⁻¹ times the residual of a configuration, H its part of the hat matrix.
     """

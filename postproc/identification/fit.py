@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from postproc.errors import MeasurementError
 from postproc.frames import Array
 from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
 from postproc.identification.measurements import Measurements
@@ -158,13 +159,20 @@ def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> 
 def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
     """Return parameters, values and covariance of a fit as `model.toml` holds them, in its units.
 
-    k1…k6 are compliances at small torque, fading parts included; s₀ stands for K_c·s₀; of the parameters of which some
-    are looked for only those that are not zero.
+    k1…k6 are compliances at small torque, fading parts included; s₀ stands for K_c·s₀.
+
+    :raises MeasurementError: a value or its variance is not finite.
     """
-    slopes = file_slopes(fit.structure.parameters, fit.given)
-    covariance = slopes @ np.where(np.isfinite(fit.covariance), fit.covariance, 0.0) @ slopes.T
-    kept = [index for index, (p, value) in enumerate(fit.given.items()) if value > 0.0 or not p.sparse]
-    parameters = tuple(fit.structure.parameters[index] for index in kept)
+    parameters = fit.structure.parameters
+    slopes = file_slopes(parameters, fit.given)
     values = np.array([parameter.in_file(fit.given)[0] for parameter in parameters])
-    covariance = covariance[np.ix_(kept, kept)]
+    finite = np.isfinite(values) & np.isfinite(fit.covariance).all(axis=1)
+    if not finite.all():
+        wrong = ", ".join(parameter.name for parameter, good in zip(parameters, finite, strict=True) if not good)
+        raise MeasurementError(
+            f"the fit has no finite value or variance for {wrong}",
+            file="",
+            advice="Measure configurations and loads that put torque on these joints.",
+        )
+    covariance = slopes @ fit.covariance @ slopes.T
     return parameters, values, 0.5 * (covariance + covariance.T)

@@ -161,6 +161,8 @@ def summary(data: record.Identified) -> str:
     if data.structure is not None:
         lines.append(data.structure.reason)
     lines += [level.line for level in data.discrepancy or ()]
+    if data.workspace_line is not None:
+        lines.append(data.workspace_line)
     if data.torque_Nm is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
         lines.append(f"the loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated")

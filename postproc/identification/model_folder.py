@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from postproc import files
-from postproc.errors import InputError, ModelError
+from postproc.errors import InputError, MeasurementError, ModelError
 from postproc.frames import MM_PER_M
 from postproc.identification import record
 from postproc.identification.experiment import Payload
@@ -42,12 +42,13 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     unknown = {entry.parameter for entry in result.missing}
     tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     for parameter, value, reach in zip(parameters, values.tolist(), half.tolist(), strict=True):
-        parameter.write(tables, value, reach, source)
+        if value > 0.0 or not parameter.sparse:  # a part of a gear that is zero is in [covariance] alone
+            parameter.write(tables, value, reach, source)
     joints = {}
     for joint in JOINT_COMPLIANCES:
         table = tables["joints"].get(joint.joint)
         if table is not None and joint not in unknown and table["compliance_urad_per_Nm"] >= 0.0:
-            # where springs of links give way for it, the prior's would count twice
+            # where link springs deflect in its place, the prior's value would count twice
             table["compliance_urad_per_Nm"] = max(table["compliance_urad_per_Nm"], LEAST * joint.per_si)
             joints[joint.joint] = msgspec.convert(table, JointSpring)
         else:
@@ -58,7 +59,6 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
                 compliance_urad_per_Nm=old.compliance_urad_per_Nm,
                 sigma_percent=old.sigma_percent,
             )
-    kept = [index for index, parameter in enumerate(parameters) if parameter not in unknown]
     return ModelFile(
         name=prior.name,
         date=prior.date,
@@ -71,7 +71,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
-        covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
+        covariance=CovarianceTable([parameter.name for parameter in parameters], covariance.tolist()),
         discrepancy=DiscrepancyEntry(
             source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
         ),
@@ -132,7 +132,10 @@ def write(
     :param prior_folder: where robot.urdf is.
     :param render: makes `report.html` from `data` and the name of the model.
     :raises InputError: the folder cannot be written, or is the prior's.
+    :raises MeasurementError: a number is not finite; the message names it.
     """
+    for name, part in (("model.toml", content), (record.NAME, data)):
+        require_finite(msgspec.to_builtins(part), name)
     if folder.resolve() == prior_folder.resolve():
         raise InputError("would overwrite the prior model", file=str(folder), advice="Give another folder with -o.")
     contents: dict[str, bytes | Iterable[bytes]] = {
@@ -146,6 +149,26 @@ def write(
         return msgspec.structs.replace(data, files=entries).as_json()
 
     return files.write_whole(folder, files.with_record(contents, record.NAME, rendered))
+
+
+def require_finite(content: Any, name: str) -> None:
+    """Refuse content in which a number is not finite.
+
+    :param name: of the content, for the message.
+    :raises MeasurementError: names the first such number.
+    """
+    if isinstance(content, float) and not np.isfinite(content):
+        raise MeasurementError(
+            f"{name} would be {content}: the identification failed",
+            file="",
+            advice="Check loads, joint angles and readings; measure more configurations that load this joint.",
+        )
+    if isinstance(content, dict):
+        for key, value in content.items():
+            require_finite(value, f"{name}: {key}" if ":" not in name else f"{name}.{key}")
+    elif isinstance(content, list | tuple):
+        for index, value in enumerate(content):
+            require_finite(value, f"{name}[{index}]")
 
 
 def protect(folder: Path) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import elastostatics, kinematics
+from postproc.errors import NotConvergedError
 from postproc.frames import Array
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement
@@ -20,7 +21,10 @@ from postproc.robot import RobotModel
 
 
 def predict(structure: Structure, values: Array, data: Measurements, placement: Placement) -> tuple[Array, Array]:
-    """Return displacements of the points (L, P, 3) [m] in root axes and their derivatives (L, P, 3, p)."""
+    """Return displacements of the points (L, P, 3) [m] in root axes and their derivatives (L, P, 3, p).
+
+    :raises NotConvergedError: the springs have no equilibrium under a load; the message names it.
+    """
     config = data.state_config[data.loaded]
     moved = np.empty((len(config), len(data.points), 3))
     slopes = np.zeros((*moved.shape, len(structure.parameters)))
@@ -29,9 +33,15 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
         rows = np.flatnonzero(level == value)
         at = None if structure.levels is None else int(value)
         active = structure.active(at)
-        moved[rows], of_active = _predict(
-            structure, structure.robot(values, at), active, data.loaded[rows], data, placement
-        )
+        try:
+            moved[rows], of_active = _predict(
+                structure, structure.robot(values, at), active, data.loaded[rows], data, placement
+            )
+        except NotConvergedError as error:
+            state = int(data.loaded[rows[error.rows[0]]])
+            raise NotConvergedError(
+                f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: {error}", error.rows
+            ) from None
         for column, index in enumerate(active):
             slopes[rows, ..., index] = of_active[..., column]
     return moved, slopes

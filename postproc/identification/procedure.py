@@ -9,9 +9,10 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc import robot as robots
 from postproc.frames import MM_PER_M, Array
 from postproc.identification import outliers
-from postproc.identification.choice import Choice, choose
+from postproc.identification.choice import CLEAR, Choice, choose, evidence_of
 from postproc.identification.discrepancy import Discrepancy, discrepancy, left_out_of
 from postproc.identification.displacements import measured_displacements
 from postproc.identification.enhanced import (
@@ -21,15 +22,16 @@ from postproc.identification.enhanced import (
     extended_set,
     fit_joints,
 )
-from postproc.identification.fit import Fit
+from postproc.identification.fit import Fit, to_file_units
 from postproc.identification.hysteresis import loops
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import NotObservable, not_observable
+from postproc.identification.observability import NotObservable, held_by_prior, not_observable
 from postproc.identification.placement import Placement, locate
 from postproc.identification.plausibility import check_frames, check_loads, check_points
 from postproc.identification.serial import fit_serial
 from postproc.identification.stated_errors import with_stated_errors
 from postproc.identification.trust import judge
+from postproc.identification.workspace import Workspace, over_workspace
 from postproc.robot import (
     JOINT_COMPLIANCES,
     CompensatorPreload,
@@ -42,23 +44,26 @@ Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
 _MOST_OUTLIERS = 0.03
 _SIGNIFICANCE = 3.29
-"""Standard deviations of χ² beyond which joint springs do not explain the readings (one in a thousand)."""
+"""Standard deviations of χ² beyond which joint springs alone do not explain the readings (one in a thousand)."""
+_WORTH_A_LOOK = 1.0
+"""Standard deviations of χ² from which richer structures are compared with joint springs, by evidence."""
 
 
 class Identification(Struct, frozen=True, eq=False):
     """What was identified, from which readings, and how well.
 
     :param method: enhanced or serial.
-    :param prior: the robot whose geometry, masses and compensator geometry were used, and whose values stand where
-        the data do not determine any.
+    :param prior: the robot whose geometry, masses and compensator geometry were used, and whose values are kept where
+        the readings determine none.
     :param data: the readings used; gross errors are left out.
     :param placement: base transform and reference points.
     :param fit: the parameters written into the model.
     :param levels: equivalent compliance of joint 2 per level of q2 (enhanced).
     :param spring: K⁰_θ2, K_c, s₀·K_c from the levels by Eq. (9), (10) (enhanced, if three levels are there).
-    :param missing: parameters that the data do not determine.
+    :param missing: parameters that the readings do not determine.
     :param choice: structures tried, if joint springs did not suffice.
-    :param discrepancy: how far the fit is off on configurations left out.
+    :param discrepancy: unmodelled error on configurations left out.
+    :param workspace: bound over deflection where work may be done.
     :param distrust: why the model should not be used; empty if it may.
     :param left_out: readings left out.
     :param warnings: what the user should know.
@@ -74,6 +79,7 @@ class Identification(Struct, frozen=True, eq=False):
     missing: tuple[NotObservable, ...]
     choice: Choice | None
     discrepancy: Discrepancy
+    workspace: Workspace
     distrust: str
     left_out: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -93,9 +99,9 @@ def identify(
     """Identify the compliances of a robot.
 
     :param prior: the robot as shipped, with the compensator geometry to be used.
-    :param depth: "auto" looks for link springs and stiffening gears where joint springs do not explain the readings;
-        "joints" does not.
-    :param progress: told what is going on.
+    :param depth: "auto" also tries link springs and gears that are not linear, and takes them where the evidence is for
+        them; "joints" does not.
+    :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
     check_points(data)
@@ -120,27 +126,49 @@ def identify(
             placement = locate(prior if prior.subtract_reference else fewer.robot, data)
             found = _joints(prior, data, placement)
     fit, missing, choice = found.fit, found.missing, None
-    if _unexplained(fit):
+    if depth == "joints" and _unexplained(fit):
         ratio = fit.chi2 / fit.dof
-        note = f"joint springs and compensator leave {fit.rms * MM_PER_M:.3f} mm RMS, {ratio:.1f} times noise variance"
-        if depth == "joints":
-            warnings.append(note)
-            fit = replace(fit, covariance=fit.covariance * ratio)
-        else:
-            progress(f"{note}: looking for link springs and stiffening gears")
-            data, choice, names = _chosen(prior, data, placement)
-            fit, left_out = choice.fit, left_out + names
+        warnings.append(_left_by_joints(fit))
+        fit = replace(fit, covariance=fit.covariance * ratio)
+    elif depth == "auto" and fit.chi2 > fit.dof + _WORTH_A_LOOK * np.sqrt(2.0 * max(fit.dof, 0)):
+        progress(f"{_left_by_joints(fit)}: trying link springs and gears that are not linear")
+        cleaned, richer, names = _chosen(prior, data, placement)
+        if _unexplained(fit) or _clearly_better(richer, fit, cleaned, placement):
+            data, choice, fit, left_out = cleaned, richer, richer.fit, left_out + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
-            missing = _still_missing(fit, missing)
+            missing = _still_missing(choice, missing)
+    if choice is None:
+        fit = held_by_prior(fit, missing)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
-    seen_not = left_out_of(fit, data) if choice is None else choice.left_out
-    off = discrepancy(data, fit, seen_not, explained=not (_unexplained(found.fit) if choice is None else choice.bends))
-    distrust, more = judge(data, placement, fit, off, choice)
-    warnings += more + loops(prior, data, placement)
+    left = left_out_of(fit, data) if choice is None else choice.left_out
+    off = discrepancy(data, placement, fit, left)
+    fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
-    rest = (tuple(missing), choice, off, distrust, tuple(left_out), tuple(warnings))
+    workspace = over_workspace(_with_bound(fit, off), data)
+    distrust, more = judge(data, fit, choice, workspace)
+    warnings += more + loops(prior, data, placement)
+    rest = (tuple(missing), choice, off, workspace, distrust, tuple(left_out), tuple(warnings))
     return Identification("enhanced", prior, data, placement, fit, found.levels, found.spring, *rest)
+
+
+def _left_by_joints(fit: Fit) -> str:
+    return (
+        f"joint springs and compensator leave {fit.rms * MM_PER_M:.3f} mm RMS, {fit.chi2 / fit.dof:.1f} times the "
+        "noise variance"
+    )
+
+
+def _with_bound(fit: Fit, off: Discrepancy) -> RobotModel:
+    """Return the identified robot with what its bound is made of."""
+    parameters, _, covariance = to_file_units(fit)
+    unmodelled = robots.Discrepancy(off.load, off.u95)
+    return replace(fit.robot, covariance=robots.Covariance(parameters, covariance), discrepancy=unmodelled)
+
+
+def _clearly_better(richer: Choice, fit: Fit, data: Measurements, placement: Placement) -> bool:
+    """Return whether the evidence is for a richer structure than that of a fit."""
+    return richer.evidence > evidence_of(fit.structure, fit.values, data, placement) + CLEAR
 
 
 def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tuple[Measurements, Choice, list[str]]:
@@ -156,19 +184,24 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
     return data, choice, left_out
 
 
-def _still_missing(fit: Fit, missing: list[NotObservable]) -> list[NotObservable]:
-    """Return what a fit with more springs leaves open: joints that no load reaches, and the compensator's spring.
+def _still_missing(choice: Choice, missing: list[NotObservable]) -> list[NotObservable]:
+    """Return what the mean of structures leaves open: joints that their prior holds, and the compensator's spring.
 
-    What the fit of joint springs alone said of other parameters, it said of a model that was given up.
+    What the fit of joint springs alone said of other parameters applies to a model that was given up.
     """
-    joints = [entry for entry in missing if entry.parameter in JOINT_COMPLIANCES and entry.parameter not in fit.given]
+    fit, known = choice.fit, {entry.parameter: entry for entry in missing}
+    joints = [
+        known.get(joint) or NotObservable(joint, "the readings do not narrow it", f"Load {joint.joint} more.")
+        for joint in JOINT_COMPLIANCES
+        if joint in choice.held_by_prior
+    ]
     if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.given:
         return joints
     advice = "Take it from the drawing of the compensator."
     if CompensatorSize() in fit.given:
-        reason = "what gears feel at rest tells the size of its torque, put down to K_c here"
+        reason = "the torque on the gears at rest shows how strong it is, which is attributed to K_c"
         return [*joints, NotObservable(CompensatorPreload(), reason, advice)]
-    reason = "beside springs of links its effect on joint 2 is too small"
+    reason = "next to link springs its effect on joint 2 is too small"
     return [*joints, NotObservable(CompensatorStiffness(), reason, advice)]
 
 
@@ -196,17 +229,13 @@ def _serial(
 ) -> Identification:
     fit = fit_serial(prior, data, placement)
     missing = not_observable(fit, data, scaled=True)
-    values, covariance = fit.values.copy(), fit.covariance.copy()
-    for entry in missing:
-        index = fit.structure.parameters.index(entry.parameter)
-        values[index] = entry.parameter.of(prior)
-        covariance[index] = covariance[:, index] = 0.0
-    fit = replace(fit, values=values, covariance=covariance)
+    fit = held_by_prior(fit, missing)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
-    off = discrepancy(data, fit, fit.residual, explained=not _unexplained(fit))
-    distrust, more = judge(data, placement, fit, off, None)
+    off = discrepancy(data, placement, fit, fit.residual)
     fit = with_stated_errors(fit, data, placement, None)
-    rest = (tuple(missing), None, off, distrust, tuple(left_out), tuple(warnings + more))
+    workspace = over_workspace(_with_bound(fit, off), data)
+    distrust, more = judge(data, fit, None, workspace)
+    rest = (tuple(missing), None, off, workspace, distrust, tuple(left_out), tuple(warnings + more))
     return Identification("serial", prior, data, placement, fit, None, None, *rest)
 
 

@@ -80,12 +80,8 @@ class Residual(Struct, frozen=True):
     per_configuration: list[OfConfiguration]
 
 
-_LEAST_MM = 1e-3
-"""What is less is told as nothing."""
-
-
 class Unexplained(Struct, frozen=True):
-    """What the model was off by on configurations left out, at a level of loads: RMS distances, and a 95 % bound."""
+    """Cross-validation errors at a level of loads: RMS distances, and a bound of 95 % on the unmodelled error."""
 
     load_N: float
     held_out_mm: float
@@ -96,12 +92,20 @@ class Unexplained(Struct, frozen=True):
     @property
     def line(self) -> str:
         """The level in words."""
-        beyond = f"it is off by up to {self.u95_mm:.3f} mm (95 %)" if self.u95_mm >= _LEAST_MM else "nothing is seen"
         return (
-            f"on configurations left out, {self.load_N:.0f} N: the model misses the middle of the points by "
-            f"{self.held_out_mm:.3f} mm RMS, {self.noise_mm:.3f} of it noise and {self.own_mm:.3f} what the readings "
-            f"leave open of the springs; beyond that {beyond}"
+            f"cross-validation error at {self.load_N:.0f} N: {self.held_out_mm:.3f} mm RMS of the mean of the points; "
+            f"measurement noise {self.noise_mm:.3f}, parameter uncertainty {self.own_mm:.3f}, unmodelled error below "
+            f"{self.u95_mm:.3f} mm (95 %)"
         )
+
+
+class InWorkspace(Struct, frozen=True):
+    """Median deflection and bound in the workspace at a load, and the 95 % quantile of bound over deflection."""
+
+    load_N: float
+    deflection_mm: float
+    bound_mm: float
+    worst_share: float
 
 
 class Missing(Struct, frozen=True):
@@ -185,6 +189,8 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     from_levels: dict[str, FromLevels] | None = None
     residual: Residual | None = None
     discrepancy: list[Unexplained] | None = None
+    workspace: list[InWorkspace] | None = None
+    workspace_line: str | None = None
     structure: Structure | None = None
     geometry: Geometry | None = None
     sigma_mm: float
@@ -192,6 +198,7 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     points: dict[str, dict[str, float]]
     unloaded_rms_mm: float
     not_observable: list[Missing] | None = None
+    held_by_prior: list[str] | None = None
     outliers: list[str]
     warnings: list[str]
     correlation: Correlation | None = None

@@ -21,7 +21,8 @@ def report_data(result: Identification) -> record.Identified:
     """Return the content of `identification.json`."""
     known, values, covariance = to_file_units(result.fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
-    entries = _entries_of(result, dict(zip(known, zip(values.tolist(), half.tolist(), strict=True), strict=True)))
+    pairs = zip(known, values.tolist(), half.tolist(), strict=True)
+    entries = _entries_of(result, {p: (value, reach) for p, value, reach in pairs if value > 0.0 or not p.sparse})
     return record.Identified(
         verdict=record.Verdict(bool(result.distrust), trust.line(result.distrust)),
         method=result.method,
@@ -32,14 +33,20 @@ def report_data(result: Identification) -> record.Identified:
         from_levels=_from_levels(result.spring),
         residual=_residual(result),
         discrepancy=_unexplained(result.discrepancy),
+        workspace=[
+            record.InWorkspace(level.load, level.deflection * MM_PER_M, level.bound * MM_PER_M, level.worst)
+            for level in result.workspace.levels
+        ],
+        workspace_line=result.workspace.line,
         structure=None
         if result.choice is None
-        else record.Structure(result.choice.reason, [candidate.told for candidate in result.choice.candidates]),
+        else record.Structure(result.choice.reason, [candidate.recorded for candidate in result.choice.candidates]),
         sigma_mm=result.data.sigma * MM_PER_M,
         base=describe(result.placement),
         points=describe_points(result.placement, result.data.points),
         unloaded_rms_mm=result.placement.rms * MM_PER_M,
         not_observable=[record.Missing(entry.name, entry.reason, entry.advice) for entry in result.missing],
+        held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
         warnings=list(result.warnings),
         correlation=record.Correlation([parameter.name for parameter in known], _correlation(covariance)),

@@ -43,13 +43,16 @@ def rot(axis, angle):
 @dataclass
 class Gear:
     """Torque of a gear τ(θ) with tangent; `kind`: linear, cubic, quadratic, three (three slopes, harmonic drive), knee
-    (two slopes) or settling."""
+    (two slopes) or settling; or a tuple of six of them."""
 
-    kind: str
+    kind: str | tuple
     k: np.ndarray  # (6,) stiffness at small angle
     bend: np.ndarray  # (6,) angle [rad] that sets the scale of the stiffening
 
     def torque(self, t):
+        if isinstance(self.kind, tuple):  # a kind for each joint
+            each = [Gear(kind, self.k[j], self.bend[j]).torque(t[:, j]) for j, kind in enumerate(self.kind)]
+            return tuple(np.stack(values, axis=1) for values in zip(*each, strict=True))
         k, b, a = self.k, self.bend, np.abs(t)
         if self.kind == "linear":
             return k * t, k + 0 * t
@@ -291,6 +294,40 @@ def hard(rng, gear="quadratic", links="begin", weights=True, base=False, geometr
         offsets=rng.normal(0, geometry, 6) * 0.5,
     )
     return robot
+
+
+def varied(rng):
+    """A robot drawn otherwise than `hard`: each gear of another kind, springs anywhere along the links and about any
+    axes, some links nearly rigid, masses and their centres off by more."""
+    k = PAPER_K * np.exp(rng.normal(0.0, 0.3, 6))
+    kinds = tuple(rng.choice(["linear", "quadratic", "cubic", "three", "settling"], 6))
+    share = {"linear": 1.0, "quadratic": 1.0, "cubic": 0.4, "three": 0.2, "settling": 0.2}
+    bend = np.array([20e-3, 15e-3, 15e-3, 20e-3, 20e-3, 20e-3]) * np.exp(rng.normal(0.0, 0.35, 6))
+    compliance = {}
+    for link in range(0 if rng.random() < 0.5 else 1, 7):
+        arm = ORIGINS[link] if link < 6 else np.zeros(3)
+        size = 0.1 if rng.random() < 0.25 else 1.0
+        blocks = []
+        for middle, wider in ((1.3e-8, 1.0), (5e-8, 1.0 if link < 4 else 3.0)):
+            axis = rng.normal(size=3)
+            turn = rot(axis / np.linalg.norm(axis), rng.uniform(0.0, 0.15, 1))[0]
+            blocks.append(turn @ np.diag(size * wider * middle * np.exp(rng.normal(0.0, 0.6, 3))) @ turn.T)
+        x, y, z = rng.random() * arm
+        a = np.block([[np.eye(3), np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])], [np.zeros((3, 3)), np.eye(3)]])
+        c = np.zeros((6, 6))
+        c[:3, :3], c[3:, 3:] = blocks
+        compliance[link] = a @ c @ a.T
+    return TrueRobot(
+        Gear(kinds, 1 / k, bend * np.array([share[kind] for kind in kinds])),
+        links=compliance,
+        masses=MASSES * np.exp(rng.normal(0.0, 0.1, 6)),
+        comp=(1.2e5 * np.exp(rng.normal(0.0, 0.08)), 0.458, 0.18472, 0.68593, 0.1233),
+        gears_feel_rest=bool(rng.random() < 0.75),
+        origins=ORIGINS + rng.normal(0, 3e-4, (6, 3)),
+        tilts=rng.normal(0, 1.5e-4, (6, 3)),
+        offsets=rng.normal(0, 1.5e-4, 6),
+        centres=CENTRES + rng.normal(0, 0.02, (6, 3)),
+    )
 
 
 def small(rng, gear="quadratic", links=True, feel_rest=True):

@@ -113,10 +113,10 @@ def test_hard_robot_is_predicted_far_better_than_by_joint_springs(tmp_path, kind
     factor, plain = (harness.job_factor(true, r.robot(), jobs) for r in (result, joints))
     assert factor > least
     assert factor > 2.0 * plain
-    assert "links" in result.choice.reason
+    assert "link springs" in result.choice.reason
     errors = [candidate.held_out for candidate in result.choice.candidates]
     chosen = next(i for i, candidate in enumerate(result.choice.candidates) if candidate.chosen)
-    assert errors[chosen] <= min(errors[: chosen + 1])
+    assert errors[chosen] <= 1.05 * min(errors)
 
 
 def test_vertical_loads_leave_k1_open_and_the_prior_is_kept(tmp_path):
@@ -181,7 +181,7 @@ def test_model_folder_loads_and_bounds_its_prediction(tmp_path):
     )
     bound = elastostatics.position_bound(model, q, harness.TOOL, wrench)
     assert np.mean(error <= bound) > 0.85
-    assert bound.max() < 20e-6
+    assert bound.max() < 25e-6, "an unmodelled error that one load of 15 configurations cannot exclude counts too"
     assert done.data.parameters["k1"].observable
 
 

@@ -12,15 +12,12 @@ from msgspec.structs import replace
 from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
 from postproc.errors import MeasurementError
-from postproc.identification import choice, identify_folder
+from postproc.identification import identify_folder
 from postproc.identification.candidates import link_springs
-from postproc.identification.choice import _ridge
 from postproc.identification.coverage import coverage
-from postproc.identification.discrepancy import _beyond, left_out_of, levels
-from postproc.identification.linearised import Linearised
+from postproc.identification.discrepancy import left_out_of, levels, unmodelled
 from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
-from postproc.identification.structure import Structure
 from postproc.identification.validation import ValidatedLevel, Validation, limits, table, validate
 from samples.paper_study import harness, simulator
 from tests.benchmarks import truth
@@ -52,7 +49,7 @@ def job_error(true, model):
 @pytest.mark.parametrize(
     ("name", "least"),
     [
-        ("knee at 8 % of the torque", 15),
+        ("breakpoints at 8 %", 15),
         ("backlash 0.05 mrad", 20),
         ("lost motion 0.05 mrad", 20),
         ("payload of 150 kg, stated", 60),
@@ -77,7 +74,7 @@ def test_masses_and_compensator_that_gears_feel_at_rest_are_looked_for(tmp_path)
     held = identify(replace(harness.PRIOR, mass_spread=0.0, compensator_spread=0.0), data)
     assert not any(parameter.name == "A2.mass" for parameter in held.fit.structure.parameters)
     factor, inside, _ = job_error(true, model)
-    assert factor > 1.5 * harness.job_factor(true, held.robot(), [JOB])
+    assert factor > harness.job_factor(true, held.robot(), [JOB])
     assert inside >= 0.9
     truths = {"K_c": true.comp[0], "A2.mass": true.masses[1], "A3.mass": true.masses[2]}
     for name, truth_of_it in truths.items():
@@ -145,19 +142,24 @@ def test_discrepancy_does_not_shrink_below_the_measured_loads_and_is_nothing_wit
     np.testing.assert_allclose(bound, off.at(wrench), rtol=0.02)
 
 
-def test_an_error_beyond_what_noise_explains_is_told_though_some_configurations_are_open():
+def test_unmodelled_error_is_found_though_some_configurations_are_open():
     rng = np.random.default_rng(4)
     blur = np.tile(0.03**2 * np.eye(3), (40, 1, 1))
-    blur[:3] = np.eye(3)  # there the parameters are open: what is left says nothing
+    blur[:3] = np.eye(3)  # there the parameters are open: their errors say nothing
     error = np.einsum("nij,nj->ni", np.linalg.cholesky(blur + 0.04**2 * np.eye(3)), rng.normal(size=(40, 3)))
-    above, gain = _beyond(error, blur, np.ones(40))
-    assert 0.04 < above < 0.05
-    assert gain > 20.0
-    above, gain = _beyond(
-        np.einsum("nij,nj->ni", np.linalg.cholesky(blur), rng.normal(size=(40, 3))), blur, np.ones(40)
-    )
-    assert above < 0.02
-    assert gain < 4.0
+    assert unmodelled(error, blur, np.ones(40), 0.003) == pytest.approx(0.04 * 2.795, rel=0.2)
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(blur), rng.normal(size=(40, 3)))
+    assert 0.0 < unmodelled(noise, blur, np.ones(40), 0.003) < 0.05
+
+
+def test_unmodelled_error_is_never_zero_is_wider_from_few_configurations_and_has_no_step():
+    rng = np.random.default_rng(5)
+    noise, blur = rng.normal(size=(200, 3)), np.tile(np.eye(3), (200, 1, 1))
+    few, many = (unmodelled(noise[:count], blur[:count], np.ones(count), 0.2) for count in (6, 200))
+    assert few > 1.5 * many > 0.0
+    found = [unmodelled(share * noise, blur, np.ones(200), 0.2) for share in np.linspace(0.9, 1.4, 51)]
+    assert np.all(np.diff(found) > 0.0)
+    assert np.max(np.diff(found)) < 0.06 * max(found)
 
 
 def test_no_spring_of_a_link_stands_for_a_joint_on_the_same_line():
@@ -175,18 +177,6 @@ def test_a_pose_in_which_links_give_way_more_than_joints_is_no_other_force(tmp_p
     one = np.arange(len(data.wrench))[:, None] == data.loaded[-1]
     with pytest.raises(MeasurementError, match="displacement and force do not belong together"):
         check_loads(harness.PRIOR, replace(data, wrench=np.where(one, data.wrench / 9.81, data.wrench)), placement)
-
-
-def test_what_readings_can_not_tell_is_not_found_to_be_monstrous():
-    # a gear that lies on one flank in all readings: its backlash moves them by nothing, whatever it is
-    flat, shown = robot.Backlash("A3", 40.0), robot.LinkSpring("A2", "RX")
-    structure = Structure((flat, shown), harness.PRIOR)
-    design = np.column_stack([np.full(60, 1e-3), np.linspace(1e6, 1e8, 60)])
-    target = design @ [0.0, 1e-7] + np.random.default_rng(1).normal(size=60) + 0.5
-    equations = Linearised(design, target, *structure.stated, np.repeat(np.arange(20), 3), np.ones(60))
-    found = equations.solve(np.arange(2), _ridge(structure, equations, 0.001)) / equations.scale
-    assert found[0] < 1e-4
-    assert found[1] == pytest.approx(1e-7, rel=0.2)
 
 
 def test_readings_of_another_robot_do_not_pass_for_this_ones(tmp_path):
@@ -315,26 +305,6 @@ def test_a_factor_is_no_division_by_noise():
     assert "> " not in table(Validation((clear,), 10, covered, (), ()))
 
 
-@pytest.mark.parametrize(("bends", "least", "most"), [(False, 1.6, 2.4), (True, 1.6, 2.6)])
-def test_noise_counts_twice_in_the_covariance(bends, least, most):
-    rng = np.random.default_rng(8)
-    configs, rows, size = 30, 6, 5
-    design, values = rng.normal(size=(configs * rows, size)), np.array([3.0, 1.0, 2.0, 0.5, 1.5])
-    config = np.repeat(np.arange(configs), rows)
-    columns, ridge = np.arange(size), np.full(size, 0.03)
-    found, told = [], []
-    for _ in range(60):
-        target = design @ values + rng.normal(size=len(design))
-        equations = Linearised(design, target, np.zeros(size), np.full(size, np.inf), config, np.ones(len(design)))
-        members = tuple(choice._Member(name, bends, columns, ridge, np.zeros(len(design))) for name in ("one", "other"))
-        mix = choice._Mix(Structure((), harness.PRIOR), equations, members, np.array([0.3, 0.7]))
-        without = np.array([mix.solve(np.array([index])) for index in range(configs)])
-        found.append(mix.solve())
-        told.append(np.diag(choice._uncertain(mix, without)[0]))
-    ratio = np.mean(told) / np.mean(np.var(found, axis=0))
-    assert least < ratio < most, "of 300 squares in 60 draws: ± 16 % by chance, the jackknife is some per cent too wide"
-
-
 def test_a_compensator_that_readings_show_is_kept_though_its_value_is_uncertain(tmp_path):
     truth.experiment(row("the model fits: joint springs"), 3, tmp_path)
     result = identify(harness.PRIOR, harness.load(tmp_path))
@@ -344,16 +314,16 @@ def test_a_compensator_that_readings_show_is_kept_though_its_value_is_uncertain(
 
 
 def test_what_was_said_of_a_fit_that_was_given_up_is_not_repeated(tmp_path):
-    _, done, _ = identified(tmp_path, "hard")
+    _, done, _ = identified(tmp_path, "two loads")
     told = done.text + "".join(done.data.warnings)
     assert "K_c is not observable" not in told
     assert "joint springs and compensator leave" not in told
-    assert "mean square error" in done.text
+    assert "cross-validation error" in done.text
 
 
 def test_gears_that_do_not_bend_are_not_taken_for_some_that_do(tmp_path):
     _, done, model = identified(tmp_path, "the model fits: springs of links", seed=5)
-    assert [tried.structure for tried in done.data.structure.tried if tried.weight > 0.0] == ["springs of links"]
+    assert not any("gears" in tried.structure for tried in done.data.structure.tried if tried.weight > 0.0)
     assert not any(isinstance(term, robot.FadingPart | robot.Knee | robot.Backlash) for term, _ in model.terms)
 
 
@@ -397,7 +367,7 @@ class Returning:
 
 
 def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says_so(tmp_path):
-    few = dataclasses.replace(row("hard"), poses=8)
+    few = dataclasses.replace(row("two loads"), poses=5)
     truth.experiment(few, 0, tmp_path)
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     assert done.text.startswith("NOT TO BE TRUSTED: ")

@@ -1,0 +1,177 @@
+"""Structures with priors of physical size: nothing that the readings do not excite is free."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import robot
+from postproc.errors import MeasurementError, NotConvergedError
+from postproc.identification.choice import Mean, Member, projection
+from postproc.identification.evidence import Regression, learn
+from postproc.identification.linearised import Linearised
+from postproc.identification.model_folder import require_finite
+from postproc.identification.placement import locate
+from postproc.identification.prediction import predict
+from postproc.identification.priors import FACTORS, Prior, prior_of
+from postproc.identification.structure import Structure
+from postproc.robot.parameters import named
+from samples.paper_study import harness, simulator
+
+CONFIGS, ROWS = 30, 6
+
+
+def equations(rng, design, values):
+    """Readings of unit noise."""
+    config = np.repeat(np.arange(CONFIGS), ROWS)
+    return Linearised(design, design @ values + rng.normal(size=len(design)), config, np.ones(len(design)))
+
+
+def links(count, mean=0.0, size=1.0):
+    """Return a prior of springs of one kind."""
+    return Prior(np.full(count, mean), np.full(count, size), np.zeros(count, dtype=int), ("link rotation",),
+                 np.zeros(count, dtype=bool))  # fmt: skip
+
+
+def test_the_size_of_each_parameter_is_physical_and_stated_ones_keep_their_spread():
+    names = ("A2.RX", "A2.X", "base.end_RY", "k3^73", "k3@700", "A4.backlash@11", "A4.lost_motion@11", "k3", "A2.mass")
+    parameters = tuple(named(name) for name in names)
+    prior = prior_of(Structure(parameters, harness.PRIOR))
+    k = harness.PRIOR.compliance
+    assert [prior.kinds[kind] if kind >= 0 else "" for kind in prior.kind] == [
+        "link rotation", "link translation", "base rotation", "breakpoint", "fading", "backlash", "lost motion",
+        "joint", "",
+    ]  # fmt: skip
+    stated = 0.15 * harness.PRIOR.nominal.mass[1]
+    expected = [0.1 * k[1], 1e-8, 0.1 * k[0], 0.1 * k[2], 0.1 * k[2], 2e-5, 2e-5, k[2], stated]
+    np.testing.assert_allclose(prior.size, expected)
+    np.testing.assert_allclose(prior.mean, [0.0] * 7 + [k[2], harness.PRIOR.nominal.mass[1]])
+    np.testing.assert_array_equal(prior.signed, [False] * 8 + [True])
+
+
+def test_what_no_reading_excites_keeps_the_size_of_its_prior():
+    """Two parameters of a gear that all readings see as one: only their sum is determined."""
+    rng = np.random.default_rng(3)
+    design = rng.normal(size=(CONFIGS * ROWS, 6)) * 10.0
+    design[:, 1] = design[:, 0]
+    design[:, 5] = 0.0
+    regression = learn(equations(rng, design, np.array([1.0, 1.0, 2.0, 0.5, 1.5, 0.0])), links(6), np.arange(6))
+    found = equations(rng, design, np.array([1.0, 1.0, 2.0, 0.5, 1.5, 0.0]))
+    values, covariance = regression.solve(found), regression.covariance(found)
+    assert (np.diag(covariance) <= regression.spread**2 * (1.0 + 1e-12)).all()
+    assert covariance[5, 5] == pytest.approx(regression.spread[5] ** 2)
+    assert values[5] == 0.0
+    assert values[0] + values[1] == pytest.approx(2.0, abs=0.1)
+    together = np.array([1.0, 1.0, 0, 0, 0, 0])
+    assert together @ covariance @ together < 1e-2 * covariance[0, 0]
+    assert covariance[0, 0] == pytest.approx(0.5 * regression.spread[0] ** 2, rel=0.1)
+
+
+def test_evidence_finds_the_size_of_parameters_and_of_the_noise():
+    rng = np.random.default_rng(4)
+    sizes, noises = [], []
+    for _ in range(20):
+        design = rng.normal(size=(CONFIGS * ROWS, 25))
+        made = equations(rng, design, np.abs(rng.normal(0.0, 3.0, 25)))
+        louder = replace(made, target=design @ np.linalg.lstsq(design, made.target)[0] + 1.5 * rng.normal(size=180))
+        found = learn(louder, links(25), np.arange(25))
+        sizes.append(found.spread[0])
+        noises.append(found.noise)
+    assert np.median(sizes) == pytest.approx(3.0, rel=0.25)
+    assert np.median(noises) == pytest.approx(1.5**2, rel=0.2)
+
+
+def test_evidence_has_the_slopes_that_its_search_uses():
+    """The factors found are a stationary point of the density, computed without any of the code's algebra."""
+    rng = np.random.default_rng(6)
+    design, wide = rng.normal(size=(CONFIGS * ROWS, 8)), FACTORS["link rotation"]
+    made = equations(rng, design, np.abs(rng.normal(0.0, 2.0, 8)))
+    found = learn(made, links(8), np.arange(8))
+
+    def density(log_factor, log_noise):
+        covariance = np.exp(log_noise) * np.eye(len(design)) + np.exp(2.0 * log_factor) * design @ design.T
+        _, size = np.linalg.slogdet(covariance)
+        value = -0.5 * (size + made.target @ np.linalg.solve(covariance, made.target))
+        return value - 0.5 * ((log_factor - wide[0]) / wide[1]) ** 2 - 0.5 * (log_noise / 0.5) ** 2
+
+    here = (float(np.log(found.spread[0])), float(np.log(found.noise)))
+    assert density(*here) == pytest.approx(found.evidence, abs=1e-6)
+    for step in (-0.05, 0.05):
+        assert density(here[0] + step, here[1]) < density(*here)
+        assert density(here[0], max(here[1] + step, 0.0)) <= density(*here) + 1e-9
+
+
+def test_a_wider_structure_without_effect_gains_no_evidence():
+    rng = np.random.default_rng(7)
+    design = rng.normal(size=(CONFIGS * ROWS, 20))
+    made = equations(rng, design, np.r_[np.full(10, 2.0), np.zeros(10)])
+    prior = replace(links(20), kind=np.repeat([0, 1], 10), kinds=("link rotation", "breakpoint"))
+    narrow, wide = (learn(made, prior, np.arange(count)).evidence for count in (10, 20))
+    assert wide < narrow + 1.0
+
+
+def test_the_mean_covers_what_changes_with_noise():
+    rng = np.random.default_rng(8)
+    design, values = rng.normal(size=(CONFIGS * ROWS, 5)), np.array([3.0, 1.0, 2.0, 0.5, 1.5])
+    found, stated = [], []
+    for _ in range(60):
+        made = equations(rng, design, values)
+        regressions = [learn(made, links(5), np.arange(count)) for count in (5, 5)]
+        members = tuple(Member(str(i), False, one, made.residual(one.solve(made))) for i, one in enumerate(regressions))
+        mean = Mean(Structure((), harness.PRIOR), made, members, np.array([0.3, 0.7]))
+        mean = replace(mean, structure=_Sized(5))
+        found.append(mean.solve())
+        stated.append(np.diag(mean.covariance()))
+    assert 0.8 < np.mean(stated) / np.mean(np.var(found, axis=0)) < 1.25, "of 300 squares: ± 16 % by chance"
+
+
+class _Sized:
+    def __init__(self, size):
+        self.parameters = (None,) * size
+
+
+def test_dropped_springs_are_stood_in_for_by_what_imitates_them():
+    rng = np.random.default_rng(9)
+    design = 5.0 * rng.normal(size=(CONFIGS * ROWS, 4))
+    design[:, 3] = 0.5 * design[:, 0] + 0.25 * design[:, 1]
+    onto = projection(equations(rng, design, np.ones(4)), np.arange(3), np.ones(4))
+    np.testing.assert_allclose(onto[:, :3], np.eye(3))
+    np.testing.assert_allclose(onto[:, 3], [0.5, 0.25, 0.0], atol=1e-3)
+    silent = design.copy()
+    silent[:, 0] *= 1e-9  # a spring that no reading excites does not grow to imitate another
+    onto = projection(equations(rng, silent, np.ones(4)), np.array([0]), np.ones(4))
+    assert np.abs(onto).max() <= 1.0
+
+
+def test_a_regression_solves_signed_parameters_freely_and_others_not_below_zero():
+    rng = np.random.default_rng(10)
+    design = 10.0 * rng.normal(size=(CONFIGS * ROWS, 3))
+    made = equations(rng, design, np.array([-1.0, -1.0, 1.0]))
+    regression = Regression(np.arange(3), np.zeros(3), np.full(3, 5.0), np.array([False, True, False]), 1.0, 0.0, 3)
+    values = regression.solve(made)
+    assert values[0] == 0.0
+    assert values[1] < -0.9
+    step = 1e-5
+    influence = regression.influence(made, values)
+    moved = replace(made, target=made.target + step * np.arange(len(made.target)))
+    np.testing.assert_allclose(
+        regression.solve(moved) - values, step * influence @ np.arange(len(made.target)), rtol=1e-3, atol=1e-9
+    )
+
+
+def test_no_number_that_is_not_finite_reaches_a_file():
+    for content in ({"joints": {"A3": {"ci95": np.nan}}}, {"rows": [{"joints": {"A3": {"ci95": np.inf}}}]}):
+        with pytest.raises(MeasurementError, match=r"model.toml: .*joints.A3.ci95 would be (nan|inf)"):
+            require_finite(content, "model.toml")
+    require_finite({"joints": {"A3": {"ci95": 1.0, "source": "nan"}}, "rows": [1, None]}, "model.toml")
+
+
+def test_a_load_without_equilibrium_is_named_by_configuration(tmp_path):
+    rng = np.random.default_rng(1)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 6)
+    _, raw = simulator.measure(true, q, f, rng)
+    data = harness.load(simulator.write(tmp_path, q, f, raw))
+    placement = locate(harness.PRIOR, data)
+    structure = Structure(robot.JOINT_COMPLIANCES, harness.PRIOR)
+    heavy = replace(data, wrench=np.where(np.arange(12)[:, None] == data.loaded[3], 1e4, 1.0) * data.wrench)
+    with pytest.raises(NotConvergedError, match="config 4, load 1: "):
+        predict(structure, structure.start(), heavy, placement)

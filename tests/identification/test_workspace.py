@@ -1,0 +1,54 @@
+"""Bound over deflection where work is done: a model that may add more than it corrects is not usable."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import robot
+from postproc.identification.workspace import over_workspace
+from samples.paper_study import harness, simulator
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder, rng = tmp_path_factory.mktemp("data"), np.random.default_rng(1)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 15)
+    _, raw = simulator.measure(true, q, f, rng, levels=(0.2, 1.0))
+    return harness.load(simulator.write(folder, q, f, raw, levels=(0.2, 1.0)))
+
+
+def model(percent, off=5e-6):
+    """The KR 270 with compliances known to so many per cent, and an unmodelled error."""
+    sigma = np.asarray(percent) / 100.0 * 1e6 * harness.PRIOR.compliance
+    covariance = robot.Covariance(robot.JOINT_COMPLIANCES, np.diag(sigma**2))
+    unmodelled = robot.Discrepancy(np.array([540.0, 2700.0]), np.array([off, off]))
+    return replace(harness.PRIOR, covariance=covariance, discrepancy=unmodelled)
+
+
+def test_a_model_whose_springs_are_known_is_usable(data):
+    found = over_workspace(model([2.0] * 6), data)
+    assert found.refusal == ""
+    # one compliance alone: two standard deviations of 2 %; in all directions together less than thrice that
+    assert 0.03 < found.worst.worst < 0.12
+    assert [round(level.load) for level in found.levels][-1] <= 2700
+    assert all(one.load < other.load for one, other in zip(found.levels, found.levels[1:], strict=False))
+    assert "bound over deflection in the workspace: below" in found.line
+
+
+def test_a_spring_that_no_reading_shows_is_named_with_joint_and_pose(data):
+    found = over_workspace(model([2.0, 2.0, 300.0, 2.0, 2.0, 2.0]), data)
+    assert "its bound is up to" in found.refusal
+    assert "most of it comes from A3, whose readings do not determine k3" in found.refusal
+    assert "A1 … A6 = " in found.refusal
+
+
+def test_an_unmodelled_error_as_large_as_the_deflection_is_no_model(data):
+    found = over_workspace(model([2.0] * 6, off=2e-3), data)
+    assert "the unmodelled error is 2.0" in found.refusal
+
+
+def test_forces_too_small_to_correct_are_stated_but_refuse_nothing(data):
+    found = over_workspace(model([2.0] * 6, off=0.15e-3), data)
+    assert found.refusal == ""
+    assert found.levels[0].worst > 1.0
+    assert "N and below the bound can exceed the deflection" in found.line
