@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import re
-
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.declarations import declared
-from postproc.dialects.krl.language.names import DECLARING, NAME
+from postproc.dialects.krl.language.names import DECLARING
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import word_at
-
-_GLOBAL = re.compile(r"(?:DECL[ \t]+)?GLOBAL\b", re.IGNORECASE)
+from postproc.dialects.krl.language.tokens import NAME, after_word, word_at
 
 
 class DataLine(Struct, frozen=True, eq=False):
@@ -42,11 +38,17 @@ def data_lines(data: Source) -> list[DataLine]:
         beyond = int(data.starts[line]) if line < len(data.starts) else len(data.text)
         stated = list(declared(data, start, stop)) if word not in DECLARING else []
         names = frozenset(one.name for one in stated) or _declared_otherwise(data.text[start:stop], word)
-        public = any(one.public for one in stated) or bool(_GLOBAL.match(data.text, start, stop))
+        public = any(one.public for one in stated) or _is_public(data.text, start, stop)
         text = data.text[begin:beyond] if beyond > end else data.text[begin:end] + "\r\n"
         found.append(DataLine(line, text, names, public))
     everywhere = frozenset().union(*(one.names for one in found if one.public))
     return [one if one.public or one.names.isdisjoint(everywhere) else replace(one, public=True) for one in found]
+
+
+def _is_public(text: str, start: int, stop: int) -> bool:
+    """Return whether GLOBAL is the first word of a line, or follows DECL."""
+    behind = after_word(text, start, stop, "DECL")
+    return after_word(text, max(start, behind), stop, "GLOBAL") >= 0
 
 
 def _declared_otherwise(code: str, word: str) -> frozenset[str]:

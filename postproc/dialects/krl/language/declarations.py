@@ -9,8 +9,8 @@ from msgspec import Struct
 
 from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import parse
-from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.errors import ProgramError
 
 DECLARATION = re.compile(

@@ -10,8 +10,8 @@ from typing import NoReturn
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.brackets import beyond, matching, skip_blanks, split
-from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,

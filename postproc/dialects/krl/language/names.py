@@ -6,11 +6,10 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
+from postproc.dialects.krl.language.tokens import NAME
+
 MAX_LENGTH = 24
 """Longest name the controller accepts."""
-
-NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
-
 
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 

@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
 from msgspec import Struct
 
-from postproc.dialects.krl.language.declarations import declared
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, declares, word_at
+from postproc.dialects.krl.language.tree import Declaration, Definition, Motion, Parameter
 from postproc.errors import ProgramError
 
-_DEF = re.compile(
-    r"(GLOBAL[ \t]+)?DEF(?:FCT[ \t]+(\w+)(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+([^\s(]+)[ \t]*(?:\(([^)]*)\)?)?", re.I | re.A
-)
-_PARAMETER = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*(?::[ \t]*(IN|OUT)\b)?", re.I | re.A)
 _INCOMPLETE = "Check that the file was transferred completely."
-
-
-class Parameter(Struct, frozen=True):
-    """A parameter of a routine; without ``:IN`` the routine may write what is given for it."""
-
-    name: str
-    by_value: bool
 
 
 class Routine(Struct, frozen=True, eq=False):
@@ -95,9 +83,7 @@ class _Begun(Struct, eq=False):
 
     name: str
     line: int
-    parameters: tuple[Parameter, ...]
-    public: bool
-    result: str
+    definition: Definition
     lines: list[int] = []
 
 
@@ -118,55 +104,43 @@ def routines(
         start, stop = source.code_span(line)
         if start == stop or text[start] == "&":
             continue
-        word = word_at(text, start, stop)
-        if word in ("DEF", "DEFFCT", "GLOBAL") and (match := _DEF.match(text, start, stop)):
+        here = statement(source, line)
+        if isinstance(here, Definition):
             if begun is not None:
                 faults.append(source.line_error(f"DEF {begun.name} (line {begun.line}) has no END", line))
                 found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
-            begun = _Begun(
-                match[3].upper(),
-                line,
-                tuple(_parameters(match[4] or "")),
-                match[1] is not None,
-                (match[2] or "").upper(),
-            )
-        elif word in ("END", "ENDFCT") and begun is not None:
+            begun = _Begun(here.name.upper(), line, here)
+        elif here.word in ("END", "ENDFCT") and begun is not None:
             found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
             begun = None
         elif begun is not None:
             begun.lines.append(line)
-        elif word in MOTION_WORDS:
-            faults.append(source.line_error(f"{word} stands outside of DEF … END", line))
+        elif isinstance(here, Motion):
+            faults.append(source.line_error(f"{here.word} stands outside of DEF … END", line))
     if begun is not None:
         faults.append(source.line_error(f"DEF {begun.name} has no END", begun.line, _INCOMPLETE))
         found.setdefault(begun.name, _ended(source, begun, len(source.starts) + 1, plain, settings))
     return found, faults
 
 
-def _parameters(text: str) -> Iterator[Parameter]:
-    for part in text.split(","):
-        if match := _PARAMETER.match(part):
-            yield Parameter(match[1].upper(), (match[2] or "").upper() == "IN")
-
-
 def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int], settings: Sequence[int]) -> Routine:
     types: dict[str, str] = {}
     for inside in begun.lines:
-        start, stop = source.code_span(inside)
-        if declares(source.text, start, stop):
-            types |= {one.name: one.kind for one in declared(source, start, stop)}
+        here = statement(source, inside)
+        if isinstance(here, Declaration) and not here.public and here.word != "STRUC":
+            types |= {one.name: one.kind for one in here.names}
     plain, settings = (some[bisect_left(some, begun.line) : bisect_left(some, line)] for some in (plain, settings))
     return Routine(
         source,
         begun.name,
-        begun.parameters,
-        begun.public,
+        begun.definition.parameters,
+        begun.definition.public,
         begun.line,
         line,
         plain,
         settings,
         begun.lines,
-        frozenset({parameter.name for parameter in begun.parameters} | types.keys()),
+        frozenset({parameter.name for parameter in begun.definition.parameters} | types.keys()),
         types,
-        begun.result,
+        begun.definition.result,
     )

@@ -38,6 +38,7 @@ class Source(Struct, frozen=True, eq=False):
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind its last character, the line end not included.
     :param origins: where its lines come from, of a text that was put together.
+    :param statements: what is on its lines, by 1-based line, as far as it has been read: see `parser.statement`.
     """
 
     document: Document
@@ -46,6 +47,7 @@ class Source(Struct, frozen=True, eq=False):
     starts: Ints
     stops: Ints
     origins: Origins | None = None
+    statements: dict[int, object] = {}
 
     @classmethod
     def of(cls, document: Document, index: int) -> Source:

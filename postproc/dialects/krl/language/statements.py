@@ -5,35 +5,19 @@ from __future__ import annotations
 import re
 
 from postproc.dialects.krl.language.expressions import operand
-from postproc.dialects.krl.language.names import MOTIONS, NAME, PURE, RESERVED, TYPES
+from postproc.dialects.krl.language.names import MOTIONS, PURE, RESERVED, TYPES
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME, word_at
 from postproc.dialects.krl.language.values import Call, Reference, Value
 
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
 SPLINES = {"SPLINE": ("SPL", "SLIN", "SCIRC"), "PTP_SPLINE": ("SPTP",)}
 """Spline blocks, and the instructions that may stand in them; ENDSPLINE closes both."""
-TIMED = {
-    word: re.compile(pattern, re.IGNORECASE)
-    for word, pattern in {
-        "CONST_VEL": r"CONST_VEL[ \t]+(?:START|END)[ \t]*=[ \t]*[^=].*",
-        "STOP": r"STOP[ \t]+WHEN[ \t]+PATH[ \t]*=[ \t]*[^=].*\bIF\b.+",
-        "TIME_BLOCK": r"TIME_BLOCK[ \t]+(?:START|(?:PART|END)[ \t]*=[ \t]*[^=].*|PART)",
-    }.items()
-}
-"""Statements of spline motions that say how fast the path is driven, or whether it is left: not where it leads."""
-REFERRING = frozenset({"CONST_VEL", "STOP"})
-"""Those that count from the start or the end of the motion that follows."""
 _UNDECLARED = re.compile(r"[A-Za-z_]\w*[ \t]+[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*(?:[,=].*)?$", re.A)
 """A declaration without DECL: type and name."""
 _CALL = re.compile(r"(?<![\w$#.])([A-Za-z_]\w*)[ \t]*\(", re.A)
 _STRING = re.compile(r'"[^"]*"')
 _EQUALS = re.compile(r"[ \t]*=(?!=)")
-
-
-def word_at(text: str, start: int, stop: int) -> str:
-    """Return the word at an offset, upper case; empty if there is none."""
-    match = NAME.match(text, start, stop)
-    return match[0].upper() if match else ""
 
 
 def declares(text: str, start: int, stop: int) -> bool:

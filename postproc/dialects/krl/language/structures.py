@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from itertools import islice
 
@@ -10,8 +9,11 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.names import OPENING
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, word_at
+from postproc.dialects.krl.language.statements import MOTION_WORDS
+from postproc.dialects.krl.language.tokens import word_at, words_in
+from postproc.dialects.krl.language.tree import Bare, If
 from postproc.errors import MOST, ProgramError, together
 from postproc.program import Bools, Ints
 
@@ -57,13 +59,6 @@ class Block(Struct, frozen=True, eq=False):
                 else:
                     yield node
         yield self.last
-
-
-_BARE = frozenset({"ELSE", "DEFAULT", "LOOP", "REPEAT", *OPENING.values()})
-"""Words that stand alone on their lines."""
-_THEN = re.compile(r"(.*?)[ \t]*\bTHEN", re.IGNORECASE)
-_MOTION = re.compile(rf"(?<![\w$#.])(?:{'|'.join(MOTION_WORDS)})[ \t]", re.IGNORECASE)
-_STRING = re.compile(r'"[^"]*"')
 
 
 Node = int | Block
@@ -158,20 +153,16 @@ def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterat
 
 def _mistake(source: Source, line: int) -> tuple[str, str] | None:
     """Return what is wrong with a line of a control structure, and what to do."""
-    start, stop = source.code_span(line)
-    word = word_at(source.text, start, stop)
-    rest = _STRING.sub("", source.text[start + len(word) : stop]).strip()
-    own = "Write it on a line of its own."
-    if word in _BARE and rest:
-        return f"{rest!r} stands behind {word}", own
-    if word == "IF":
-        then = _THEN.match(rest)
-        if then is None:
+    here, own = statement(source, line), "Write it on a line of its own."
+    if isinstance(here, Bare):
+        return (f"{here.behind!r} stands behind {here.word}", own) if here.behind else None
+    if isinstance(here, If):
+        if not here.then:
             return "IF without THEN", "Write THEN behind the condition, on the same line."
-        if not then[1]:
+        if not here.head.of(source.text).strip():
             return "IF without a condition", "Write it between IF and THEN."
-        if behind := rest[then.end() :].strip():
-            return f"{behind!r} stands behind THEN", own
-    elif _MOTION.search(rest):
-        return f"a motion stands behind {word}", own
+        return (f"{here.behind!r} stands behind THEN", own) if here.behind else None
+    behind = list(words_in(source.text, here.start + len(here.word), here.stop))
+    if any(word in MOTION_WORDS and source.text[at.stop : at.stop + 1] in (" ", "\t") for word, at in behind):
+        return f"a motion stands behind {here.word}", own
     return None

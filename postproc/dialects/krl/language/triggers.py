@@ -8,23 +8,16 @@ motion').
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from postproc.dialects.krl.language.expressions import NUMBER_PATTERN
+from postproc.dialects.krl.language import tree
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import number
 from postproc.frames import M_PER_MM, Array
 
-_WHEN = re.compile(
-    r"TRIGGER[ \t]+WHEN[ \t]+(?:(DISTANCE)|PATH)[ \t]*=[ \t]*(.+?)[ \t]*(\bONSTART\b)?[ \t]*\bDELAY[ \t]*=[ \t]*(.+?)"
-    r"[ \t]*\bDO\b",
-    re.IGNORECASE,
-)
-_NUMBER = re.compile(NUMBER_PATTERN)
-_OTHER = re.compile(r"CONST_VEL\b|STOP\b", re.IGNORECASE)
-_FROM_START = re.compile(r"\bONSTART\b", re.IGNORECASE)
 _S_PER_MS = 1e-3
 
 
@@ -57,24 +50,19 @@ def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Arr
     :param found: line, row of the motion that follows, and whether it is attached, of each.
     :param length: (n,) of these motions [m].
     """
+    text = source.text
     for (line, row, attached), metres in zip(found, length.tolist(), strict=True):
-        start, stop = source.code_span(line)
-        if _OTHER.match(source.text, start, stop):
-            from_start = _FROM_START.search(source.text, start, stop) is not None
-            yield Trigger(line, row, attached, from_start, 0.0, None, 0.0, metres)
+        here = statement(source, line)
+        if isinstance(here, tree.Timed):
+            yield Trigger(line, row, attached, here.from_start, 0.0, None, 0.0, metres)
             continue
-        match = _WHEN.match(source.text, start, stop)
         offset = delay = float("nan")
         from_start, path = False, None
-        if match:
-            value, delay = _number(match[2]), _S_PER_MS * _number(match[4])
-            from_start = bool(match[3]) or (bool(match[1]) and value == 0.0)
-            if not match[1]:
-                offset, path = value * M_PER_MM, match.span(2)
+        if isinstance(here, tree.Trigger) and here.value is not None and here.delay is not None:
+            value, delay = number(here.value.of(text)), _S_PER_MS * number(here.delay.of(text))
+            from_start = here.from_start or (here.distance and value == 0.0)
+            if not here.distance:
+                offset, path = value * M_PER_MM, (here.value.start, here.value.stop)
             elif value in (0.0, 1.0):
                 offset = 0.0
         yield Trigger(line, row, attached, from_start, offset, path, delay, metres)
-
-
-def _number(text: str) -> float:
-    return float(text) if _NUMBER.fullmatch(text) else float("nan")

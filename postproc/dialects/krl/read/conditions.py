@@ -6,21 +6,19 @@ matters, a condition counts as known only if comparing first is the only way in 
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.language.brackets import matching, skip_blanks, split
-from postproc.dialects.krl.language.expressions import arithmetic
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.statements import calls
-from postproc.dialects.krl.language.values import Number, Opaque, Word
+from postproc.dialects.krl.language.tokens import Span
+from postproc.dialects.krl.language.tree import Condition
+from postproc.dialects.krl.language.values import Number, Value, Word
 from postproc.dialects.krl.read.known import Known
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
 
-_OPERATOR = re.compile(r"==|<>|<=|>=|<|>|(?:AND|OR|EXOR)\b", re.IGNORECASE)
-_NOT = re.compile(r"NOT\b", re.IGNORECASE)
 _LOGIC = ("AND", "EXOR", "OR")
 _CLOSE = 1e-5
 """REALs that differ by less than this share may compare otherwise on a controller, which has fewer digits."""
@@ -28,51 +26,41 @@ _CLOSE = 1e-5
 Term = bool | Number | Word | None
 
 
-def truth(variables: Variables, source: Source, start: int, stop: int) -> bool | None:
-    """Return whether a condition holds; None where that is not known before the program runs."""
+def truth(variables: Variables, source: Source, condition: Condition | None, span: Span) -> bool | None:
+    """Return whether a condition holds; None where that is not known before the program runs.
+
+    :param condition: None where it cannot be read.
+    :param span: where it is.
+    """
     try:
-        if calls(source, start, stop):
+        if condition is None or calls(source, span.start, span.stop):
             return None
-        value, end = _condition(variables, source, start, stop)
+        value = _condition(variables, source, condition)
     except ProgramError:
         return None
-    return value if isinstance(value, bool) and skip_blanks(source.text, end, stop) == stop else None
+    return value if isinstance(value, bool) else None
 
 
-def chosen(variables: Variables, source: Source, value: Known, start: int, stop: int) -> bool | None:
+def chosen(
+    variables: Variables, source: Source, value: Known, cases: Sequence[Value | Condition | None]
+) -> bool | None:
     """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
     found: bool | None = False
-    for begin, end in split(source, start, stop):
-        other, beyond = _term(variables, source, begin, end)
-        same = _compared("==", _plain(value), other) if not source.text[beyond:end].strip() else None
+    for case in cases:
+        same = None if case is None else _compared("==", _plain(value), _term(variables, source, case))
         if same:
             return True
         found = None if same is None else found
     return found
 
 
-def _condition(variables: Variables, source: Source, start: int, stop: int) -> tuple[Term, int]:
-    """Return the value of terms joined by operators, and the offset behind it."""
-    text = source.text
-    terms: list[Term] = []
-    negated: list[bool] = []
-    operators: list[str] = []
-    position = start
-    while True:
-        position, inverse = skip_blanks(text, position, stop), False
-        while match := _NOT.match(text, position, stop):
-            inverse = not inverse
-            position = skip_blanks(text, match.end(), stop)
-        term, position = _term(variables, source, position, stop)
-        if inverse:
-            term = not term if isinstance(term, bool) else None
-        terms.append(term)
-        negated.append(inverse)
-        following = _OPERATOR.match(text, skip_blanks(text, position, stop), stop)
-        if not following:
-            return _joined(terms, negated, operators), position
-        operators.append(following[0].upper())
-        position = following.end()
+def _condition(variables: Variables, source: Source, condition: Condition) -> Term:
+    """Return the value of terms joined by operators."""
+    terms = []
+    for part, inverse in zip(condition.terms, condition.negated, strict=True):
+        term = _term(variables, source, part)
+        terms.append((not term if isinstance(term, bool) else None) if inverse else term)
+    return _joined(terms, list(condition.negated), list(condition.operators))
 
 
 def _joined(terms: list[Term], negated: list[bool], operators: list[str]) -> Term:
@@ -109,14 +97,11 @@ def _logical(operator: str, left: Term, right: Term) -> bool | None:
     return known[0] != known[1] if len(known) == 2 else None
 
 
-def _term(variables: Variables, source: Source, start: int, stop: int) -> tuple[Term, int]:
-    """Return a value without operators of logic or comparison, and the offset behind it."""
-    value, end = arithmetic(source, start, stop)
-    if isinstance(value, Opaque) and source.text[value.start : value.start + 1] == "(":
-        close = matching(source, value.start, stop)
-        inner, beyond = _condition(variables, source, value.start + 1, close)
-        return (inner if skip_blanks(source.text, beyond, close) == close else None), close + 1
-    return _plain(variables.evaluate(source, value)), end
+def _term(variables: Variables, source: Source, term: Value | Condition) -> Term:
+    """Return the value of what comparisons and logic join."""
+    if isinstance(term, Condition):
+        return _condition(variables, source, term)
+    return _plain(variables.evaluate(source, term))
 
 
 def _plain(known: Known) -> Term:

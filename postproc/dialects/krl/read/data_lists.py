@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared, structure
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tree import Declaration
 from postproc.dialects.krl.read.known import Unread
 from postproc.dialects.krl.read.variables import Variables
 
@@ -85,16 +86,15 @@ def _declare(
             variables.put(name, Unread(source, one.value, stop))
 
 
-def declare(variables: Variables, source: Source, start: int, stop: int) -> list[Declared]:
+def declare(variables: Variables, source: Source, here: Declaration) -> tuple[Declared, ...]:
     """Take one declaration of a `.src`, with initial values; return what it declares."""
-    names = list(declared(source, start, stop))
-    if found := structure(source, start, stop):
-        variables.structures[found[0]] = found[1]
-    for one in names:
+    if here.structure is not None:
+        variables.structures[here.structure[0]] = here.structure[1]
+    for one in here.names:
         name = _noted(variables, one)
         if one.value >= 0:
-            variables.put(name, Unread(source, one.value, stop))
-    return names
+            variables.put(name, Unread(source, one.value, here.stop))
+    return here.names
 
 
 def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:

@@ -7,24 +7,32 @@ actions of the interrupts and triggers that it declares. Nothing is executed: a 
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 
 from msgspec import Struct, field
 
 from postproc.dialects.krl.language.expressions import parse
-from postproc.dialects.krl.language.names import DECLARING, NAME, RESERVED, STANDARD
+from postproc.dialects.krl.language.names import STANDARD
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import (
-    MOTION_WORDS,
-    SPLINES,
-    assignment,
-    calls,
-    declares,
-    reference_of,
-    word_at,
+from postproc.dialects.krl.language.statements import calls, reference_of
+from postproc.dialects.krl.language.tokens import occurrences
+from postproc.dialects.krl.language.tree import (
+    Assignment,
+    CallStatement,
+    Cyclic,
+    Declaration,
+    Event,
+    Faulty,
+    For,
+    Goto,
+    Imported,
+    Motion,
+    Outside,
+    Spline,
+    Statement,
 )
 from postproc.dialects.krl.language.values import Call, Reference
 from postproc.dialects.krl.read.bas import BAS_SETS
@@ -37,17 +45,6 @@ from postproc.errors import ProgramError
 _STOPPED = frozenset({"$AXIS_RET", "$POS_RET"})
 """Where the robot left its path when it was stopped by an interrupt (KUKA, System Variables)."""
 _RAPID = ("PTP", "SPTP")
-ACTION = re.compile(r"\bDO\b[ \t]*", re.I)
-"""Behind it stands what an INTERRUPT or a TRIGGER does."""
-CYCLIC = re.compile(r"(?:(?:ANIN|DIGIN)[ \t]+ON|SIGNAL)[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
-"""The name that is written again and again, or that stands for an input."""
-IMPORTED = re.compile(
-    r"IMPORT[ \t]+\w+[ \t]+([A-Za-z_]\w*)[ \t]*(?:\[[ ,\t]*\])?[ \t]*IS\b.*\.\.[ \t]*([A-Za-z_$][\w$]*)", re.I | re.A
-)
-"""A variable of a `.dat` under another name: both are written where one of them is."""
-_FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
-_COMMAND = re.compile(r"BAS[ \t]*\([ \t]*(#\w+)", re.I | re.A)
-_COMPONENT_NAME = re.compile(r"(?<=[{,])[ \t]*[A-Za-z]\w*[ \t]*(?=[-+ \t(][^,{}()]*[,}])", re.ASCII)
 _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
 """System variables of which but one component matters, and which."""
 
@@ -143,20 +140,18 @@ class Analysis:
         for where in self._reached([(module, routine)]):
             if where[1] not in self._names:
                 source, scope = where[1].source, self.scope_of(*where)
-                lines = (source.text[slice(*source.code_span(line))] for line in where[1].lines)
-                words = {word.upper() for line in lines for word in NAME.findall(_COMPONENT_NAME.sub("", line))}
-                own = words - where[1].local
-                self._names[where[1]] = frozenset(scope.stored(word) for word in own)
+                spans = [source.code_span(line) for line in where[1].lines]
+                words = {one.name for span in spans for one in occurrences(source.text, *span)}
+                self._names[where[1]] = frozenset(scope.stored(word) for word in words - where[1].local)
             found |= self._names[where[1]]
         return frozenset(found)
 
     def cuts(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or what it calls, moves otherwise than by PTP, which carries no force."""
         for _, reached in self._reached([(module, routine)]):
-            text, span = reached.source.text, reached.source.code_span
             for line in (*reached.plain, *reached.lines):
-                word = word_at(text, *span(line))
-                if (word in MOTION_WORDS or word in SPLINES) and not word.startswith(_RAPID):
+                here = statement(reached.source, line)
+                if isinstance(here, Motion | Spline) and not here.word.startswith(_RAPID):
                     return True
         return False
 
@@ -166,13 +161,13 @@ class Analysis:
             self._noted[source] = noted_lines(source)
         return self._noted[source]
 
-    def of_action(self, module: Module, routine: Routine, place: Place, start: int, stop: int) -> Effects:
-        """Return what an interrupt or a trigger that stands in a routine may do.
+    def of_action(self, module: Module, routine: Routine, place: Place, event: Event) -> Effects:
+        """Return what an interrupt or a trigger that is in a routine may do.
 
         Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
         """
         direct, total = _Direct(), Effects()
-        _Statement(self, module, routine, place, direct.later, direct.called_later).read_event(start, stop)
+        _Statement(self, module, routine, place, direct.later, direct.called_later).read_event(event)
         self._add_later(total, direct)
         return total
 
@@ -206,29 +201,25 @@ class Analysis:
             if (first := bisect_right(noted, routine.first)) < bisect_left(noted, routine.last):
                 known.now.force = Place(routine.source, noted[first])
             for line in routine.lines:
-                start, stop = routine.source.code_span(line)
-                word = word_at(routine.source.text, start, stop)
-                known.now.jumps |= word in ("GOTO", "RESUME")
-                place = Place(routine.source, line)
-                if word == "RESUME":
+                here, place = statement(routine.source, line), Place(routine.source, line)
+                known.now.jumps |= isinstance(here, Goto) or here.word == "RESUME"
+                if here.word == "RESUME":
                     known.now.resumes = known.now.resumes or place
-                self._read(known, word, (module, routine), place)
+                self._read(known, here, (module, routine), place)
         return known
 
-    def _read(self, direct: _Direct, word: str, where: Called, place: Place) -> None:
+    def _read(self, direct: _Direct, here: Statement, where: Called, place: Place) -> None:
         """Note what one statement may do."""
-        text = place.source.text
-        start, stop = place.source.code_span(place.line)
         later = _Statement(self, *where, place, direct.later, direct.called_later)
-        if word in ("INTERRUPT", "TRIGGER", "GLOBAL"):
-            later.read_event(start, stop)
-        elif match := CYCLIC.match(text, start, stop):
-            later.writes(match[1])
-        elif match := IMPORTED.match(text, start, stop):
-            later.writes(match[1])
-            direct.later.writes.setdefault(match[2].upper(), place)
+        if isinstance(here, Event):
+            later.read_event(here)
+        elif isinstance(here, Cyclic):
+            later.writes(here.name)
+        elif isinstance(here, Imported):
+            later.writes(here.name)
+            direct.later.writes.setdefault(here.original, place)
         else:
-            _Statement(self, *where, place, direct.now, direct.called).read(start, stop)
+            _Statement(self, *where, place, direct.now, direct.called).read(here)
 
 
 class _Statement(Struct, eq=False):
@@ -241,36 +232,33 @@ class _Statement(Struct, eq=False):
     effects: Effects
     called: list[Called]
 
-    def read_event(self, start: int, stop: int) -> None:
+    def read_event(self, event: Event) -> None:
         """Note what an INTERRUPT or a TRIGGER may do: its action, and functions in condition, PATH and DELAY."""
-        action = ACTION.search(self.place.source.text, start, stop)
-        self._calls(start, action.start() if action else stop)
-        if action:
-            self.read(action.end(), stop)
+        self._calls(event.head.start, event.head.stop)
+        if event.action is not None:
+            self.read(event.action)
 
-    def read(self, start: int, stop: int) -> None:
-        """Note what the statement at a span may do; what cannot be read does nothing that could be noted."""
-        text = self.place.source.text
-        word = word_at(text, start, stop)
-        if word in MOTION_WORDS or word in SPLINES:
-            if self._leads_back(start + len(word), stop):
-                self.effects.back = self.effects.back or self.place
-            else:
-                self.effects.motion = self.effects.motion or self.place
-        elif word in DECLARING or declares(text, start, stop):
+    def read(self, here: Statement) -> None:
+        """Note what a statement may do; what cannot be read does nothing that could be noted."""
+        if isinstance(here, Declaration | Outside | Imported | Faulty):
             return
-        elif word == "BAS":
-            command = _COMMAND.match(text, start, stop)
-            for name in BAS_SETS.get(command[1].upper(), ()) if command else ():
+        if here.word == "BAS":
+            command = here.call.arguments[:1] if isinstance(here, CallStatement) else ()
+            words = [self.place.source.text[slice(*span)].strip().upper() for span in command]
+            for name in BAS_SETS.get("".join(words), ()):
                 self.effects.writes.setdefault(name, self.place)
             return
-        elif match := _FOR.match(text, start, stop):
-            self.writes(match[1])
-        try:
-            self._assigned(start, stop, word)
-        except ProgramError:
-            return
-        self._calls(start, stop)
+        if isinstance(here, Motion | Spline) and self._leads_back(here.start + len(here.word), here.stop):
+            self.effects.back = self.effects.back or self.place
+        elif isinstance(here, Motion | Spline):
+            self.effects.motion = self.effects.motion or self.place
+        elif isinstance(here, For) and here.name:
+            self.writes(here.name)
+        elif isinstance(here, Assignment):
+            component = _COMPONENT.get(here.target.name)
+            if component is None or here.target.field in (None, component):
+                self.writes(here.target.name)
+        self._calls(here.start, here.stop)
 
     def _leads_back(self, start: int, stop: int) -> bool:
         """Return whether the target of a motion is where an interrupt has stopped the robot."""
@@ -287,15 +275,6 @@ class _Statement(Struct, eq=False):
                 self._called(call)
         except ProgramError:
             return
-
-    def _assigned(self, start: int, stop: int, word: str) -> None:
-        found = assignment(self.place.source, start, stop) if word not in RESERVED else None
-        if found is None:
-            return
-        target = found[0]
-        component = _COMPONENT.get(target.name)
-        if component is None or target.field in (None, component):
-            self.writes(target.name)
 
     def writes(self, name: str) -> None:
         """Note that a variable may get another value."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import operand, parse
 from postproc.dialects.krl.language.names import RESERVED
-from postproc.dialects.krl.language.occurrences import occurrences
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.language.values import Call, Chain, Opaque, Operation, Reference, Value
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.variables import Variables

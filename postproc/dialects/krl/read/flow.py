@@ -6,17 +6,17 @@ moves in it, all that it may write is no longer known behind it; where something
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.course import Branch, Fork, Join, Occasion
-from postproc.dialects.krl.language.expressions import operand, parse
+from postproc.dialects.krl.language import tree
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, calls, word_at
+from postproc.dialects.krl.language.statements import calls
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
-from postproc.dialects.krl.language.values import Call, Number, Reference, Value
+from postproc.dialects.krl.language.values import Call, Number, Value
 from postproc.dialects.krl.read.conditions import chosen, truth
 from postproc.dialects.krl.read.explanations import without_value
 from postproc.dialects.krl.read.inexact import InexactError, inexact
@@ -31,12 +31,6 @@ _MOST_TRACED = 400_000
 """A course has at most so many statements more than the file has lines."""
 _MOST_UNCOUNTED = 60_000
 """A loop around motions of which it is not known how often it runs may run so many statements."""
-_THEN = re.compile(r"\bTHEN[ \t]*$", re.IGNORECASE)
-_GOTO = re.compile(r"GOTO[ \t]+([A-Za-z_]\w*)", re.IGNORECASE | re.ASCII)
-_LABEL = re.compile(r"([A-Za-z_]\w*)[ \t]*:", re.ASCII)
-_TO = re.compile(r"[ \t]*TO\b", re.IGNORECASE)
-_STEP = re.compile(r"[ \t]*STEP\b", re.IGNORECASE)
-_EQUALS = re.compile(r"[ \t]*=")
 _FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
 _ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO", "HALT"})
 
@@ -85,13 +79,13 @@ class Flow:
 
     def label_of(self, source: Source, line: int) -> str:
         """Return the label to which a GOTO leads, upper case."""
-        wanted = _GOTO.match(source.text, *source.code_span(line))
-        return wanted[1].upper() if wanted else ""
+        here = statement(source, line)
+        return here.label if isinstance(here, tree.Goto) else ""
 
     def labels(self, source: Source, lines: Iterable[int]) -> set[str]:
         """Return the labels that stand on some lines, upper case."""
-        found = (_LABEL.fullmatch(source.text, *source.code_span(line)) for line in lines)
-        return {label[1].upper() for label in found if label is not None}
+        found = (statement(source, line) for line in lines)
+        return {here.name for here in found if isinstance(here, tree.Label)}
 
     def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
         """Return where the label of a GOTO stands among statements, behind one of them; the run goes on there."""
@@ -130,18 +124,16 @@ class Flow:
         return self._moving[key]
 
     def _statement_moves(self, source: Source, line: int) -> bool:
-        start, stop = source.code_span(line)
-        word = word_at(source.text, start, stop)
-        if word == "GOTO":
-            return True  # what moves behind it depends on it
-        if word in MOTION_WORDS:
-            return not self._stays(Place(source, line), word, start, stop)
-        if word in SPLINES:
-            return True
-        if "(" not in source.text[start:stop] or word in ("INTERRUPT", "TRIGGER", "GLOBAL"):
+        here = statement(source, line)
+        if isinstance(here, tree.Goto | tree.Spline):
+            return True  # what moves behind a GOTO depends on it
+        if isinstance(here, tree.Motion):
+            return not self._stays(Place(source, line), here.word, here.start, here.stop)
+        if isinstance(here, tree.Event):
             return False
         try:
-            return any(self.interpreter.calls.moving(call) is not None for call in calls(source, start, stop))
+            found = calls(source, here.start, here.stop)
+            return any(self.interpreter.calls.moving(call) is not None for call in found)
         except ProgramError:
             return False
 
@@ -152,7 +144,7 @@ class Flow:
         if level.traced:
             self.run.line = at.line
         self._count(at)
-        word = word_at(at.source.text, *at.source.code_span(at.line))
+        word = statement(at.source, at.line).word
         if level.loops and word == "EXIT":
             level.left = True
             return
@@ -341,29 +333,29 @@ class Flow:
                 raise why
             trace.run_to(part.beyond - 1)
         trace.pass_to(block.last)
-        complete = word_at(source.text, *source.code_span(heads[-1])) in ("ELSE", "DEFAULT")
+        complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
         trace.divide(Join(0, complete))
         run.join(Place(source, block.last), complete=complete)
 
     def _taken(self, source: Source, block: Block) -> int:
         """Return which part of IF or SWITCH runs; −1 for none."""
-        at = Place(source, block.first)
-        start, stop = source.code_span(block.first)
-        start += len(block.word)
-        if block.word == "IF":
-            then = _THEN.search(source.text, start, stop)
-            holds = truth(self.run.variables, source, start, then.start() if then else stop)
+        at, here = Place(source, block.first), statement(source, block.first)
+        if isinstance(here, tree.If):
+            holds = truth(self.run.variables, source, here.condition, here.head)
             if holds is None:
                 raise self._unknown(at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
-        if calls(source, start, stop):
+        if not isinstance(here, tree.Switch) or calls(source, here.head.start, here.head.stop):
             raise self._unknown(at)
-        value, _ = parse(source, start, stop)
-        known = self.run.variables.evaluate(source, value)
+        if here.value is None:
+            raise here.error or self._unknown(at)
+        known = self.run.variables.evaluate(source, here.value)
         for index, part in enumerate(block.parts[1:], 1):
-            begin, end = source.code_span(part.head)
-            word = word_at(source.text, begin, end)
-            found = word == "DEFAULT" or chosen(self.run.variables, source, known, begin + len(word), end)
+            case = statement(source, part.head)
+            if isinstance(case, tree.Faulty):
+                raise case.error
+            values = case.values if isinstance(case, tree.Case) else ()
+            found = case.word == "DEFAULT" or chosen(self.run.variables, source, known, values)
             if found is None:
                 raise self._unknown(at)
             if found:
@@ -372,7 +364,7 @@ class Flow:
 
     def _loop(self, source: Source, block: Block, trace: Trace | None) -> None:
         level, part = self.run.level, block.parts[0]
-        words = {word_at(source.text, *source.code_span(line)) for line in block.lines()}
+        words = {statement(source, line).word for line in block.lines()}
         if block.word == "LOOP" and words.isdisjoint(_ENDS_LOOPS):
             raise inexact(Place(source, block.first), "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
@@ -400,7 +392,7 @@ class Flow:
                     trace.repeated(block, whole=going)
                 if not going:
                     break
-                if block.word == "REPEAT" and self._holds(source, block.last, "UNTIL"):
+                if block.word == "REPEAT" and self._holds(source, block.last):
                     break
                 if counter is not None:
                     counter.advance()
@@ -429,17 +421,18 @@ class Flow:
         """Return whether the body of a loop runs once more."""
         if counter is not None:
             return counter.within()
-        return block.word != "WHILE" or self._holds(source, block.first, "WHILE")
+        return block.word != "WHILE" or self._holds(source, block.first)
 
-    def _holds(self, source: Source, line: int, word: str) -> bool:
-        start, stop = source.code_span(line)
-        holds = truth(self.run.variables, source, start + len(word), stop)
+    def _holds(self, source: Source, line: int) -> bool:
+        here, holds = statement(source, line), None
+        if isinstance(here, tree.While):
+            holds = truth(self.run.variables, source, here.condition, here.head)
         if holds is None:
             raise self._unknown(Place(source, line))
         return holds
 
     def _unknown(self, at: Place) -> InexactError:
-        word = word_at(at.source.text, *at.source.code_span(at.line))
+        word = statement(at.source, at.line).word
         asked = [call.spelt(at.source) for call in calls(at.source, *at.source.code_span(at.line))]
         why = f": it asks {asked[0]}()" if asked else ""
         names = without_value(self.run.variables, at.source, *at.source.code_span(at.line))
@@ -456,19 +449,19 @@ class _Counter:
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
         self.run, self.at = run, Place(source, line)
-        start, stop = source.code_span(line)
-        target, position = operand(source, start + len("FOR"), stop)
-        equals = _EQUALS.match(source.text, position, stop)
-        if not isinstance(target, Reference) or target.field is not None or not equals:
+        here = statement(source, line)
+        if isinstance(here, tree.For) and here.error is not None:
+            raise here.error
+        if not isinstance(here, tree.For) or here.counter is None:
             raise self._unknown()
-        self.name = source.text[target.start : target.stop]
-        key = run.variables.key_of(source, target)
-        if key is None:
+        self.here = here
+        self.name = source.text[here.counter.start : here.counter.stop]
+        key = run.variables.key_of(source, here.counter)
+        if key is None or here.bounds is None:
             raise self._unknown()
-        self.key, self.begin = key, equals.end()
-        first, self.behind = parse(source, self.begin, stop)
+        self.key, self.given = key, here.bounds
         self.last, self.step = self._bounds()
-        self._set(self._whole(first))
+        self._set(self._whole(self.given[0]))
 
     @property
     def text(self) -> str:
@@ -493,17 +486,10 @@ class _Counter:
 
     def _bounds(self) -> tuple[int, int]:
         """Return its last number and its step, as they are now."""
-        source, (_, stop) = self.at.source, self.at.source.code_span(self.at.line)
-        to = _TO.match(source.text, self.behind, stop)
-        if not to or calls(source, self.begin, stop):
+        if calls(self.at.source, self.here.values.start, self.here.values.stop):
             raise self._unknown()
-        last, end = parse(source, to.end(), stop)
-        step = 1
-        if match := _STEP.match(source.text, end, stop):
-            width, end = parse(source, match.end(), stop)
-            step = self._step(width)
-        if source.text[end:stop].strip():
-            raise self._unknown()
+        _, last, width = self.given
+        step = 1 if width is None else self._step(width)
         return self._whole(last), step
 
     def _step(self, width: Value) -> int:

@@ -7,27 +7,19 @@ on.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
-from postproc.dialects.krl.language.expressions import operand, parse
-from postproc.dialects.krl.language.names import DECLARING, NAME, OPENING, TYPES, WITHOUT_MOTION
+from postproc.dialects.krl.language import tree
+from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.statements import (
-    MOTION_WORDS,
-    REFERRING,
-    SPLINES,
-    TIMED,
-    assignment,
-    calls,
-    declares,
-    word_at,
-)
+from postproc.dialects.krl.language.statements import calls
 from postproc.dialects.krl.language.structures import LOOPS
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.values import Call, Reference, Value, Word
 from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.data_lists import declare
-from postproc.dialects.krl.read.effects import CYCLIC, IMPORTED
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
@@ -38,9 +30,9 @@ _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL"
 _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
 _SUPERPOSED = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
 """Function generators, which swing the tool about its path (KUKA, System Variables)."""
+_REFERRING = frozenset({"CONST_VEL", "STOP"})
+"""Statements of spline motions that count from the start or the end of the motion that follows."""
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
-_FOR = re.compile(r"FOR[ \t]+([A-Za-z_$][\w$]*)", re.I | re.A)
-_LABEL = re.compile(r"[ \t]*:[ \t]*$")
 _IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
 JUMP = "it is not known before the program runs whether GOTO is run, and with it what runs next"
 JUMP_ADVICE = (
@@ -78,104 +70,103 @@ class Interpreter:
 
         :raises ProgramError: it is not understood, or it changes motion in a way that is not modelled.
         """
-        text = at.source.text
-        start, stop = at.source.code_span(at.line)
-        word = word_at(text, start, stop)
-        if word == "GLOBAL":
-            rest = text[start + len(word) : stop].lstrip()
-            start, word = stop - len(rest), word_at(rest, 0, len(rest))
-        if word in MOTION_WORDS or word in SPLINES or word == "ENDSPLINE":
+        here = statement(at.source, at.line)
+        if isinstance(here, tree.Motion | tree.Spline | tree.EndSpline):
             if self.run.in_main:
-                self._motion(at, word, start, stop)
-        elif not self._control(at, word):
-            self._other(at, word, start, stop)
+                self._motion(at, here.word, here.start, here.stop)
+        elif not self._control(at, here):
+            self._other(at, here)
 
-    def _control(self, at: Place, word: str) -> bool:
+    def _control(self, at: Place, here: tree.Statement) -> bool:
         """Follow control structures; return whether the statement was one."""
-        level = self.run.level
+        level, word = self.run.level, here.word
         if word in OPENING or word == "REPEAT":
             level.open.append((word, at.line))
         elif word in _CLOSING:
             if not level.open or level.open[-1][0] != _CLOSING[word]:
                 raise at.error(f"{word} without {_CLOSING[word]}")
             level.open.pop()
-        elif word == "GOTO":
+        elif isinstance(here, tree.Goto):
             raise at.error(JUMP, JUMP_ADVICE)
-        elif word == "RETURN":
-            self._return(at)
-        elif word in TIMED:
-            self._timed(at, word)
+        elif isinstance(here, tree.Return):
+            self._return(at, here)
+        elif isinstance(here, tree.Timed):
+            self._timed(at, here)
         elif word in _ASYNCHRONOUS:
             raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
             return False
         if word in _CONDITIONS:
-            self._condition(at, word)
+            self._condition(at, here)
         return True
 
-    def _timed(self, at: Place, word: str) -> None:
+    def _timed(self, at: Place, here: tree.Timed) -> None:
         """Follow a statement that says how fast spline motions are driven: it stays as it is.
 
         :raises ProgramError: it is not understood, or stands where none can.
         """
-        start, stop = at.source.code_span(at.line)
-        if not TIMED[word].fullmatch(at.source.text, start, stop):
+        if not here.complete:
             raise at.error("the statement is not understood", "Check its spelling.")
-        for call in calls(at.source, start, stop):
-            self.calls.call(at, call, certain=False)
+        self._inner_calls(at, here.start, here.stop)
         if not self.run.in_main:
             return
-        if word != "STOP" and not self.run.settings.state.block:
-            raise at.error(f"{word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
-        if word in REFERRING:
+        if here.word != "STOP" and not self.run.settings.state.block:
+            raise at.error(f"{here.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
+        if here.word in _REFERRING:
             self.run.triggers.append(at.line)
 
-    def _return(self, at: Place) -> None:
+    def _return(self, at: Place, here: tree.Return) -> None:
         level = self.run.level
         if not self.run.certain:
             if not level.traced or len(self.run.stack) > 1:
                 raise inexact(at, "it is not known whether it returns here")
             return
-        start, stop = at.source.code_span(at.line)
-        start += len("RETURN")
-        if at.source.text[start:stop].strip():
-            level.result = converted(self.calls.value(at, start, stop), level.routine.result)
+        if here.value.of(at.source.text).strip():
+            level.result = converted(self.calls.value(at, here.value.start, here.value.stop), level.routine.result)
         level.returned = level.returned or at.line
 
-    def _condition(self, at: Place, word: str) -> None:
-        start, stop = at.source.code_span(at.line)
+    def _condition(self, at: Place, here: tree.Statement) -> None:
+        self._inner_calls(at, here.start, here.stop)
+        if isinstance(here, tree.For) and here.name:
+            self.run.variables.forget(self.run.stored(here.name), str(at))
+
+    def _inner_calls(self, at: Place, start: int, stop: int) -> None:
+        """Follow the functions in a piece of code, of which it is not certain that they run."""
         for call in calls(at.source, start, stop):
             self.calls.call(at, call, certain=False)
-        if word == "FOR" and (match := _FOR.match(at.source.text, start, stop)):
-            self.run.variables.forget(self.run.stored(match[1]), str(at))
 
-    def _other(self, at: Place, word: str, start: int, stop: int) -> None:
+    def _other(self, at: Place, here: tree.Statement) -> None:
         """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
-        text = at.source.text
-        if word == "BAS":
-            self._bas(at, start, stop)
-        elif word in ("INTERRUPT", "TRIGGER"):
-            if word == "TRIGGER" and self.run.in_main:
+        if here.word == "BAS":
+            self._bas(at, here)
+        elif isinstance(here, tree.Event):
+            if isinstance(here, tree.Trigger) and self.run.in_main:
                 self.run.triggers.append(at.line)
-            self._event(at, word, start, stop)
-        elif match := CYCLIC.match(text, start, stop):
-            self.run.changes_always(at, self.run.stored(match[1]))
-        elif match := IMPORTED.match(text, start, stop):
-            self.run.changes_always(at, self.run.stored(match[1]))
-            self.run.changes_always(at, match[2].upper())
-        elif word == "STRUC":
-            self._declare(at, start, stop)
-        elif word in DECLARING:
-            return
-        elif word == "EXIT":
+            self._event(at, here)
+        elif isinstance(here, tree.Cyclic | tree.Imported):
+            self.run.changes_always(at, self.run.stored(here.name))
+            if isinstance(here, tree.Imported):
+                self.run.changes_always(at, here.original)
+        elif isinstance(here, tree.Declaration):
+            names = declare(self.run.variables, at.source, here)
+            if self.run.in_main:
+                self.run.understood.update(one.at for one in names)
+        elif here.word == "EXIT":
             self._exit(at)
-        elif word in ("DECL", "CONST") or word in TYPES:
-            self._declare(at, start, stop)
-        elif word in WITHOUT_MOTION:
-            for call in calls(at.source, start, stop):
-                self.calls.call(at, call, certain=False)
-        else:
-            self._assignment_or_call(at, start, stop)
+        elif isinstance(here, tree.Outside):
+            return
+        elif here.word in WITHOUT_MOTION:
+            self._inner_calls(at, here.start, here.stop)
+        elif isinstance(here, tree.Assignment):
+            self._assign(at, here.target, here.value.start, here.value.stop)
+        elif isinstance(here, tree.CallStatement):
+            self._inner_calls(at, here.call.start + len(here.call.name), here.stop)
+            if not self._entered(at, here.call):
+                self.calls.call(at, here.call, certain=self.run.certain)
+        elif isinstance(here, tree.Faulty):
+            raise here.error
+        elif not isinstance(here, tree.Label):
+            raise at.error("the statement is not understood", "Check its spelling.")
 
     def _exit(self, at: Place) -> None:
         """Note that a loop that is followed may be left."""
@@ -183,16 +174,12 @@ class Interpreter:
         if level.loops and not any(word in LOOPS for word, _ in level.open):
             raise inexact(at, "it is not known whether the loop is left here")
 
-    def _declare(self, at: Place, start: int, stop: int) -> None:
-        names = declare(self.run.variables, at.source, start, stop)
-        if self.run.in_main:
-            self.run.understood.update(one.at for one in names)
-
-    def _bas(self, at: Place, start: int, stop: int) -> None:
-        call, _ = operand(at.source, start, stop)
-        if not isinstance(call, Call) or not call.arguments:
+    def _bas(self, at: Place, here: tree.Statement) -> None:
+        if isinstance(here, tree.Faulty):
+            raise here.error
+        if not isinstance(here, tree.CallStatement) or not here.call.arguments:
             raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
-        self._set(at, self.run.settings.bas(at, call))
+        self._set(at, self.run.settings.bas(at, here.call))
 
     def _set(self, at: Place, state: State) -> None:
         """Put a state into force, or into doubt where it is not certain that it comes into force."""
@@ -202,24 +189,6 @@ class Interpreter:
             word, opened = self.run.level.open[-1]
             problem = f"what motions depend on is changed inside {word} (line {opened})"
             self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
-
-    def _assignment_or_call(self, at: Place, start: int, stop: int) -> None:
-        found = assignment(at.source, start, stop)
-        if found is not None:
-            self._assign(at, *found, stop)
-            return
-        target, position = operand(at.source, start, stop)
-        if isinstance(target, Call) and position == stop:
-            for inner in calls(at.source, start + len(target.name), stop):
-                self.calls.call(at, inner, certain=False)
-            if not self._entered(at, target):
-                self.calls.call(at, target, certain=self.run.certain)
-        elif isinstance(target, Reference) and _LABEL.match(at.source.text, position, stop):
-            return
-        elif declares(at.source.text, start, stop):
-            self._declare(at, start, stop)
-        else:
-            raise at.error("the statement is not understood", "Check its spelling.")
 
     def _assign(self, at: Place, target: Reference, start: int, stop: int) -> None:
         for call in calls(at.source, target.start, target.stop):
@@ -280,13 +249,12 @@ class Interpreter:
                 value = known
         self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
 
-    def _event(self, at: Place, word: str, start: int, stop: int) -> None:
+    def _event(self, at: Place, here: tree.Event) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on."""
-        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, start, stop)
+        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, here)
         if effects.motion is not None:
-            raise at.error(f"{word} moves the robot ({effects.motion})", _IN_ORDER)
-        self.calls.notice(at, f"{word} in {at}", effects)
+            raise at.error(f"{here.word} moves the robot ({effects.motion})", _IN_ORDER)
+        self.calls.notice(at, f"{here.word} in {at}", effects)
         declared = at.source.origin(at.line).source
-        public = word_at(at.source.text, *at.source.code_span(at.line)) == "GLOBAL"
-        if public or declared is self.run.routine.source:
+        if here.public or declared is self.run.routine.source:
             self.run.resumed = self.run.resumed or effects.resumes

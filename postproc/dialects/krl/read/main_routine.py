@@ -9,13 +9,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines, Occasion
-from postproc.dialects.krl.language.expressions import operand
-from postproc.dialects.krl.language.names import NAME, RESERVED, fault_of
+from postproc.dialects.krl.language.names import RESERVED, fault_of
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, calls, word_at
+from postproc.dialects.krl.language.statements import MOTION_WORDS, calls
 from postproc.dialects.krl.language.structures import Block, checked, nodes_of, outside
-from postproc.dialects.krl.language.values import Call
+from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.inexact import UnresolvedError
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
@@ -78,10 +79,8 @@ def course_of(
 
 def _calls(main: Routine, line: int) -> bool:
     """Return whether a statement may lead to other lines than the next one."""
-    start, stop = main.source.code_span(line)
-    text = main.source.text
-    word = word_at(text, start, stop)
-    return word == "GOTO" or ("(" in text[start:stop] and word not in MOTION_WORDS)
+    here = statement(main.source, line)
+    return isinstance(here, Goto) or ("(" in main.source.text[here.start : here.stop] and not isinstance(here, Motion))
 
 
 def _passed(at: Place, word: str, start: int, stop: int) -> None:
@@ -188,7 +187,7 @@ class MainRoutine:
         """Yield an error for the first statement behind RETURN that moves."""
         source = self.run.source
         for line in self._lines[bisect_right(self._lines, returned) :]:
-            if word_at(source.text, *source.code_span(line)) in MOTION_WORDS:
+            if isinstance(statement(source, line), Motion):
                 yield source.line_error(f"the motion is never reached: RETURN in line {returned}", line)
                 return
 
@@ -230,12 +229,11 @@ class MainRoutine:
     def _enter(self, step: Enter) -> None:
         at = Place(self.run.source, step.line)
         self.run.line = step.line
-        start, stop = at.source.code_span(step.line)
-        call, _ = operand(at.source, start, stop)
-        if isinstance(call, Call):
-            for inner in calls(at.source, start + len(call.name), stop):
+        here = statement(at.source, step.line)
+        if isinstance(here, CallStatement):
+            for inner in calls(at.source, here.call.start + len(here.call.name), here.stop):
                 self._flow.interpreter.calls.call(at, inner, certain=False)
-            self._flow.interpreter.calls.enter(at, call, step.module, step.routine)
+            self._flow.interpreter.calls.enter(at, here.call, step.module, step.routine)
 
     def _divide(self, step: Fork | Branch | Join) -> None:
         self.run.line = step.line

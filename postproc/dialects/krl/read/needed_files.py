@@ -12,8 +12,8 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePath
 
-from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.read.folder_files import FolderFiles, without_comments
 from postproc.dialects.krl.read.shared_data import GLOBAL_VARIABLE
 from postproc.errors import ProgramError

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Collection
 from contextlib import suppress
 
-from postproc.dialects.krl.language.names import NAME
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.folder_files import FolderFiles
 from postproc.dialects.krl.read.variables import Variables

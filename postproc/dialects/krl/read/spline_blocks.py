@@ -7,21 +7,18 @@ last one. SLIN and SCIRC are in it what they are elsewhere, the path of SPL is k
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import SPLINES, word_at
+from postproc.dialects.krl.language.statements import SPLINES
+from postproc.dialects.krl.language.tokens import word_at
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue
 from postproc.program import SPL, Bools, Motions
-
-_APPROXIMATED = re.compile(r"(?:C_SPL)?", re.IGNORECASE)
 
 
 class Opened(Struct, frozen=True):
@@ -64,7 +61,7 @@ class SplineBlocks:
         if self.open is None:
             raise at.error("ENDSPLINE without SPLINE")
         tail = at.source.text[start + len(word) : stop].strip()
-        if not _APPROXIMATED.fullmatch(tail):
+        if tail.upper() not in ("", "C_SPL"):
             raise at.error(f"{tail!r} is not understood")
         if tail:
             self.approximated.append(at.line)

@@ -5,22 +5,33 @@ A cut never falls into a fold, a control structure or a spline, between a TRIGGE
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.language.names import DECLARING, OPENING
+from postproc.dialects.krl.language.names import OPENING
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, calls, declares, word_at
+from postproc.dialects.krl.language.statements import SPLINES, calls
+from postproc.dialects.krl.language.tokens import fold_at
+from postproc.dialects.krl.language.tree import (
+    Cyclic,
+    Declaration,
+    Event,
+    Goto,
+    Imported,
+    Label,
+    Motion,
+    Outside,
+    Return,
+    Spline,
+    Statement,
+    Trigger,
+)
 from postproc.errors import Issue, ProgramError
 from postproc.program import Ints
 
 ADVICE = "Set lines_per_file = 0 in [output] of the cell to have it in one file."
-_FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
-_LABEL = re.compile(r"[A-Za-z_]\w*[ \t]*:$", re.ASCII)
-_LOCAL_INTERRUPT = re.compile(r"INTERRUPT[ \t]+DECL\b", re.IGNORECASE)
 _CLOSING = frozenset({*OPENING.values(), "UNTIL", "ENDSPLINE"})
 _OPENING = frozenset({*OPENING, "REPEAT", *SPLINES})
 
@@ -58,28 +69,26 @@ def places(source: Source, main: Routine) -> Places:
     declarations: list[int] = []
     held = False  # a TRIGGER waits for its motion, or CONTINUE for its statement
     for line in range(main.first + 1, main.last + 1):
-        start, stop = int(source.starts[line - 1]), int(source.stops[line - 1])
-        fold = _FOLD.match(text, start, stop)
-        if depth == 0 and not held and not (fold and fold[1]):
+        fold = fold_at(text, int(source.starts[line - 1]), int(source.stops[line - 1]))
+        if depth == 0 and not held and fold != "ENDFOLD":
             cuts.append(line)
         if fold:
-            depth = max(depth - 1, 0) if fold[1] else depth + 1
+            depth = max(depth - 1, 0) if fold == "ENDFOLD" else depth + 1
             continue
-        start, stop = source.code_span(line)
-        if start == stop or line == main.last:
+        here = statement(source, line)
+        if here.start == here.stop or line == main.last:
             continue
-        word = word_at(text, start, stop)
-        _check(source, line, word, text[start:stop], first)
-        depth = max(0, depth + (word in _OPENING) - (word in _CLOSING))
-        if word in MOTION_WORDS or word in SPLINES:
+        _check(source, line, here, first)
+        depth = max(0, depth + (here.word in _OPENING) - (here.word in _CLOSING))
+        if isinstance(here, Motion | Spline):
             first, held = first or line, False
-        elif word in ("TRIGGER", "CONTINUE"):
+        elif isinstance(here, Trigger) or here.word == "CONTINUE":
             held = True
-        elif declares(text, start, stop) or word in DECLARING:
+        elif isinstance(here, Declaration | Outside | Imported) or (isinstance(here, Cyclic) and here.word == "SIGNAL"):
             declarations.append(line)
-        elif word == "INTERRUPT":
+        elif isinstance(here, Event) and not here.public:
             called = 0
-        elif not called and word != "BAS" and calls(source, start, stop):
+        elif not called and here.word != "BAS" and calls(source, here.start, here.stop):
             called = line
     first = first or called
     if not first:
@@ -87,11 +96,11 @@ def places(source: Source, main: Routine) -> Places:
     return Places(main.first, main.last, np.array(cuts, dtype=np.int64), first, declarations)
 
 
-def _check(source: Source, line: int, word: str, code: str, first: int) -> None:
+def _check(source: Source, line: int, here: Statement, first: int) -> None:
     """Refuse statements that mean something else in a file of their own."""
-    if word in ("RETURN", "GOTO") or _LABEL.match(code):
-        raise undivided(source, f"{word or code} leads to another place of it", line)
-    if first and _LOCAL_INTERRUPT.match(code):
+    if isinstance(here, Return | Goto | Label):
+        raise undivided(source, f"{here.word} leads to another place of it", line)
+    if first and isinstance(here, Event) and here.declares and not here.public:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
         raise undivided(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
 

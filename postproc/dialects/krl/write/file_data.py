@@ -8,8 +8,8 @@ from pathlib import PurePath
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.data_files import DataLine, data_lines
-from postproc.dialects.krl.language.names import NAME
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.write.renaming import with_name
 from postproc.program import Document
 

@@ -17,9 +17,10 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Called, Course, Repeated
-from postproc.dialects.krl.language.names import NAME, unused
+from postproc.dialects.krl.language.names import unused
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.text import line_spans
 from postproc.errors import Issue
 from postproc.program import Document, Ints

@@ -9,8 +9,9 @@ from msgspec import Struct, field
 
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import Point
-from postproc.dialects.krl.language.names import NAME, unused
+from postproc.dialects.krl.language.names import unused
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.write.replacements import Replacements

@@ -8,8 +8,9 @@ from pathlib import PurePath
 
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.names import MAX_LENGTH, NAME, unused
+from postproc.dialects.krl.language.names import MAX_LENGTH, unused
 from postproc.dialects.krl.language.parts import MAIN, beyond, called
+from postproc.dialects.krl.language.tokens import NAME
 from postproc.program import Document
 
 _HEAD = re.compile(r"((?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?(?:DEF|DEFDAT)[ \t]+)[A-Za-z_$][\w$]*", re.IGNORECASE)

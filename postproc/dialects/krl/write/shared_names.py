@@ -6,7 +6,6 @@ program never writes (points, say) needs none of that: each file has it in its o
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from msgspec import Struct, field
@@ -14,24 +13,18 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.data_files import DataLine, data_lines
 from postproc.dialects.krl.language.declarations import Declared, declared
-from postproc.dialects.krl.language.names import DECLARING, MAX_LENGTH, NAME, unused
-from postproc.dialects.krl.language.occurrences import occurrences
+from postproc.dialects.krl.language.names import DECLARING, MAX_LENGTH, unused
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, assignment, calls, declares, word_at
+from postproc.dialects.krl.language.statements import calls
+from postproc.dialects.krl.language.tokens import NAME, after_blanks, after_word, key_word, occurrences, word_at
+from postproc.dialects.krl.language.tree import Assignment, Cyclic, Declaration, Definition, Event, For
 from postproc.dialects.krl.write.cuts import ADVICE, undivided
 from postproc.dialects.krl.write.replacements import Replacements
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
-
-_INTERRUPT = re.compile(r"(?:GLOBAL[ \t]+)?INTERRUPT\b", re.IGNORECASE)
-_LATER = frozenset({"TRIGGER", "ANIN", "DIGIN"})
-_CONST = re.compile(r"\bCONST\b", re.IGNORECASE)
-_DECL = re.compile(r"\ADECL\b", re.IGNORECASE)
-_PUBLIC = re.compile(r"\bPUBLIC\b", re.IGNORECASE)
-_TYPE = re.compile(r"^[ \t]*(?:STRUC|ENUM)[ \t]+(\w+)", re.IGNORECASE | re.MULTILINE)
-_RESULT = re.compile(r"DEFFCT[ \t]+(\w+)", re.IGNORECASE)
 
 
 class _Variables(Struct, frozen=True, eq=False):
@@ -116,7 +109,7 @@ class Sharing:
                 if not names or (routine is self.main and line in declaring):
                     continue
                 names &= {one.name for one in occurrences(self.source.text, start, stop)}
-                written = self._written_in(start, stop)
+                written = self._written_in(line)
                 for name in names:
                     known = self._meant(name, routine, kept)
                     if known is not None:
@@ -131,23 +124,18 @@ class Sharing:
         hidden = self.hidden if routine is self.main else routine.local
         return self.kept if name in kept and name not in hidden else None
 
-    def _written_in(self, start: int, stop: int) -> set[str]:
+    def _written_in(self, line: int) -> set[str]:
         """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR.
 
         What is done at another time (TRIGGER, INTERRUPT, ANIN, DIGIN) may write all that is named in it.
         """
-        source = self.source
-        word = word_at(source.text, start, stop)
-        if word == "FOR":
-            return {name.upper() for name in NAME.findall(source.text, start, stop)[1:2]}
-        if word in _LATER or _INTERRUPT.match(source.text, start, stop):
-            return {name.upper() for name in NAME.findall(source.text, start, stop)}
-        names = set()
-        if word not in MOTION_WORDS:
-            found = assignment(source, start, stop)
-            if found is not None:
-                names.add(found[0].name)
-        for call in calls(source, start, stop):
+        source, here = self.source, statement(self.source, line)
+        if isinstance(here, For):
+            return {here.name}
+        if isinstance(here, Event) or (isinstance(here, Cyclic) and here.word != "SIGNAL"):
+            return {name.upper() for name in NAME.findall(source.text, here.start, here.stop)}
+        names = {here.target.name} if isinstance(here, Assignment) else set()
+        for call in calls(source, here.start, here.stop):
             if call.name != "BAS":
                 given = next((one.parameters for one in self.others if one.name == call.name), ())
                 spans = [s for k, s in enumerate(call.arguments) if not (k < len(given) and given[k].by_value)]
@@ -156,8 +144,7 @@ class Sharing:
 
     def _check_types(self, own: Collection[str], kept: Mapping[str, Declared]) -> None:
         """Refuse variables and parameters of types that are declared for this program alone."""
-        text = "" if self.data is None else self.data.text
-        types = {found[1].upper() for found in _TYPE.finditer(text)}
+        types = set() if self.data is None else set(_types(self.data))
         if not types:
             return
         for line, one in self.declared:
@@ -167,10 +154,11 @@ class Sharing:
             if one.kind in types:
                 raise self._unseen(name, one.kind, self.kept.written[name])
         for routine in self.others:
-            result = _RESULT.search(self.source.text, *self.source.code_span(routine.first))
+            head = statement(self.source, routine.first)
+            result = {head.result} if isinstance(head, Definition) and head.result else set[str]()
             given = {parameter.name for parameter in routine.parameters}
             kinds = {one.kind for line in routine.lines for one in self._declared_on(line) if one.name in given}
-            for kind in types.intersection(kinds | ({result[1].upper()} if result else set())):
+            for kind in types.intersection(kinds | result):
                 raise self._unseen(f"what {routine.name} takes or gives", kind, routine.first)
 
     def _unseen(self, what: str, kind: str, line: int) -> ProgramError:
@@ -181,11 +169,12 @@ class Sharing:
 
     def _declared_on(self, line: int) -> list[Declared]:
         """Return the variables that a line of the program declares."""
-        start, stop = self.source.code_span(line)
-        return list(declared(self.source, start, stop)) if declares(self.source.text, start, stop) else []
+        here = statement(self.source, line)
+        return list(here.names) if isinstance(here, Declaration) and not here.public and here.word != "STRUC" else []
 
     def _is_constant(self, line: int) -> bool:
-        return _CONST.search(self.source.text, *self.source.code_span(line)) is not None
+        here = statement(self.source, line)
+        return isinstance(here, Declaration) and here.constant
 
     @staticmethod
     def _by_line(stated: Iterable[tuple[int, Declared]]) -> list[set[str]]:
@@ -206,8 +195,8 @@ class Sharing:
 
     def _spelt(self, name: str) -> str:
         """Return a name as the program spells it first."""
-        found = re.search(rf"(?<![\w$]){re.escape(name)}(?![\w$])", self.source.text, re.IGNORECASE)
-        return found[0] if found else name
+        found = (match[0] for match in NAME.finditer(self.source.text) if match[0].upper() == name)
+        return next(found, name)
 
     def _move(self, moved: Mapping[str, str], edits: Replacements) -> list[str]:
         """Take declarations out of the main routine; return them as they stand in a `.dat`."""
@@ -258,7 +247,7 @@ class Sharing:
         for line in range(1, len(self.data.starts) + 1):
             start, stop = self.data.code_span(line)
             word = word_at(text, start, stop)
-            if word == "DEFDAT" and not _PUBLIC.search(text, start, stop):
+            if word == "DEFDAT" and key_word(text, start, stop, "PUBLIC") is None:
                 edits.add(stop, stop, " PUBLIC")
             elif word == "ENDDAT":
                 edits.add(start, start, "".join(f"{declaration}\r\n" for declaration in declarations))
@@ -282,9 +271,18 @@ def _stated(data: Source, one: DataLine) -> Iterator[Declared]:
         yield from declared(data, start, stop)
 
 
+def _types(data: Source) -> Iterator[str]:
+    """Yield the names of the types that a `.dat` declares."""
+    for line in range(1, len(data.starts) + 1):
+        start, stop = data.code_span(line)
+        if (behind := after_word(data.text, start, stop, "STRUC", "ENUM")) >= 0:
+            yield word_at(data.text, after_blanks(data.text, behind, stop), stop)
+
+
 def _public(declaration: str) -> str:
     """Return a declaration as one of GLOBAL variables."""
-    return f"DECL GLOBAL {_DECL.sub('', declaration, count=1).lstrip()}"
+    behind = after_word(declaration, 0, len(declaration), "DECL")
+    return f"DECL GLOBAL {declaration[max(behind, 0) :].lstrip()}"
 
 
 def _together(names: set[str], lines: Sequence[set[str]]) -> set[str]:

@@ -23,11 +23,13 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.names import MAX_LENGTH, NAME, fault_of
+from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN, joined, taken_apart
 from postproc.dialects.krl.language.routines import Module, routines
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, word_at
+from postproc.dialects.krl.language.statements import MOTION_WORDS
+from postproc.dialects.krl.language.tokens import NAME, word_at
 from postproc.dialects.krl.write.cuts import bounds, places, undivided
 from postproc.dialects.krl.write.file_data import with_data
 from postproc.dialects.krl.write.renaming import with_name
@@ -123,7 +125,7 @@ class _Splitter:
     def written(self) -> Written:
         """Return the program in several files, each line of a target counted on from file to file."""
         for line in chain.from_iterable(one.lines for one in (self.main, *self.others)):
-            if word_at(self.source.text, *self.source.code_span(line)) == "RESUME":
+            if statement(self.source, line).word == "RESUME":
                 raise undivided(self.source, _RESUME, line)
         files = self._files()
         file_of, number_of = self._lines(files)

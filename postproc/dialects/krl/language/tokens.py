@@ -1,0 +1,138 @@
+"""Words of KRL in a piece of code: names, key words, comments of the editor. Statements are read by `parser`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from msgspec import Struct
+
+NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
+BLANKS = " \t"
+_WORD = re.compile(r"\"[^\"]*\"?|(?<![\w$#.])[A-Za-z_$][\w$]*", re.ASCII)
+_OPERATOR = re.compile(r"==|<>|<=|>=|<|>|(?:AND|OR|EXOR)\b", re.IGNORECASE)
+_NOT = re.compile(r"NOT\b", re.IGNORECASE)
+_OCCURRENCE = re.compile(
+    r"\"[^\"]*\"|'[BbHh][0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII
+)
+NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_NUMBER = re.compile(NUMBER_PATTERN)
+_TAG = re.compile(r"[ \t]*:")
+_OPEN = re.compile(r"[ \t]*\(")
+_FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
+
+
+class Span(Struct, frozen=True):
+    """A piece of a text: offsets of its first character and behind its last."""
+
+    start: int
+    stop: int
+
+    def of(self, text: str) -> str:
+        """Return the piece."""
+        return text[self.start : self.stop]
+
+
+def word_at(text: str, start: int, stop: int) -> str:
+    """Return the word at an offset, upper case; empty if there is none."""
+    match = NAME.match(text, start, stop)
+    return match[0].upper() if match else ""
+
+
+def after_blanks(text: str, start: int, stop: int) -> int:
+    """Return the offset of the next character that is no blank, `stop` if there is none."""
+    while start < stop and text[start] in BLANKS:
+        start += 1
+    return start
+
+
+def after_word(text: str, start: int, stop: int, *words: str) -> int:
+    """Return the offset behind a word, blanks before it skipped; −1 if none of `words` (upper case) is there."""
+    start = after_blanks(text, start, stop)
+    word = word_at(text, start, stop)
+    return start + len(word) if word in words else -1
+
+
+def after_sign(text: str, start: int, stop: int, sign: str) -> int:
+    """Return the offset behind a character, blanks before it skipped; −1 if it is not there."""
+    start = after_blanks(text, start, stop)
+    return start + 1 if start < stop and text[start] == sign else -1
+
+
+def words_in(text: str, start: int, stop: int) -> Iterator[tuple[str, Span]]:
+    """Yield the words of a piece of code, upper case, and where they are; not strings, constants and components."""
+    for match in _WORD.finditer(text, start, stop):
+        if match[0][0] != '"':
+            yield match[0].upper(), Span(*match.span())
+
+
+def key_word(text: str, start: int, stop: int, word: str) -> Span | None:
+    """Return where a key word (upper case) is first, not in a string; None if it is not there."""
+    return next((span for found, span in words_in(text, start, stop) if found == word), None)
+
+
+def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
+    """Return the comparison or the operator of logic at an offset, upper case, and the offset behind it."""
+    start = after_blanks(text, start, stop)
+    match = _OPERATOR.match(text, start, stop)
+    return (match[0].upper(), match.end()) if match else ("", start)
+
+
+def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
+    """Return whether an odd number of NOT is at an offset, and the offset behind them."""
+    inverse, start = False, after_blanks(text, start, stop)
+    while match := _NOT.match(text, start, stop):
+        inverse = not inverse
+        start = after_blanks(text, match.end(), stop)
+    return inverse, start
+
+
+def number(text: str) -> float:
+    """Return the number that a text is; NaN if it is something else."""
+    return float(text) if _NUMBER.fullmatch(text) else float("nan")
+
+
+def fold_at(text: str, start: int, stop: int) -> str:
+    """Return ``FOLD`` or ``ENDFOLD`` if a line is the comment that begins or ends a fold; else an empty text."""
+    fold = _FOLD.match(text, start, stop)
+    return "" if fold is None else "ENDFOLD" if fold[1] else "FOLD"
+
+
+class Occurrence(Struct, frozen=True):
+    """A name in a text.
+
+    :ivar start: offset of its first character; `stop` the one behind its last.
+    :ivar name: upper case.
+    :ivar called: whether a bracket follows: it is a routine, or a function.
+    """
+
+    start: int
+    stop: int
+    name: str
+    called: bool
+
+
+def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
+    """Yield the names in ``text[start:stop]``, words of KRL among them; no components and no constants of ENUMs.
+
+    >>> [one.name for one in occurrences("LIN {X I, Y P.X}:Q", 0, 18)]
+    ['LIN', 'I', 'P', 'Q']
+    """
+    open_: list[str] = []
+    component = False  # the next name is one of an aggregate, or its type
+    for match in _OCCURRENCE.finditer(text, start, stop):
+        first = match[0][0]
+        if first in "([{":
+            open_.append(first)
+            component = first == "{"
+        elif first in ")]}":
+            del open_[-1:]
+            component = False
+        elif first == ",":
+            component = bool(open_) and open_[-1] == "{"
+        elif first.isalpha() or first in "_$":
+            if component:
+                component = _TAG.match(text, match.end(), stop) is not None
+                continue
+            called = _OPEN.match(text, match.end(), stop) is not None
+            yield Occurrence(match.start(), match.end(), match[0].upper(), called)
