@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from postproc.errors import PlanError
 from postproc.frames import Array
 from postproc.plan import constraints
-from postproc.plan.sensitivity import Readings
+from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 
 _GRID = 24
@@ -31,12 +31,14 @@ class Candidates(Struct, frozen=True, eq=False):
     :param q: (L, C, 6) [rad].
     :param tilt: (L, C, 2) of the load [rad].
     :param information: (L, C, p, p).
+    :param torque: (L, C, 6) of the load on the joints; 0 where there is no pose [N·m].
     """
 
     q2: Array
     q: Array
     tilt: Array
     information: Array
+    torque: Array
 
     def only(self, keep: tuple[int, ...]) -> Candidates:
         """Return the candidates with the information on some compliances only."""
@@ -96,7 +98,9 @@ def draw_candidates(site: Site, readings: Readings, rng: np.random.Generator, fi
             q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
     information *= real[:, :, None, None]  # a measured level where nothing can be measured any more tells nothing
-    return Candidates(levels[kept], q, tilt, information)
+    load = readings.force * direction(tilt.reshape(-1, 2))
+    torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * real[:, :, None]
+    return Candidates(levels[kept], q, tilt, information, torque)
 
 
 def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:

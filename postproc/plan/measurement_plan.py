@@ -6,6 +6,7 @@ from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.plan.accuracy import Accuracy
+from postproc.plan.directions import Directions
 from postproc.plan.milling import TestPoses
 from postproc.plan.search import Plan
 from postproc.plan.site import Site
@@ -56,6 +57,8 @@ class PlanResult(Struct, frozen=True, eq=False):
     :param plan: the poses; angles and forces as written to the file.
     :param force: (n, 3) at the load point, root axes [N].
     :param second_load: over the first, in the same direction; what to expect counts the first alone.
+    :param torque: (n, 6) of the load on the joints [N·m].
+    :param directions: to which sides joints were to be loaded.
     :param accuracy: what to expect of the plan (with what was measured already).
     :param before: the same with what was measured already alone, or None.
     :param random: (R,) criterion of random plans [m²].
@@ -77,6 +80,8 @@ class PlanResult(Struct, frozen=True, eq=False):
     plan: Plan
     force: Array
     second_load: float
+    torque: Array
+    directions: Directions
     accuracy: Accuracy
     before: Accuracy | None
     random: Array

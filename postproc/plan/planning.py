@@ -9,16 +9,17 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.errors import PlanError
-from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array
+from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, norm
 from postproc.identification.measurements import Measurements
 from postproc.plan import accuracy, baselines, order
 from postproc.plan.candidate_poses import draw_candidates
 from postproc.plan.criterion import Criterion
+from postproc.plan.directions import directions, out_of_reach
 from postproc.plan.joint2 import Joint2
 from postproc.plan.measured import Measured, measured
 from postproc.plan.measurement_plan import Options, PlanResult, Size
 from postproc.plan.milling import TestPoses, thinned
-from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, hidden_by_rig, left_uncertain, second_load
+from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, VERTICAL, hidden_by_rig, left_uncertain, second_load
 from postproc.plan.search import Plan, Task, exchange, improved
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
@@ -98,6 +99,8 @@ def plan_measurements(
         plan=plan,
         force=force,
         second_load=second_load(site, tests),
+        torque=problem.readings.torque(plan.q, force),
+        directions=problem.task.directions,
         accuracy=found,
         before=before,
         random=random,
@@ -141,6 +144,12 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     if site.tracker is None:
         warnings = (*warnings, NO_TRACKER)
 
+    torque = candidates.torque.reshape(-1, 6)
+    loaded = directions(
+        torque[torque.any(axis=1)], tests, options.configurations, None if data is None else _largest(data, readings)
+    )
+    warnings = (*warnings, *out_of_reach(loaded, site.rig.largest_tilt < VERTICAL))
+
     def with_joint2(joint2: Joint2) -> Task:
         return Task(
             site,
@@ -149,11 +158,20 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
             candidates,
             options.configurations,
             levels,
+            loaded,
             fixed,
         )
 
     joint2 = _joint2(site, tests, known, with_joint2, options.seed)
     return _Problem(with_joint2(joint2), readings, joint2, known, warnings)
+
+
+def _largest(data: Measurements, readings: Readings) -> Array:
+    """Return the torques (C, 6) of the largest load of each configuration that was loaded [N·m]."""
+    config, load = data.state_config[data.loaded], data.wrench[data.loaded]
+    order = np.argsort(norm(load))[::-1]
+    first = order[np.unique(config[order], return_index=True)[1]]
+    return readings.torque(data.q[config[first]], load[first, :3])
 
 
 def _joint2(

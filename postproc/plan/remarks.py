@@ -18,7 +18,8 @@ NO_TORQUES = (
     "the robot may carry the load"
 )
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
-_VERTICAL = 0.02
+VERTICAL = 0.02
+"""Largest angle [rad] of a load that counts as vertical."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 """Second load over the weight: less is lost in the noise, more tells no other thing than the weight does."""
 
@@ -40,7 +41,7 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int
         moved = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
         share = float(np.sqrt(tests.weight @ moved)) * scale[joint] * MM_PER_M
         reason, advice = "the load puts too little torque on it", "Use a heavier weight."
-        if joint == 0 and site.rig.largest_tilt < _VERTICAL:
+        if joint == 0 and site.rig.largest_tilt < VERTICAL:
             reason = "every load it can apply hangs vertically, parallel to the axis of A1"
             advice = "Pull sideways too, by a cable over a pulley ([rig] max_angle_deg)."
         elif joint == 5:

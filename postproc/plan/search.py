@@ -17,9 +17,10 @@ from postproc.frames import RAD_PER_DEG, Array
 from postproc.plan import constraints
 from postproc.plan.candidate_poses import Candidates
 from postproc.plan.criterion import Criterion
-from postproc.plan.sensitivity import Readings
+from postproc.plan.directions import Directions
+from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
-from postproc.program import Ints
+from postproc.program import Bools, Ints
 
 _APART = 8.0 * RAD_PER_DEG
 """Least distance of two levels of q2: the identification takes angles within 2° for one level."""
@@ -62,6 +63,7 @@ class Task(Struct, frozen=True, eq=False):
     :param candidates: to choose from; their first `fixed` levels are kept (they were measured).
     :param count: number of poses.
     :param levels: number of levels of q2, the fixed ones included.
+    :param directions: to which sides joints are to be loaded.
     :param fixed: number of fixed levels.
     """
 
@@ -71,7 +73,12 @@ class Task(Struct, frozen=True, eq=False):
     candidates: Candidates
     count: int
     levels: int
+    directions: Directions
     fixed: int = 0
+
+    def sides(self, q: Array, tilt: Array) -> Bools:
+        """Return which sides (N, 6, 2) poses with loads count for."""
+        return self.directions.counted(self.readings.torque(q, self.readings.force * direction(tilt)))
 
     def group_of_each(self, rng: np.random.Generator) -> Ints:
         """Return the level (n,) of each pose: groups as equal as can be; at random where levels were measured."""
@@ -134,6 +141,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
             best = _exchange_level(task, best, group)
         if best.value > before * (1.0 - _ENOUGH):
             break
+    best = _exchange_poses(task, _to_both_sides(task, best))
     at = best.row[best.level], best.pick
     return Plan(candidates.q[at], candidates.tilt[at], best.level, candidates.q2[best.row], best.value)
 
@@ -158,21 +166,50 @@ def _apart(others: Array, q2: float) -> bool:
     return bool((np.abs(others - q2) >= _APART - 1e-9).all())
 
 
+def _to_both_sides(task: Task, choice: _Choice) -> _Choice:
+    """Replace poses by others of their levels until every joint is loaded to both sides, at the least criterion."""
+    information, row, criterion, level = task.candidates.information, choice.row, choice.criterion, choice.level
+    pick, wanted = choice.pick.copy(), task.directions
+    sides = wanted.counted(task.candidates.torque[row]).astype(np.int64)
+    while True:
+        own = sides[level, pick]
+        missing = wanted.missing(own.sum(axis=0))
+        total = criterion.total(information[row[level], pick], level)
+        best = (np.inf, 0, 0)
+        for place in range(task.count) if missing > 0 else ():
+            new = np.flatnonzero(wanted.missing(own.sum(axis=0) - own[place] + sides[level[place]]) < missing)
+            old = information[row[level[place]], pick[place]]
+            if len(new):
+                values = criterion.exchanged(total, old, information[row[level[place]], new], int(level[place]))
+                best = min(best, (float(values.min()), place, int(new[np.argmin(values)])))
+        if not np.isfinite(best[0]):
+            return replace(choice, pick=pick, value=criterion.value(information[row[level], pick], level))
+        pick[best[1]] = best[2]
+
+
 def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
-    """Replace each pose in turn by the best candidate of its level; of any level, where levels are fixed."""
+    """Replace each pose in turn by the best candidate of its level; of any level, where levels are fixed.
+
+    No exchange takes away a side to which a joint is to be loaded.
+    """
     information, row, criterion = task.candidates.information, choice.row, choice.criterion
-    level, pick = choice.level.copy(), choice.pick.copy()
+    level, pick, wanted = choice.level.copy(), choice.pick.copy(), task.directions
+    sides = wanted.counted(task.candidates.torque[row]).astype(np.int64)
     for place in range(task.count):
+        count = sides[level, pick].sum(axis=0)
+        worse = wanted.missing(count - sides[level[place], pick[place]] + sides) > wanted.missing(count)
         own = information[row[level[place]], pick[place]]
         total = criterion.total(information[row[level], pick], level)
         values = criterion.exchanged(total, own, information[row[level[place]]], int(level[place]))
-        pick[place] = int(np.argmin(values))
-        if task.fixed:
+        if not task.fixed:
+            pick[place] = int(np.argmin(np.where(worse[level[place]], np.inf, values)))
+        else:
             rest = np.delete(np.arange(task.count), place)
             without = criterion.total(information[row[level[rest]], pick[rest]], level[rest])
             nothing = np.zeros_like(own)
             every = [criterion.exchanged(without, nothing, information[r], g) for g, r in enumerate(row)]
-            level[place], pick[place] = np.unravel_index(int(np.argmin(every)), (task.levels, information.shape[1]))
+            best = int(np.argmin(np.where(worse, np.inf, every)))
+            level[place], pick[place] = np.unravel_index(best, (task.levels, information.shape[1]))
     value = criterion.value(information[row[level], pick], level)
     return replace(choice, level=level, pick=pick, value=value)
 
@@ -221,7 +258,7 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
     q, tilt = plan.q.copy(), plan.tilt.copy()
     criterion = task.criterion_at(plan.q2)
     value = plan.value
-    information = task.readings.information(q, tilt)
+    information, sides = task.readings.information(q, tilt), task.sides(q, tilt)
     for place in range(len(q)):
         total = criterion.total(information, plan.level)
         push = criterion.push(total, plan.level[[place]])
@@ -231,9 +268,13 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
         values = criterion.exchanged(total, information[place], new, int(plan.level[place]))
         order = np.argsort(values, kind="stable")
         order = order[values[order] < value * (1.0 - 1e-5)]
+        new_sides, count = task.sides(new_q, new_tilt), sides.sum(axis=0)
+        worse = task.directions.missing(count - sides[place] + new_sides) > task.directions.missing(count)
+        order = order[~worse[order]]
         allowed = constraints.feasible(task.site, new_q[order], new_tilt[order])
         if allowed.any():
             best = order[np.argmax(allowed)]
+            sides[place] = new_sides[best]
             q[place], tilt[place], information[place], value = new_q[best], new_tilt[best], new[best], values[best]
     return replace(plan, q=q, tilt=tilt, value=float(value))
 
@@ -260,8 +301,10 @@ def _proposals(
 
 def _move_levels(task: Task, plan: Plan) -> Plan:
     """Shift each level that is not fixed, with its group: link 2 alone, or so that the forearm keeps its direction."""
+    wanted = task.directions
     for group in range(task.fixed, len(plan.q2)):
         members = plan.level == group
+        missing = wanted.missing(task.sides(plan.q, plan.tilt).sum(axis=0))
         for shift in (*_SHIFTS, *-_SHIFTS):
             q2 = plan.q2.copy()
             q2[group] += shift
@@ -275,6 +318,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
                 q[members, 2] += follow
                 value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
                 better = value < plan.value * (1.0 - 1e-5)
+                better = better and bool(wanted.missing(task.sides(q, plan.tilt).sum(axis=0)) <= missing)
                 if better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
                     plan = replace(plan, q=q, q2=q2, value=value)
                     break

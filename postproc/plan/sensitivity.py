@@ -72,6 +72,12 @@ class Readings(Struct, frozen=True, eq=False):
         moved = posed.velocity(posed.point(self.points)) * torque[:, None, :, None]
         return np.ascontiguousarray(np.swapaxes(moved, 2, 3)).reshape(len(q), -1, 6)
 
+    def torque(self, q: Array, load: Array) -> Array:
+        """Return the torques (N, 6) [N·m] of forces (N, 3) at the load point, root axes [N]."""
+        posed = self.arm.pose(q)
+        at_load = posed.velocity(posed.point(self.load_point[None]))[:, 0]
+        return np.asarray(np.einsum("nij,nj->ni", at_load, load))
+
     def information(self, q: Array, tilt: Array) -> Array:
         """Return what each measurement adds to the normal matrix: (N, p, p), for tilts (N, 2) of the load."""
         return self.information_of(q, self.force * direction(tilt))

@@ -9,8 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from postproc.files import FileEntry
-from postproc.frames import DEG_PER_RAD, MM_PER_M
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.identification.coverage import SIGNS
 from postproc.plan import PlanResult
+from postproc.program import Ints
+from postproc.robot import JOINTS
 
 _HEADER = "config,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz"
 
@@ -40,6 +43,20 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             "share": result.second_load,
             "N": result.second_load * result.site.rig.force,
         },
+        "torques": [
+            {
+                "joint": joint,
+                **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
+                **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
+                **{
+                    f"work_{sign}_Nm": float(value)
+                    for sign, value in zip(SIGNS, (-work[0] + 0.0, work[1]), strict=True)
+                },
+            }
+            for joint, low, high, count, work in zip(
+                JOINTS, *_extremes(result), poses_by_side(result), result.directions.work, strict=True
+            )
+        ],
         "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": own},
         "expected": {
             "rms_mm": result.accuracy.rms * MM_PER_M,
@@ -85,6 +102,16 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
     return out
 
 
+def poses_by_side(result: PlanResult) -> Ints:
+    """Return how many poses (6, 2) load each joint to its negative and to its positive side."""
+    return np.asarray(result.directions.counted(result.torque).sum(axis=0))
+
+
+def _extremes(result: PlanResult) -> tuple[Array, Array]:
+    """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
+    return np.minimum(result.torque.min(axis=0), 0.0) + 0.0, np.maximum(result.torque.max(axis=0), 0.0)
+
+
 def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
     """Return `plan_summary` as JSON.
 
@@ -105,6 +132,9 @@ def plan_lines(result: PlanResult) -> list[str]:
         f"each under two loads: {result.site.rig.force:.0f} N as planned, and {result.second_load:.0%} of it, "
         f"{result.second_load * result.site.rig.force:.0f} N, in the same direction: as near to the work "
         "as readings tell",
+        "torques of the loads: "
+        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *_extremes(result), strict=True))
+        + " N·m",
         f"expected error after compensation: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
     ]

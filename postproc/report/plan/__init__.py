@@ -20,6 +20,7 @@ SECTIONS: tuple[Callable[[PlanResult], Section | None], ...] = (
     sections.sizes,
     sections.tests,
     sections.parameters,
+    sections.torques,
 )
 """The sections of the page in order. One that has nothing to say returns None."""
 

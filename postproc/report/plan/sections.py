@@ -22,6 +22,7 @@ from postproc.report.kit import (
     Tile,
     Tiles,
 )
+from postproc.report.plan_data import poses_by_side
 from postproc.robot import JOINTS, WITH_LINKS
 
 _GOOD = 0.1
@@ -151,6 +152,31 @@ def parameters(result: PlanResult) -> Section:
     )
     table = Table(("Parameter", "95 % interval"), rows, "Expected intervals of the parameters", note=note)
     return Section("parameters", "Parameters", (table,), "half")
+
+
+def torques(result: PlanResult) -> Section:
+    """Return the torques of the loads on the joints, by sign, and those of the work."""
+    low, high = np.minimum(result.torque.min(axis=0), 0.0), np.maximum(result.torque.max(axis=0), 0.0)
+    work, count = result.directions.work, poses_by_side(result)
+    rows = tuple(
+        Row(
+            (
+                joint,
+                Cell(f"{low[row] + 0.0:.0f} ({count[row, 0]})", "good" if count[row, 0] else "warning"),
+                Cell(f"{high[row]:.0f} ({count[row, 1]})", "good" if count[row, 1] else "warning"),
+                f"{-work[row, 0] + 0.0:.0f} … {work[row, 1]:.0f}",
+            )
+        )
+        for row, joint in enumerate(JOINTS)
+    )
+    note = (
+        "Of the load alone, N·m; in brackets the poses that load the joint to that side by about the torque of the "
+        "work or more. Lost motion and preload of a gear show only where it is loaded to both sides."
+    )
+    head = ("Joint", "negative (poses)", "positive (poses)", "work")
+    return Section(
+        "torques", "Torques on the joints", (Table(head, rows, "Torques by joint and sign", note=note),), "half"
+    )
 
 
 def _percent(half: float) -> str:

@@ -1,0 +1,140 @@
+"""Plans load every joint to both sides, as far as the rig can: torques by the simulator's own chain."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from msgspec.structs import replace
+
+from postproc.cli import main
+from postproc.identification.coverage import ENOUGH
+from postproc.plan import directions, milling
+from postproc.plan.directions import out_of_reach
+from samples.paper_study import simulator
+from tests.plan import setting
+from tests.plan.setting import AROUND, BASIC, RIG
+
+HANGING = BASIC + "\n[rig]\nmass_kg = 275\n"
+
+
+def simulated(q, force):
+    """Torques (n, 6) of forces at the load point [N·m]."""
+    bare = simulator.TrueRobot(simulator.Gear("linear", 1 / simulator.PAPER_K, np.ones(6)))
+    frames = bare.frames(bare.commanded(q))
+    flange = bare.flange(frames)
+    return bare.pulled(frames, 5, flange[:, :3, 3] + flange[:, :3, :3] @ np.array(setting.LOAD_POINT), force)
+
+
+def sides(torque, least):
+    return np.stack([-torque >= least[:, 0], torque >= least[:, 1]], axis=-1).sum(axis=0)
+
+
+def work(joints, forces):
+    """Test poses under forces at the tip, root axes."""
+    wrench = np.zeros((len(joints), 6))
+    wrench[:, :3] = forces
+    return milling.evaluated(
+        setting.ROBOT, np.radians(joints), setting.CELL.tool.pose(), wrench, np.ones(len(joints)), "work"
+    )
+
+
+ONE_POSE = work([[0, -70, 110, 0, 50, 0], [5, -65, 105, 5, 45, 0]], [[0, 0, 500.0], [0, 0, 450.0]])
+"""Work under one force: what the criterion alone wants measured is one-sided."""
+
+
+@pytest.mark.parametrize("configurations", [8, 15])
+def test_every_joint_is_loaded_to_both_sides_by_the_torque_of_the_work(tmp_path, configurations):
+    result = setting.quick(tmp_path, tests=ONE_POSE, configurations=configurations, levels=4)
+    torque = simulated(result.plan.q, result.force)
+    np.testing.assert_allclose(result.torque, torque, atol=1e-6 * np.abs(torque).max())
+    found = result.directions
+    assert np.all(found.need == min(ENOUGH, configurations // 3))
+    assert np.all(sides(torque, found.least) >= found.need)
+    # near the work: a pose counts by its torque, where poses that can be measured reach that
+    np.testing.assert_allclose(found.work, work_of(ONE_POSE), rtol=1e-9)
+    reachable = found.work <= 0.5 * found.reached
+    assert np.all(found.least[reachable] >= found.work[reachable])
+    assert np.all(found.least >= 0.1 * found.reached - 1e-9)
+
+
+def work_of(tests):
+    """Largest torques of two samples to each side: by the oracle's positions, differences, and the wrench."""
+    torque = np.array(
+        [
+            setting.differences(lambda x: (setting.ORACLE.frames(x)[-1] @ setting.CELL.tool.pose())[:3, 3], q).T @ w[:3]
+            for q, w in zip(tests.q, tests.wrench, strict=True)
+        ]
+    )
+    found = np.stack([np.maximum(-torque, 0).max(axis=0), np.maximum(torque, 0).max(axis=0)], axis=-1)
+    return np.where(found > 1.0, found, 0.0)
+
+
+def test_without_the_condition_the_same_search_leaves_joints_one_sided(tmp_path, monkeypatch):
+    needed = setting.quick(tmp_path, tests=ONE_POSE, configurations=15, levels=4)
+
+    def no_need(*arguments):
+        return replace(directions.directions(*arguments), need=np.zeros((6, 2), dtype=np.int64))
+
+    monkeypatch.setattr("postproc.plan.planning.directions", no_need)
+    free = setting.quick(tmp_path, tests=ONE_POSE, configurations=15, levels=4)
+    assert np.any(sides(simulated(free.plan.q, free.force), needed.directions.least) < needed.directions.need)
+    # the condition costs little of the criterion
+    assert free.plan.value <= needed.plan.value * 1.05
+    assert np.sqrt(needed.plan.value / free.plan.value) < 1.3
+
+
+def test_a_weight_that_hangs_cannot_turn_a1_and_the_warning_says_so(tmp_path):
+    result = setting.quick(tmp_path, tests=ONE_POSE, text=HANGING)
+    (told,) = [warning for warning in result.warnings if "cannot turn the torque" in warning]
+    assert "A1 (negative and positive)" in told
+    assert "A4" not in told
+    assert "max_angle_deg if a pulley can turn the pull" in told
+    assert np.all(result.directions.need[0] == 0)
+    counted = sides(simulated(result.plan.q, result.force), result.directions.least)
+    assert np.all(counted[1:] >= result.directions.need[1:])
+
+
+def test_a_direction_that_only_the_work_has_is_named_with_its_torque():
+    torque = np.abs(np.random.default_rng(0).normal(300.0, 50.0, (500, 6)))
+    found = directions.directions(torque, ONE_POSE, 15)
+    (told,) = out_of_reach(found, vertical=False)
+    negative = found.work[:, 0]
+    joint = int(np.argmax(negative))
+    assert negative[joint] > 0.0
+    assert f"A{joint + 1} (negative; the work has up to {negative[joint]:.0f} N·m negative)" in told
+    assert "a larger [rig] max_angle_deg" in told
+    assert out_of_reach(directions.directions(np.concatenate([torque, -torque]), ONE_POSE, 15), vertical=False) == ()
+
+
+def test_what_was_measured_counts(tmp_path):
+    both = np.concatenate([np.full((10, 6), 500.0), np.full((10, 6), -500.0)])
+    assert np.all(directions.directions(both, ONE_POSE, 9).need == 3)
+    measured = np.concatenate([np.full((2, 6), 500.0), np.full((4, 6), -500.0)])
+    found = directions.directions(both, ONE_POSE, 9, measured)  # 15 poses in all: five to each side
+    assert found.need.tolist() == [[1, 3]] * 6
+
+
+def test_torques_stand_in_the_json_and_on_the_terminal(tmp_path):
+    setting.experiment(tmp_path, BASIC + RIG + AROUND)
+    (tmp_path / "tests.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
+    done = CliRunner().invoke(
+        main,
+        [
+            *("plan", "--experiment", str(tmp_path / "experiment.toml"), "--poses", str(tmp_path / "tests.csv")),
+            *("--cell", str(setting.Path(setting.__file__).parents[2] / "samples" / "cell_kr270.toml")),
+            *("--configurations", "6", "--q2-levels", "3", "-o", str(tmp_path / "plan.csv")),
+        ],
+    )
+    assert done.exit_code == 0, done.output
+    q, force = setting.read_plan((tmp_path / "plan.csv").read_text())
+    torque = simulated(q, force)
+    shown = json.loads((tmp_path / "plan.json").read_text())["torques"]
+    for joint, entry in enumerate(shown):
+        assert entry["joint"] == f"A{joint + 1}"
+        assert entry["negative_Nm"] == pytest.approx(min(torque[:, joint].min(), 0.0), abs=0.5)
+        assert entry["positive_Nm"] == pytest.approx(max(torque[:, joint].max(), 0.0), abs=0.5)
+        assert entry["negative_poses"] >= 2
+        assert entry["positive_poses"] >= 2
+        text = f"A{joint + 1} {entry['negative_Nm']:.0f} … {entry['positive_Nm']:.0f}"
+        assert text in done.output
