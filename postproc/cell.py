@@ -44,6 +44,18 @@ class Tool(Frame, frozen=True):
     axis: ToolAxis = "+Z"
 
 
+class Part(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What the part may be off (95 %), and the frame of its mesh in the robot root: mm and degrees."""
+
+    tolerance_mm: Positive | None = None
+    X: Length | None = None
+    Y: Length | None = None
+    Z: Length | None = None
+    A: Angle | None = None
+    B: Angle | None = None
+    C: Angle | None = None
+
+
 class Start(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Where the program starts: A1…A6 [deg]."""
 
@@ -171,7 +183,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     base_data: dict[str, Frame] = {}
     tool_data: dict[str, Tool] = {}
     config_dat: str | None = None
-    part: Frame | None = None
+    part: Part = Part()
     external_axes: dict[str, ExternalAxis] = {}
 
 
@@ -198,7 +210,13 @@ class Cell(CellFile, frozen=True):
 
     def part_in_root(self) -> Array | None:
         """Return the frame (4, 4) of the part's mesh in the robot root [m]; None: the mesh is in `$BASE`."""
-        return None if self.part is None else self.part.pose()
+        frame = {axis: value for axis in "XYZABC" if (value := getattr(self.part, axis)) is not None}
+        return Frame(**frame).pose() if frame else None
+
+    @property
+    def part_tolerance(self) -> float | None:
+        """What the part may be off [m], 95 %; None: not stated."""
+        return None if self.part.tolerance_mm is None else self.part.tolerance_mm * M_PER_MM
 
     def tool_pose_in_program(self) -> Array:
         """Return the (3, 3) orientation of the tool frame in the program frame of 3-axis G-code.

@@ -30,6 +30,12 @@ def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) ->
         raise click.BadParameter(str(cause)) from None
 
 
+def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise click.BadParameter("give a length in mm, larger than 0")
+    return value
+
+
 def _shared(command: _Command) -> _Command:
     """Add the options that convert and predict share."""
     for option in (
@@ -51,6 +57,14 @@ def _shared(command: _Command) -> _Command:
             is_flag=True,
             help="Leave motions of KRL as they are whose targets, or whether they run, only the running robot knows.",
         ),
+        click.option(
+            "--part-tolerance",
+            "part_tolerance_mm",
+            type=float,
+            callback=_finite,
+            metavar="MM",
+            help="What the part may be off (95 %), by which the verdict judges; replaces tolerance_mm of [part].",
+        ),
         click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
         click.option(
             "--forces",
@@ -64,12 +78,6 @@ def _shared(command: _Command) -> _Command:
     ):
         command = option(command)
     return command
-
-
-def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        raise click.BadParameter("give a length in mm, larger than 0")
-    return value
 
 
 @click.command()

@@ -130,7 +130,7 @@ def _word(outcome: Outcome) -> str:
         return "skipped: a subprogram" if outcome.skipped else "FAILED"
     issues = outcome.summary["issues"]
     warnings = sum(issue["level"] == "warning" for issue in issues)
-    word = "tolerance exceeded" if outcome.code else "written"
+    word = "not to be run" if outcome.code else "written"
     renamed = [Path(path).name for path in outcome.written[:1] if any(issue["kind"] == "name" for issue in issues)]
     return (
         word

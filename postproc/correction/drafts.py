@@ -10,7 +10,7 @@ from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.compensation import Compensation
 from postproc.correction import checks, commanded, inspection
 from postproc.correction.read_back import ReadBack, UnusableTextError, read_back
-from postproc.correction.result import Mode, Result
+from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen
 from postproc.correction.verify import Simulated, simulate
 from postproc.dialects.dialect import Writer
@@ -24,6 +24,11 @@ from postproc.under_load import PathUnderLoad
 _NO_BOUND = (
     "the forces have standard deviations, but the robot model has no covariance: there is no bound (u95_mm) to which "
     "they could be added."
+)
+
+_NOT_FINITE = (
+    "the expected error of the tool position (u95_mm) is not a number here: the pose is singular, or [covariance] of "
+    "the robot model is wrong."
 )
 
 _EXACT_FORCES = (
@@ -113,7 +118,7 @@ def result_of(task: Task, draft: Draft) -> Result:
     if task.mode == "predict":
         without = tuple(each[row] for each in without)
     deviation, deflection, by_tool = without
-    bound, untold = _bound(draft)
+    bound, doubt, untold = _bound(draft, norm(deviation))
     result = Result(
         program=program,
         robot=task.robot,
@@ -131,12 +136,14 @@ def result_of(task: Task, draft: Draft) -> Result:
         deviation_before=deviation,
         deviation_after=deviation,
         bound=bound,
+        doubt=doubt if task.mode == "convert" else None,
         q=draft.q[row],
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
         between=between,
         rounding=draft.chosen.programmed,
         programmed=draft.chosen.programmed,
+        causes=_causes(path),
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
     )
     if (written := draft.simulated) is None:
@@ -152,6 +159,22 @@ def result_of(task: Task, draft: Draft) -> Result:
     )
 
 
+def _causes(path: PathUnderLoad) -> tuple[str, ...]:
+    """Return what moves the tool from nominal, in words."""
+    setting = path.setting
+    robot = setting.robot
+    return tuple(
+        cause
+        for cause, acts in (
+            ("the cutting forces", bool(path.wrench.any())),
+            ("the payload", setting.cell.payload.mass_kg > 0.0),
+            ("the calibrated geometry", not robot.geometry_is_nominal),
+            ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
+        )
+        if acts
+    )
+
+
 def _numbers(task: Task, draft: Draft) -> Array:
     """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as the text has them that is written, or stays."""
     if draft.simulated is not None:
@@ -164,13 +187,16 @@ def _numbers(task: Task, draft: Draft) -> Array:
     return numbers
 
 
-def _bound(draft: Draft) -> tuple[Array | None, list[Issue]]:
-    """Return the bound (K,) of what the model and the forces leave open, or None; and what to tell if there is none."""
+def _bound(draft: Draft, corrected: Array) -> tuple[Array | None, Doubt | None, list[Issue]]:
+    """Return the expected error (K,) by model and forces (95 %), or None; where it exceeds the correction; issues.
+
+    :param corrected: (K,) distance of the uncorrected tip from nominal [m].
+    """
     path, row = draft.path, draft.chosen.row
     robot = path.setting.robot
     spread = path.motions.forces.spread_at(path.sample.take(row))
     if spread is not None and robot.covariance is None:
-        return None, [Issue("info", "no-bound", _NO_BOUND)]
+        return None, None, [Issue("info", "no-bound", _NO_BOUND)]
     in_root = None
     if spread is not None:
         halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
@@ -182,7 +208,25 @@ def _bound(draft: Draft) -> tuple[Array | None, list[Issue]]:
     told = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
     if spread is None and robot.covariance is not None and wrench.any():
         told.append(Issue("info", "exact-forces", _EXACT_FORCES))
-    return elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series), told
+    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series)
+    if bound is None:
+        return None, None, told
+    motion = draft.chosen.targets.motion
+    if not np.isfinite(bound).all():
+        return (
+            None,
+            None,
+            [*told, path.program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)])],
+        )
+    found = doubtful(bound, corrected, path.program.motions.rapid[motion])
+    if found is None:
+        return bound, None, told
+    at, level = found
+    one = slice(at, at + 1)
+    forces_there, series = (each if each is None else each[one] for each in (in_root, in_series))
+    tool = tool[one] if tool.ndim == 3 else tool
+    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series)
+    return bound, Doubt(at, float(bound[at]), level, source), told
 
 
 def _carried(draft: Draft, back: ReadBack) -> Knots:

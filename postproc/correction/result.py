@@ -16,6 +16,21 @@ from postproc.robot import RobotModel
 Mode = Literal["convert", "nominal", "predict"]
 
 
+class Doubt(Struct, frozen=True):
+    """A cutting target whose expected error is larger than what is corrected: see `doubtful`.
+
+    :param row: of the target.
+    :param bound: expected error there (95 %) [m].
+    :param corrected: what is corrected there, or the RMS of that over all cutting targets if it is larger [m].
+    :param source: what contributes most to the bound, in words.
+    """
+
+    row: int
+    bound: float
+    corrected: float
+    source: str
+
+
 class Result(Struct, frozen=True, eq=False):
     """Result of one program. Row i of every array is the same Cartesian target; SI units, `$BASE` axes.
 
@@ -38,6 +53,7 @@ class Result(Struct, frozen=True, eq=False):
     :param deviation_before: (K, 3) predicted tip minus nominal position if nothing is corrected [m].
     :param deviation_after: (K, 3) the same with the program as written [m].
     :param bound: (K,) 95 % bound of the predicted position from the model's covariance [m], or None.
+    :param doubt: the cutting target whose bound exceeds by most what is corrected, or None.
     :param q: (K, 6) joint angles that the controller holds [rad].
     :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
     :param singular_value: smallest singular value of the Jacobian along the path.
@@ -47,6 +63,7 @@ class Result(Struct, frozen=True, eq=False):
     :param carried: forces that a CSV file must give to the written program, along the piece to the target that
         `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
+    :param causes: what moves the tool from nominal if nothing is corrected, in words.
     """
 
     program: Program
@@ -66,6 +83,7 @@ class Result(Struct, frozen=True, eq=False):
     deviation_before: Array = np.zeros((0, 3))
     deviation_after: Array = np.zeros((0, 3))
     bound: Array | None = None
+    doubt: Doubt | None = None
     q: Array = np.zeros((0, 6))
     joint_margin: Array = np.full(6, np.nan)
     singular_value: float = np.nan
@@ -74,6 +92,7 @@ class Result(Struct, frozen=True, eq=False):
     programmed: Array = np.zeros(0)
     carried: Knots | None = None
     largest_correction: float = np.nan
+    causes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.motion)
@@ -107,6 +126,25 @@ class Result(Struct, frozen=True, eq=False):
     def inserted(self) -> int:
         """Number of targets that the program as read did not have."""
         return int(np.count_nonzero(self.t < 1.0))
+
+
+def doubtful(bound: Array, corrected: Array, rapid: Bools) -> tuple[int, float] | None:
+    """Return the cutting target whose bound exceeds by most what is corrected, and that; None if there is none.
+
+    What is corrected is the larger of the distance at the target and its RMS over all cutting targets. So a target at
+    which the deflections of joints cancel, or that hardly carries a force, does not count unless its bound is large
+    compared with what the program corrects in all.
+
+    :param bound: (K,) 95 % bound [m].
+    :param corrected: (K,) distance of the uncorrected tip from nominal [m].
+    :param rapid: (K,) targets to leave out.
+    """
+    if rapid.all():
+        return None
+    level = np.maximum(corrected, statistics(corrected, rapid).rms)
+    excess = np.where(rapid, -np.inf, bound - level)
+    row = int(np.argmax(excess))
+    return (row, float(level[row])) if excess[row] > 0.0 else None
 
 
 class Statistics(Struct, frozen=True):

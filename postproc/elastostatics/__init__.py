@@ -13,14 +13,17 @@ moment [N·m] on the tool, root axes.
 from postproc.elastostatics.balance import Balance, asked, held
 from postproc.elastostatics.by_parameter import moved_by
 from postproc.elastostatics.equilibrium import Deflection, deflect, softness, solve_equilibrium, springs_at
+from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.springs import commanded, coordinates, spread, spring_deflection
 from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
 from postproc.elastostatics.tool_spring import ToolSpring
-from postproc.elastostatics.uncertainty import position_bound, sensitivity
+from postproc.elastostatics.uncertainty import FORCES, largest_source, position_bound, sensitivity
 
 __all__ = [
+    "FORCES",
     "Balance",
     "Deflection",
+    "Reversals",
     "ToolSpring",
     "asked",
     "cartesian_stiffness",
@@ -28,9 +31,11 @@ __all__ = [
     "coordinates",
     "deflect",
     "held",
+    "largest_source",
     "linear_deflection",
     "moved_by",
     "position_bound",
+    "reversals",
     "sensitivity",
     "softness",
     "solve_equilibrium",

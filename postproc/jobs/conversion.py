@@ -66,7 +66,7 @@ def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> 
 
 
 def _written(job: Job, made: _Made, written: Sequence[Path], mode: Mode) -> Outcome:
-    exceeded = mode != "predict" and made.summary["tolerance_held"] is False
+    exceeded = mode != "predict" and made.summary["verdict"]["state"] == "failed"
     return Outcome(
         str(job.program),
         EXCEEDED if exceeded else GOOD,
@@ -160,7 +160,7 @@ def _made(job: Job, settings: Settings, cell: Cell, result: Result, process: Pro
     mode, needed = settings.mode, result.program.needed
     stated = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
-    content = report.summary(result, tolerance)
+    content = report.summary(result, tolerance, cell.part_tolerance)
     name = job.report(mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
@@ -178,7 +178,7 @@ def _made(job: Job, settings: Settings, cell: Cell, result: Result, process: Pro
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
         for ending, made in (("ply", ply), ("glb", glb)):
             contents[f"{stem}surface.{ending}"] = made(surface, cell.tolerance)
-    contents[f"{stem}report.html"] = report.page(result, tolerance, surface, process)
+    contents[f"{stem}report.html"] = report.page(result, tolerance, surface, process, cell.part_tolerance)
     if process is not None:
         from postproc.jobs import process_forces
 

@@ -20,6 +20,7 @@ class Settings(Struct, frozen=True):
     :param cell: cell file.
     :param mode: see `correction.process`.
     :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
+    :param part_tolerance_mm: what the part may be off, 95 %; replaces that of the cell.
     :param lines_per_file: replaces that of the cell.
     :param linearize_arcs: write arcs as lines.
     :param keep_unresolved: leave motions of KRL as they are that only the running robot knows.
@@ -30,6 +31,7 @@ class Settings(Struct, frozen=True):
     cell: Path
     mode: Mode = "convert"
     tolerance_mm: float | None = None
+    part_tolerance_mm: float | None = None
     lines_per_file: int | None = None
     linearize_arcs: bool = False
     keep_unresolved: bool = False
@@ -41,7 +43,8 @@ class Outcome(Struct, frozen=True):
     """What came of one program.
 
     :param program: its file as the user named it.
-    :param code: 0 good, 1 nothing was written, 3 written but a stated tolerance is exceeded.
+    :param code: 0 good, 1 nothing was written, 3 written, but the verdict is "failed": a stated tolerance is exceeded,
+        or the expected error is larger than what is corrected.
     :param summary: content of `report.json`; None if nothing was written, with code 0 where nothing was to be.
     :param message: why nothing was written, where that is not told by `issues`.
     :param issues: what stands against the program, where it was read but not written.

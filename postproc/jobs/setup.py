@@ -29,6 +29,9 @@ def as_stated(cell: Cell, settings: Settings) -> Cell:
     stated = {name: value for name, value in stated.items() if value is not None}
     if stated:
         cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **stated))
+    if settings.part_tolerance_mm is not None:
+        part = msgspec.structs.replace(cell.part, tolerance_mm=settings.part_tolerance_mm)
+        cell = msgspec.structs.replace(cell, part=part)
     if settings.keep_unresolved:
         cell = msgspec.structs.replace(cell, krl=msgspec.structs.replace(cell.krl, keep_unresolved=True))
     return cell

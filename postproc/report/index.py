@@ -7,9 +7,10 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
+from postproc.report.digits import estimate, rounded
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.summary import Distances, Summary
-from postproc.report.text import millimetres, number, percent, rounded
+from postproc.report.text import number, percent
 
 _STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
 """From the one in most trouble."""
@@ -60,13 +61,14 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     tiles = [Tile("Programs", str(len(entries)))]
     tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
     if written:
-        tiles.append(Tile("Largest deviation before", millimetres(_most(written, "before")), "mm"))
-        tiles.append(Tile("After", millimetres(_most(written, "after")), "mm"))
         bounds = [content["u95"]["max_mm"] for content in written if content["u95"] is not None]
+        most = max(bounds, default=None)
+        tiles.append(Tile("Largest deviation before", estimate(_most(written, "before"), most), "mm"))
+        tiles.append(Tile("After", estimate(_most(written, "after"), most), "mm"))
         unknown = len(written) - len(bounds)
         note = f"unknown for {unknown} of {len(written)}" if unknown else ""
         tiles.append(
-            Tile("On the part (95 %)", rounded(max(bounds)) if bounds else "unknown", "mm" if bounds else "", note)
+            Tile("On the part (95 %)", "unknown" if most is None else rounded(most), "mm" if bounds else "", note)
         )
     parts: list[Part] = [Tiles(tuple(tiles)), _table(ordered, written)]
     failed = [entry for entry in ordered if entry.state == "nothing"]
@@ -113,6 +115,7 @@ def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
             rows.append(Row((name, Cell(word, kind), entry.message if entry.called else "see below", *("-",) * 6)))
             continue
         content = entry.content
+        u95 = None if content["u95"] is None else content["u95"]["max_mm"]
         rows.append(
             Row(
                 (
@@ -120,9 +123,9 @@ def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
                     Cell(word, kind),
                     content["verdict"]["reasons"][0] if entry.state != "ok" else "",
                     str(content["targets"]),
-                    millimetres(content["before"]["max_mm"]),
-                    millimetres(content["after"]["max_mm"]),
-                    "unknown" if content["u95"] is None else rounded(content["u95"]["max_mm"]),
+                    estimate(content["before"]["max_mm"], u95),
+                    estimate(content["after"]["max_mm"], u95),
+                    "unknown" if u95 is None else rounded(u95),
                     percent(content["compensated_percent"]),
                     number(content["limits"]["min_joint_margin_deg"], 1),
                 )

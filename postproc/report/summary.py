@@ -16,10 +16,8 @@ from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
+from postproc.report.digits import ROUNDING_MM
 from postproc.report.verdict import NOTHING_MM, State, nothing_corrected, verdict
-
-ROUNDING_MM = 1e-4
-"""What rounding the written numbers (X, Y, Z to 1e-4 mm) may leave at a target: below it a factor says nothing."""
 
 
 class Distances(TypedDict):
@@ -38,10 +36,36 @@ class Bound(TypedDict):
     rms_mm: float
 
 
+class Unusable(TypedDict):
+    """The target whose bound exceeds by most what is corrected there and, as RMS, over the program; and its cause."""
+
+    source_line: int
+    u95_mm: float
+    corrected_mm: float
+    source: str
+
+
 class Expected(Bound):
-    """Expected error on the part (95 %) over cutting targets; `basis` says where the model's uncertainty comes from."""
+    """Bound (95 %) by what the model and the forces state of their uncertainty, over cutting targets.
+
+    `basis` says where the model's uncertainty comes from, `unusable` where the bound is larger than what it corrects.
+    """
 
     basis: str
+    unusable: Unusable | None
+
+
+class OnPart(TypedDict):
+    """Expected error on the part (95 %) at its worst target: bound, rounding of corners and path in one; and tolerance.
+
+    `beyond_percent` of the cutting targets exceed the tolerance; None where it, or the bound, is not stated.
+    """
+
+    tolerance_mm: float | None
+    expected_mm: float | None
+    source_line: int | None
+    held: bool | None
+    beyond_percent: float | None
 
 
 class Judged(TypedDict):
@@ -107,6 +131,7 @@ class Summary(TypedDict):
     before: Distances
     after: Distances
     u95: Expected | None  # None where the model states no uncertainty
+    part: OnPart
     improvement: Ratios
     compensated_percent: float | None
     between_max_mm: float | None
@@ -124,13 +149,15 @@ class Summary(TypedDict):
     files: NotRequired[list[FileEntry]]  # written with this report
 
 
-def summary(result: Result, tolerance: float | None = None) -> Summary:
+def summary(result: Result, tolerance: float | None = None, part_tolerance: float | None = None) -> Summary:
     """Return the content of `report.json`.
 
     :param result: of one program.
     :param tolerance: what the tip may leave the nominal path by [m], to say whether that is held; None = not stated.
         Held means: with what approximate positioning does to corners beyond what a KRL program itself asks for. Where
         only that goes beyond the tolerance, `tolerance_held` is None, and `blending` says by how much.
+    :param part_tolerance: what the part may be off [m], 95 %; None = not stated. Without a stated tolerance of the path
+        and of the part, the bound may exceed what is corrected.
     """
     before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
     margin = result.joint_margin * DEG_PER_RAD
@@ -147,7 +174,8 @@ def summary(result: Result, tolerance: float | None = None) -> Summary:
         inserted_targets=result.inserted,
         before=_distances(before),
         after=_distances(after),
-        u95=None if bound is None else _expected(bound, result.robot.basis),
+        u95=None if bound is None else _expected(result, bound, part_tolerance or tolerance),
+        part=_on_part(result, part_tolerance),
         improvement={
             "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
             "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
@@ -236,8 +264,47 @@ def _bound(values: Statistics | None) -> Bound | None:
     return None if values is None else {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M}
 
 
-def _expected(values: Statistics, basis: str) -> Expected:
-    return {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M, "basis": basis}
+def _expected(result: Result, bound: Statistics, allowed: float | None) -> Expected:
+    """Return the bound over cutting targets.
+
+    :param allowed: tolerance of the part, else of the path [m]: a bound below it is never unusable.
+    """
+    doubt = result.doubt
+    return {
+        "max_mm": bound.largest * MM_PER_M,
+        "rms_mm": bound.rms * MM_PER_M,
+        "basis": result.robot.basis,
+        "unusable": None
+        if doubt is None or allowed is None or doubt.bound <= allowed
+        else {
+            "source_line": int(result.source_line[doubt.row]),
+            "u95_mm": doubt.bound * MM_PER_M,
+            "corrected_mm": doubt.corrected * MM_PER_M,
+            "source": doubt.source,
+        },
+    }
+
+
+def _on_part(result: Result, tolerance: float | None) -> OnPart:
+    """Return the expected error on the part, judged by a tolerance [m].
+
+    At each cutting target: the bound, what approximate positioning rounds there beyond a KRL program's own, and what is
+    left of the path: of a corrected program the largest anywhere, else the deviation there.
+    """
+    stated = None if tolerance is None else tolerance * MM_PER_M
+    if result.bound is None or result.rapid.all():
+        return {"tolerance_mm": stated, "expected_mm": None, "source_line": None, "held": None, "beyond_percent": None}
+    left = np.full(len(result), result.between) if result.mode == "convert" else result.after
+    error = np.where(result.rapid, 0.0, result.bound + np.maximum(result.rounding - result.programmed, 0.0) + left)
+    worst = int(np.argmax(error))
+    beyond = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
+    return {
+        "tolerance_mm": stated,
+        "expected_mm": _finite(float(error[worst]) * MM_PER_M),
+        "source_line": int(result.source_line[worst]),
+        "held": None if tolerance is None else bool(error[worst] <= tolerance),
+        "beyond_percent": beyond,
+    }
 
 
 def _distances(values: Statistics) -> Distances:

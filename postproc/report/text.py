@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from postproc.report.summary import ROUNDING_MM, IssueEntry, Summary, improvement, nothing_to_correct
+from postproc.report.digits import ROUNDING_MM, estimate, rounded
+from postproc.report.summary import IssueEntry, Summary, improvement, nothing_to_correct
 from postproc.report.tables import PLAIN, Display
 from postproc.report.verdict import WORDS, State, nothing_corrected
 
@@ -31,15 +31,16 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
         lines.append(f"  - {len(verdict['reasons']) - _REASONS} more reasons: see the report")
     lines.append("")
     nothing = nothing_to_correct(content)
+    u95 = _u95(content)
     rows: list[tuple[str, ...]]
     if nothing is not None:
         lines.append(f"  {nothing}")
     elif content["mode"] == "predict":
-        rows = [(label, millimetres(content["before"][key])) for label, key in _ROWS]  # type: ignore[literal-required]
+        rows = [(label, estimate(content["before"][key], u95)) for label, key in _ROWS]  # type: ignore[literal-required]
         lines.append(display.table(("deviation [mm]", "predicted"), rows, (1,), "  "))
     else:
         pairs = [(label, content["before"][key], content["after"][key]) for label, key in _ROWS]  # type: ignore[literal-required]
-        rows = [(label, millimetres(old), millimetres(new), times(old, new)) for label, old, new in pairs]
+        rows = [(label, estimate(old, u95), estimate(new, u95), times(old, new)) for label, old, new in pairs]
         lines.append(display.table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
     lines += ["", *_facts(content)]
     lines += [issue_line(issue, content["program"]) for issue in content["issues"] if issue["level"] == "info"]
@@ -55,31 +56,14 @@ def targets(content: Summary) -> str:
 
 
 def _facts(content: Summary) -> list[str]:
-    facts = []
-    if nothing_to_correct(content) is None and content["targets"]:
-        bound = content["u95"]
-        told = (
-            "unknown, the model states no uncertainty"
-            if bound is None
-            else f"up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
-        )
-        facts.append(f"expected error on the part (95 %): {told}")
+    """Return what the reasons of the verdict do not say."""
+    facts = [] if content["verdict"]["state"] == "ok" else _expected(content)
     if content["mode"] == "convert" and content["compensated_percent"] is not None:
         facts.append(f"compensated {percent(content['compensated_percent'])}")
-        facts.append(f"largest correction {number(content['max_correction_mm'], 3)} mm")
-    if content["mode"] != "predict" and content["between_max_mm"] is not None:
-        held = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
-        stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
-        facts.append(f"between targets at most {millimetres(content['between_max_mm'])} mm{stated}")
-    elif content["between_max_mm"] is not None:
-        facts.append(f"anywhere on the path at most {millimetres(content['between_max_mm'])} mm")
+    if content["mode"] == "predict" and content["between_max_mm"] is not None:
+        facts.append(f"anywhere on the path at most {estimate(content['between_max_mm'], _u95(content))} mm")
     if content["mode"] == "predict" and content["tolerance_held"] is False:
         facts.append(f"tolerance {content['tolerance_mm']:g} mm EXCEEDED")
-    blending = content["blending"]
-    if blending["source_line"] is not None:
-        own = blending["programmed_max_mm"]
-        told = f"line {blending['source_line']}" + (f"; the program itself by {number(own, 3)} mm" if own else "")
-        facts.append(f"{blending['by']} rounds corners by up to {number(blending['max_mm'], 3)} mm ({told})")
     origin = content["provenance"]
     if origin["state"] == "intact":
         makes_up = origin["mode"] == "corrected" and nothing_to_correct(content) is None
@@ -91,6 +75,31 @@ def _facts(content: Summary) -> list[str]:
         f"smallest singular value {number(limits['min_singular_value'], 3)}"
     )
     return [f"  {fact}" for fact in facts]
+
+
+def _expected(content: Summary) -> list[str]:
+    """Return what to expect on the part, where the verdict is about something else."""
+    facts = []
+    if nothing_to_correct(content) is None and content["targets"]:
+        bound = content["u95"]
+        told = (
+            "unknown, the model states no uncertainty"
+            if bound is None
+            else f"up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
+        )
+        facts.append(f"expected error on the part (95 %): {told}")
+    if content["mode"] == "convert" and content["max_correction_mm"] is not None:
+        facts.append(f"largest correction {rounded(content['max_correction_mm'])} mm")
+    if content["mode"] != "predict" and content["between_max_mm"] is not None:
+        held = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
+        stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
+        facts.append(f"between targets at most {rounded(content['between_max_mm'])} mm{stated}")
+    blending = content["blending"]
+    if blending["source_line"] is not None:
+        own = blending["programmed_max_mm"]
+        told = f"line {blending['source_line']}" + (f"; the program itself by {rounded(own)} mm" if own else "")
+        facts.append(f"{blending['by']} rounds corners by up to {rounded(blending['max_mm'])} mm ({told})")
+    return facts
 
 
 def issue_line(issue: IssueEntry, program: str) -> str:
@@ -115,19 +124,27 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
             continue
         before, after = content["before"], content["after"]
         lengths = (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
-        numbers = (str(content["targets"]), *map(millimetres, lengths), percent(content["compensated_percent"]))
+        shown = (estimate(length, _u95(content)) for length in lengths)
+        numbers = (str(content["targets"]), *shown, percent(content["compensated_percent"]))
         cells.append((name, *numbers, _verdict_word(content), word))
     written = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and written:
-        worst = (max(content[key]["max_mm"] for content in written) for key in ("before", "after"))
+        bound = max((u95 for content in written if (u95 := _u95(content)) is not None), default=None)
+        worst = [max(content[key]["max_mm"] for content in written) for key in ("before", "after")]
         words = [_verdict_word(content) for content in written]
         told = [f"{words.count(word)} {word}" for word in (*_TOLD.values(), _NO_FORCES) if word in words]
         if len(rows) > len(written):
             told.insert(0, f"{len(rows) - len(written)} not written")
         targets_in_all = str(sum(content["targets"] for content in written))
         total = f"all {len(rows)}, at most"
-        cells.append((total, targets_in_all, *map(millimetres, worst), "", "", "", "", ", ".join(told)))
+        cells.append(
+            (total, targets_in_all, *(estimate(each, bound) for each in worst), "", "", "", "", ", ".join(told))
+        )
     return "\n".join([display.table(head, cells, right=range(1, 7)), *_why(rows)])
+
+
+def _u95(content: Summary) -> float | None:
+    return None if content["u95"] is None else content["u95"]["max_mm"]
 
 
 def _verdict_word(content: Summary) -> str:
@@ -153,35 +170,6 @@ def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
 def number(value: float | None, places: int) -> str:
     """Return a number with fixed decimals, or a dash where there is none."""
     return "-" if value is None else f"{value:.{places}f}"
-
-
-def millimetres(value: float) -> str:
-    """Return a distance in mm as text, with tenths of a micrometre; what is less is below what the text can say.
-
-    >>> millimetres(8.28), millimetres(0.0), millimetres(0.00008)
-    ('8.2800', '0.0000', '<0.0001')
-    """
-    return "<0.0001" if 0.0 < value < ROUNDING_MM else f"{value:.4f}"
-
-
-def rounded(value_mm: float) -> str:
-    """Return a bound or an estimate in mm as text, with two significant digits.
-
-    >>> rounded(0.2752), rounded(0.01234), rounded(12.7), rounded(250.4), rounded(0.0), rounded(0.00002)
-    ('0.28', '0.012', '13', '250', '0', '<0.0001')
-    """
-    if value_mm == 0.0:
-        return "0"
-    return "<0.0001" if value_mm < ROUNDING_MM else f"{float(f'{value_mm:.2g}'):.{places(value_mm)}f}"
-
-
-def places(value_mm: float) -> int:
-    """Return how many decimals show two significant digits.
-
-    >>> places(0.2752), places(0.0999), places(3.0), places(25.0)
-    (2, 2, 1, 0)
-    """
-    return max(0, 1 - math.floor(math.log10(float(f"{value_mm:.2g}"))))
 
 
 def times(before_mm: float, after_mm: float) -> str:

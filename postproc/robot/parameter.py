@@ -64,6 +64,11 @@ class Parameter(Struct, frozen=True):
         """Heading in reports."""
         return self.name
 
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Joint or link that it belongs to."""
+
     @classmethod
     @abstractmethod
     def named(cls, name: str) -> Self | None:
@@ -132,6 +137,11 @@ class CompensatorTorque(Parameter, frozen=True):
     def usual(self) -> float:
         """Return a usual size [N/m, N]."""
         return 1e6
+
+    @property
+    def place(self) -> str:
+        """Return the compensator."""
+        return f"the compensator at {A2}"
 
     @classmethod
     def named(cls, name: str) -> Self | None:

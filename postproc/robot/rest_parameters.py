@@ -34,6 +34,11 @@ class LinkMass(Parameter, frozen=True):
         return JOINTS.index(self.joint)
 
     @property
+    def place(self) -> str:
+        """Return the joint."""
+        return self.joint
+
+    @property
     def name(self) -> str:
         """Return e.g. ``A2.mass``."""
         return self.joint + _SUFFIX

@@ -28,6 +28,11 @@ class JointCompliance(Spring, frozen=True):
         return JOINTS.index(self.joint)
 
     @property
+    def place(self) -> str:
+        """Return the joint."""
+        return self.joint
+
+    @property
     def name(self) -> str:
         """Return e.g. ``k1``."""
         return f"k{self.index + 1}"
@@ -77,6 +82,11 @@ class FadingPart(Spring, frozen=True):
     """Stands between joint and torque in names."""
     key: ClassVar[str] = "stiffening"
     """Where such parts stand in [joints] of model.toml."""
+
+    @property
+    def place(self) -> str:
+        """Return the joint."""
+        return self.joint
 
     @property
     def name(self) -> str:
@@ -169,6 +179,11 @@ class Backlash(Spring, frozen=True):
     """Where it stands in [joints] of model.toml, and between joint and torque in names."""
 
     @property
+    def place(self) -> str:
+        """Return the joint."""
+        return self.joint
+
+    @property
     def name(self) -> str:
         """Return e.g. ``A4.backlash@3``."""
         return f"{self.joint}.{self.key}@{self.torque:g}"
@@ -259,6 +274,11 @@ class LinkSpring(Spring, frozen=True):
     def direction(self) -> Array:
         """Return the unit axis (3,) of the joint frame along or about which it gives way."""
         return np.asarray(np.eye(3)[LINK_AXES.index(self.axis) % 3])
+
+    @property
+    def place(self) -> str:
+        """Return the link."""
+        return "the base" if self.link == BASE else f"the link of {self.link}"
 
     @property
     def name(self) -> str:

@@ -172,6 +172,7 @@ def results(readme, tmp_path_factory):
     ):
         result = CliRunner().invoke(main, arguments)
         assert result.exit_code == 0, result.output
+    unsure = _with_an_unusable_model(folder, cell)
     faster = (folder / "inline.src").read_bytes().replace(b"CP_PARAMS,0.02", b"CP_PARAMS,0.03")
     (folder / "faster.src").write_bytes(faster)
     shutil.copy(folder / "inline.dat", folder / "faster.dat")
@@ -185,6 +186,7 @@ def results(readme, tmp_path_factory):
             folder / "inline.report.json",
             folder / "settled.report.json",
             folder / "pocket.predict.report.json",
+            unsure,
         ],
         "part.compare.report.json": [folder / f"{name}.compare.report.json" for name in ("inline", "faster")],
         "identification.json": [
@@ -204,6 +206,22 @@ def _with_settings(folder: Path) -> Path:
     path = folder / "in" / "settled.src"
     path.write_text("DEF settled( )\nsettings( )\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nEND\n")
     return path
+
+
+def _with_an_unusable_model(folder: Path, cell: str) -> Path:
+    """Return the report of a program corrected by a model that knows nothing of A3."""
+    arm = folder / "unsure"
+    shutil.copytree(ROOT / "robot_models" / "kuka_kr270", arm)
+    with (arm / "model.toml").open("a", encoding="utf-8") as file:
+        file.write('[covariance]\nparameters = ["k3"]\nmatrix = [[2e7]]\n')
+    (folder / "unsure.toml").write_text(cell.replace('"model"', '"unsure"'), encoding="utf-8")
+    program = str(ROOT / "samples" / "pocket.nc")
+    result = CliRunner().invoke(
+        main, ["convert", program, "--cell", str(folder / "unsure.toml"), "-o", str(folder / "unsure_out")]
+    )
+    assert result.exit_code == 3, result.output
+    assert "mostly due to the model of A3" in result.output
+    return folder / "unsure_out" / "pocket.report.json"
 
 
 def _forces_with_a_warning(folder: Path) -> Path:
@@ -233,8 +251,8 @@ def _forces_with_a_warning(folder: Path) -> Path:
 )
 def test_every_key_of_a_result_is_described(results, title):
     found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}
-    # nothing to say of a program; a model that states no uncertainty; a program that nobody edited; all is told
-    found -= {("issues",), ("u95",), ("provenance", "edited"), ("not_observable",)}
+    # nothing to say of a program; a model that states no uncertainty, or is usable; nobody edited it; all is told
+    found -= {("issues",), ("u95",), ("u95", "unusable"), ("provenance", "edited"), ("not_observable",)}
     told = [tuple(name.split(".")) for name in described(title)]
     unknown = {way for way in found if not any(matches(name, way) for name in told)}
     assert unknown == set(), f"FORMATS.md, {title}: say what these are"

@@ -20,6 +20,7 @@ from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
 from postproc.identification.validation import ValidatedLevel, Validation, limits, table, validate
 from samples.paper_study import harness, simulator
+from tests import fabricated
 from tests.benchmarks import truth
 from tests.dialects.gcode_reading import read as gcode_read
 
@@ -378,7 +379,7 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
 
 def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_to_be_trusted():
     from postproc.correction import checks
-    from postproc.report.verdict import _model
+    from postproc.report import summary
 
     q, force = JOB
     wrench = np.c_[force, 0 * force]
@@ -391,5 +392,6 @@ def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_t
         model = replace(harness.PRIOR, measured=robot.Measured(measured, "the set-up moved"))
         issues = list(checks.beyond_measured(program, model, motion, q, harness.TOOL, wrench))
         assert [issue.kind for issue in issues] == expected
-    assert _model(model)[0] == "the robot model is not to be trusted: the set-up moved"
+    verdict = summary(replace(fabricated.result(), robot=model), 1e-5)["verdict"]
+    assert verdict["reasons"][0] == "the robot model is not to be trusted: the set-up moved"
     assert not list(checks.beyond_measured(program, harness.PRIOR, motion, q, harness.TOOL, wrench))

@@ -14,6 +14,7 @@ from postproc.program import Ints
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.comparison.summary import ComparisonSummary, where_of
 from postproc.report.comparison.text import WORDS, counted, of_splines
+from postproc.report.digits import millimetres
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -37,7 +38,6 @@ from postproc.report.kit import (
     View,
 )
 from postproc.report.kit.plots import Colour
-from postproc.report.text import millimetres
 
 _DRAWN = 4_000
 _MOST_POINTS = 24_000

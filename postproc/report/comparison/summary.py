@@ -18,8 +18,8 @@ from postproc.program import Bools
 from postproc.provenance import Provenance, State
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.deviation.operations import operation_starts
+from postproc.report.digits import above
 from postproc.report.summary import Distances, Judged
-from postproc.report.verdict import above
 
 _MOST = 20
 _DIFFERENCES = (
@@ -256,14 +256,14 @@ def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> It
         yield f"{content['corrected']} was changed since postproc wrote it: {where}"
     if cut is not None and not cut["corrected"]["max_mm"] <= tolerance:
         yield (
-            f"{_where(cut)}: the corrected program leaves {above(cut['corrected']['max_mm'], tolerance, 4)} mm at this "
+            f"{_where(cut)}: the corrected program leaves {above(cut['corrected']['max_mm'], tolerance)} mm at this "
             f"target under the forces given (tolerance {tolerance:g} mm)"
         )
     between = content["between"]
     if between is not None and not between["corrected_max_mm"] <= tolerance:
         yield (
             f"{between['corrected_file']}:{between['corrected_line']}: between targets it leaves "
-            f"{above(between['corrected_max_mm'], tolerance, 4)} mm to the nominal path under the forces given "
+            f"{above(between['corrected_max_mm'], tolerance)} mm to the nominal path under the forces given "
             f"(tolerance {tolerance:g} mm)"
         )
     if not content["offset"]["max_mm"] <= limit_mm:

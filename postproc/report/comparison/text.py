@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from postproc.report.comparison.summary import ComparisonSummary
+from postproc.report.digits import millimetres
 from postproc.report.tables import PLAIN, Display
-from postproc.report.text import millimetres
 from postproc.report.verdict import State
 
 WORDS: dict[State, str] = {

@@ -64,6 +64,7 @@ def page(
     tolerance: float | None = None,
     surface: Surface | None = None,
     process: ProcessForces | None = None,
+    part_tolerance: float | None = None,
 ) -> Iterator[bytes]:
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
@@ -71,8 +72,9 @@ def page(
     :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
     :param surface: of the part, see `postproc.report.surface`; None = not looked at.
     :param process: what a process made of the program; None = forces are from elsewhere.
+    :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
     """
-    told = Deviation(result, tolerance, surface, process)
+    told = Deviation(result, tolerance, surface, process, part_tolerance)
     sections = tuple(found for make in SECTIONS if (found := make(told)) is not None)
     views = len(result) > 0
     content = told.content

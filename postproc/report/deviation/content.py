@@ -68,17 +68,19 @@ class Deviation(Struct, frozen=True, dict=True):
     :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
     :param surface: of the part, or None.
     :param process: what a process made of the program, where the forces are from one.
+    :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
     """
 
     result: Result
     tolerance: float | None
     surface: Surface | None = None
     process: ProcessForces | None = None
+    part_tolerance: float | None = None
 
     @cached_property
     def content(self) -> Summary:
         """Content of `report.json`."""
-        return summary(self.result, self.tolerance)
+        return summary(self.result, self.tolerance, self.part_tolerance)
 
     @cached_property
     def verdict(self) -> Verdict:

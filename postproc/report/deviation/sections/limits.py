@@ -1,8 +1,9 @@
 """Tolerance and limits."""
 
 from postproc.report.deviation.content import Deviation
+from postproc.report.digits import millimetres
 from postproc.report.kit import Cell, Facts, Section
-from postproc.report.text import millimetres, number
+from postproc.report.text import number
 
 _HELD = {None: ("held but for approximation", "warning"), True: ("held", "good"), False: ("exceeded", "error")}
 

@@ -3,8 +3,9 @@
 from typing import Literal
 
 from postproc.report.deviation.content import Deviation
+from postproc.report.digits import estimate, rounded
 from postproc.report.kit import Note, Notes, Part, Row, Section, Table, Tile, Tiles
-from postproc.report.text import millimetres, percent, rounded, times
+from postproc.report.text import percent, times
 
 _MEASURES: tuple[tuple[str, Literal["max_mm", "rms_mm", "mean_mm", "p95_mm"]], ...] = (
     ("Maximum", "max_mm"),
@@ -22,12 +23,12 @@ def section(told: Deviation) -> Section | None:
     if told.nothing is not None:
         return Section("numbers", "Deviation of the tool tip", (Notes((Note(told.nothing, "good"),)),))
     before, after, bound = content["before"], content["after"], content["u95"]
-    tiles = [
-        Tile("As programmed, largest", millimetres(before["max_mm"]), "mm", f"RMS {millimetres(before['rms_mm'])} mm")
-    ]
+    u95 = None if bound is None else bound["max_mm"]
+    rms = estimate(before["rms_mm"], u95)
+    tiles = [Tile("As programmed, largest", estimate(before["max_mm"], u95), "mm", f"RMS {rms} mm")]
     if told.compared:
-        note = f"RMS {millimetres(after['rms_mm'])} mm; a statement about the model, not about the part"
-        tiles.append(Tile("What the model leaves, largest", millimetres(after["max_mm"]), "mm", note))
+        note = f"RMS {estimate(after['rms_mm'], u95)} mm; a statement about the model, not about the part"
+        tiles.append(Tile("What the model leaves, largest", estimate(after["max_mm"], u95), "mm", note))
     if bound is None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
@@ -43,11 +44,12 @@ def section(told: Deviation) -> Section | None:
 
 def _table(told: Deviation) -> Table:
     content = told.content
+    u95 = None if content["u95"] is None else content["u95"]["max_mm"]
     if not told.compared:
-        rows = tuple(Row((label, millimetres(content["before"][key]))) for label, key in _MEASURES)
+        rows = tuple(Row((label, estimate(content["before"][key], u95))) for label, key in _MEASURES)
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
     rows = tuple(
-        Row((label, millimetres(before), millimetres(after), times(before, after)))
+        Row((label, estimate(before, u95), estimate(after, u95), times(before, after)))
         for label, before, after in ((label, content["before"][key], content["after"][key]) for label, key in _MEASURES)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")

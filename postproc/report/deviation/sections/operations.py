@@ -2,8 +2,8 @@
 
 from postproc.frames import MM_PER_M
 from postproc.report.deviation.content import Deviation
+from postproc.report.digits import estimate, rounded
 from postproc.report.kit import Row, Section, Table
-from postproc.report.text import millimetres, rounded
 
 
 def section(told: Deviation) -> Section | None:
@@ -12,18 +12,19 @@ def section(told: Deviation) -> Section | None:
         return None
     rows = []
     for number, operation in enumerate(told.operations, 1):
+        u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
         cells = [
             operation.name or f"operation {number}",
             f"T{operation.tool}" if operation.tool else "-",
             str(operation.line),
             str(operation.cutting),
             f"{operation.force:.0f}",
-            millimetres(operation.before.largest * MM_PER_M),
+            estimate(operation.before.largest * MM_PER_M, u95),
         ]
         if told.compared:
-            cells.append(millimetres(operation.after.largest * MM_PER_M))
-        if operation.bound is not None:
-            cells.append(rounded(operation.bound.largest * MM_PER_M))
+            cells.append(estimate(operation.after.largest * MM_PER_M, u95))
+        if u95 is not None:
+            cells.append(rounded(u95))
         rows.append(Row(tuple(cells), told.places.of(operation.first), operation.line))
     head = [
         "Operation",

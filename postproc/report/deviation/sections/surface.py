@@ -4,8 +4,8 @@ import numpy as np
 
 from postproc.frames import MM_PER_M
 from postproc.report.deviation.content import Deviation
+from postproc.report.digits import millimetres, rounded
 from postproc.report.kit import Note, Notes, Part, Row, Section, Table, Tile, Tiles, View
-from postproc.report.text import millimetres, rounded
 
 _MOST = 40
 

@@ -6,8 +6,8 @@ from postproc.frames import MM_PER_M, Array, norm
 from postproc.program import Ints, distinct
 from postproc.report.deviation.content import Deviation
 from postproc.report.deviation.places import correction
+from postproc.report.digits import estimate, rounded
 from postproc.report.kit import Row, Section, Table
-from postproc.report.text import millimetres, rounded
 
 _EACH = 12
 
@@ -30,9 +30,10 @@ def section(told: Deviation) -> Section | None:
     out = []
     for index, row in enumerate(rows.tolist()):
         cells = [str(result.source_line[row]), str(result.output_line[row]), f"{result.t[row]:.3f}"]
-        cells += [millimetres(float(measure[row]) * MM_PER_M) for measure in measures]
-        cells += [rounded(float(each[row]) * MM_PER_M) for each in bound]
-        cells += [f"{force[index]:.0f}"] + ([f"{moved[index]:.4f}"] if told.compared else [])
+        u95 = None if result.bound is None else float(result.bound[row]) * MM_PER_M
+        cells += [estimate(float(measure[row]) * MM_PER_M, u95) for measure in measures]
+        cells += [] if u95 is None else [rounded(u95)]
+        cells += [f"{force[index]:.0f}"] + ([estimate(float(moved[index]), u95)] if told.compared else [])
         out.append(Row(tuple(cells), told.places.of(row), int(result.source_line[row])))
     table = Table(tuple(head), tuple(out), "The worst places, one for each line of the program", sortable=True)
     return Section("worst", "Worst places", (table,))
