@@ -1,0 +1,390 @@
+"""Forces along a program on which every axis turns, against a loop that follows it motion by motion.
+
+The tool turns on every motion, two bases and tools, arcs about tilted axes; forces in all frames, moments as large as
+the forces.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import forces, frames, toolpath
+from postproc.forces import Knots
+from postproc.forces.feed import lines_run_across, runs_across
+from postproc.program import Targets
+from tests.programs import program
+from tests.toolpath.setting import START, arc, begins, mixed, point, turned, unit
+
+BASE, TOOL, FEED = range(3)
+RAMP = 4e-3
+AXES = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
+
+
+class Given:
+    """A source of forces given as knots."""
+
+    name = "given"
+
+    def __init__(self, knots):
+        self.knots = knots
+
+    def along(self, _program, _path):
+        return self.knots
+
+
+def random_knots(rng, made):
+    """Each cutting motion by one ramped wrench, or by two to five along it; standard deviations."""
+    rows = []
+    for k in np.flatnonzero(~made.motions.rapid).tolist():
+        ramped, frame = rng.uniform() < 0.5, int(rng.integers(0, 3))
+        places = [1.0] if ramped else np.unique(np.round(rng.uniform(0.0, 1.0, rng.integers(2, 6)), 3))
+        rows += [(k, t, frame, ramped) for t in places]
+    motion, t, frame, ramped = (np.array(column) for column in zip(*rows, strict=True))
+    wrench, sigma = rng.normal(0.0, 100.0, (len(t), 6)), rng.uniform(0.0, 9.0, (len(t), 6))
+    return Knots(motion, t.astype(float), wrench, frame, sigma, ramped)
+
+
+def axes_at(made, k, t, frame, spindle="+Z"):
+    """Axes (3, 3) as columns in `$BASE`, at a place of a motion: by finite differences of the place."""
+    begin = begins(made)
+    pose = turned(begin[k], made.motions.target[k], t)
+    if frame == BASE:
+        return np.eye(3)
+    if frame == TOOL:
+        return pose
+    h = 1e-6
+    travel = point(made, begin, k, t + h) - point(made, begin, k, t - h)
+    column, sign = AXES[spindle]
+    z = -sign * pose[:, column]
+    x = travel - (travel @ z) * z
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def columns_at(made, knots, length, k, t, values, spindle="+Z"):
+    """Columns (2, 3, m) of force and moment at a place, `$BASE`; values (K, 2, 3, m) at the knots."""
+    own = np.flatnonzero(knots.motion == k)
+    if not len(own):
+        places, told, frame, ramped = np.ones(1), np.zeros((1, *values.shape[1:])), BASE, True
+    else:
+        places, told, frame, ramped = knots.t[own], values[own], knots.frame[own[0]], knots.ramped[own[0]]
+
+    def mixed_at(places, told):
+        return np.apply_along_axis(lambda column: np.interp(t, places, column), 0, told)
+
+    if not ramped:
+        return np.einsum("ij,hjm->him", axes_at(made, k, t, frame, spindle), mixed_at(places, told))
+    share = min(1.0, t * length[k] / RAMP)
+    before = np.zeros(values.shape[1:])
+    if k > 0:
+        before = columns_at(made, knots, length, k - 1, 1.0, values, spindle)
+        one, other = (made.bases[made.motions.base[j], :3, :3] for j in (k - 1, k))
+        before = np.einsum("ij,hjm->him", other.T @ one, before)
+    full = np.einsum("ij,hjm->him", axes_at(made, k, t, frame, spindle), told[0])
+    return before + share * (full - before)
+
+
+@pytest.mark.parametrize("spindle", AXES)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_wrenches_and_deviations_anywhere(seed, spindle):
+    rng, made = np.random.default_rng(seed), mixed()
+    knots = random_knots(rng, made)
+    path = toolpath.segments(made, START)
+    load = forces.along(made, path, Given(knots), spindle, RAMP)
+    count = len(made.motions)
+    motion = np.repeat(np.arange(1, count), 12)
+    t = np.concatenate([np.append(rng.uniform(0.0, 1.0, 11), 1.0) for _ in range(1, count)])
+    t[::12] = 0.3 * RAMP / path.length[1:]
+    sample = toolpath.at(made, path, motion, t)
+    found, spread = load.at(sample), load.spread_at(sample)
+    sigma = knots.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
+    for row, (k, place) in enumerate(zip(motion, t, strict=True)):
+        values = knots.wrench.reshape(-1, 2, 3, 1)
+        expected = columns_at(made, knots, path.length, k, place, values, spindle).reshape(6)
+        np.testing.assert_allclose(found[row], expected, atol=1e-4)
+        expected = columns_at(made, knots, path.length, k, place, sigma, spindle)
+        np.testing.assert_allclose(spread[row], expected, atol=1e-5)
+
+
+def test_at_a_knot_and_beyond_the_last_the_wrench_is_its_own():
+    made = mixed()
+    wrench = np.arange(18.0).reshape(3, 6)
+    knots = Knots.along(np.array([3, 3, 3]), np.array([0.25, 0.5, 0.75]), wrench, np.zeros(3, dtype=int))
+    path = toolpath.segments(made, START)
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    at = toolpath.at(made, path, np.full(6, 3), np.array([1e-9, 0.25, 0.5, 0.75, 0.8, 1.0]))
+    np.testing.assert_array_equal(load.at(at), wrench[[0, 0, 1, 2, 2, 2]])
+
+
+SOFTNESS = 2e-6, 7e-6
+
+
+def moves(wrench):
+    """How far the tool gives way to wrenches (..., 6), about [m]."""
+    return SOFTNESS[0] * np.linalg.norm(wrench[..., :3], axis=-1) + SOFTNESS[1] * np.linalg.norm(
+        wrench[..., 3:], axis=-1
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
+    rng, made = np.random.default_rng(seed), mixed()
+    knots = random_knots(rng, made)
+    keep = knots.motion == 3  # on this line the force goes straight on through its knots, but for one
+    knots.wrench[keep] = 50.0 * knots.t[keep, None] + np.where(knots.t[keep, None] > 0.6, 9.0, 0.0)
+    path = toolpath.segments(made, START)
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    found = forces.estimate(load, SOFTNESS)
+    begin = np.zeros((len(made.motions), 6))
+    rows = []
+    for k in range(len(made.motions)):
+        at = load.first[k], load.first[k + 1]
+        own = load.wrench[at[0] : at[1]]
+        t = load.t[at[0] : at[1]]
+        ramped = load.ramped[k]
+
+        def there(place, k=k):
+            return load.at(toolpath.at(made, path, np.array([k]), np.array([place])))[0]
+
+        change = [np.zeros(6)]
+        for i in range(1, len(t)):
+            straight = load.knot_frame[at[0] + i] == load.knot_frame[at[0] + i - 1]
+            change.append(own[i] - own[i - 1] if straight else there(t[i]) - own[i - 1])
+        for i in range(len(t)):
+            bent = False
+            if 0.0 < t[i] < 1.0:
+                before = change[i] / (t[i] - t[i - 1]) if i else np.zeros(6)
+                after = change[i + 1] / (t[i + 1] - t[i]) if i + 1 < len(t) else np.zeros(6)
+                bent = np.abs((after - before) * (t[i] - t[i - 1] if i else 1.0)).max() >= 1e-9
+            rows.append((k, t[i], moves(change[i]), bent))
+        if not ramped:
+            step = moves(there(0.0) - load.before[k])
+            if step > 1e-8:
+                rows.append((k, min(0.5, 1e-5 / max(path.length[k], 1e-5)), step, True))
+        own = own[1:] if ramped else own
+        assert found.size[k] == pytest.approx(moves(own).max())
+        turning = made.motions.kind[k] == 1 and load.frame[k] == FEED
+        across = own * [1, 1, 0, 1, 1, 0]
+        assert found.turning[k] == pytest.approx(moves(across).max() if turning else 0.0)
+        if not turning:
+            assert not found.round[k]
+        else:
+            runs = runs_across(made, path, np.array([k]), "+Z")[0]
+            assert found.round[k] == (across.any() and not runs)
+        begin[k] = load.before[k]
+    rows.sort(key=lambda row: row[:2])
+    np.testing.assert_array_equal(found.motion, [row[0] for row in rows])
+    np.testing.assert_allclose(found.t, [row[1] for row in rows])
+    np.testing.assert_allclose(found.change, [row[2] for row in rows], atol=1e-15)
+    np.testing.assert_array_equal(found.bent, [row[3] for row in rows])
+
+
+def leaning(begin, end, *moves_):
+    """A program whose tool stands at angles about X where its last motion begins and ends [deg]."""
+    made = program(moves_)
+    target = made.motions.target.copy()
+    for k, angle in ((-2, begin), (-1, end)):
+        target[k, :3, :3] = frames.pose_from_xyzabc([0, 0, 0, 0, 0, 180.0 + angle])[:3, :3]
+    return replace(made, motions=replace(made.motions, target=target))
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 0.0), (20.0, 0.0), (0.0, 20.0), (10.0, -10.0)])
+@pytest.mark.parametrize("climb", [0.0, 15.0])
+def test_arcs_run_across_the_spindle_up_to_45_degrees(begin, end, climb):
+    """The axis of the arc leans by an angle about X; so does the tool. What the tool turns halves, the pitch counts."""
+    for angle in np.arange(-60.0, 61.0, 1.7):
+        s, c = np.sin(np.radians(angle)), np.cos(np.radians(angle))
+        first = ("PTP", 40, 0, 0)
+        made = leaning(begin, end, first, arc((40, 0, 0), (0.0, -s, c), (0, 0, 0), 150.0, climb))
+        path = toolpath.segments(made, np.eye(4))
+        pitch = np.degrees(np.arctan2(climb, 40 * np.radians(150.0)))
+        apart = max(abs(angle - begin), abs(angle - end)) + 0.5 * abs(end - begin) + pitch
+        if abs(apart - 45.0) > 0.01:
+            assert runs_across(made, path, np.array([1]), "+Z")[0] == (apart < 45.0)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0.0, 0.0), (20.0, 0.0), (0.0, 20.0), (10.0, -10.0)])
+def test_lines_run_across_the_spindle_up_to_45_degrees(begin, end):
+    for angle in np.arange(-88.0, 89.0, 1.7):
+        s, c = np.sin(np.radians(angle)), np.cos(np.radians(angle))
+        made = leaning(begin, end, ("PTP", 0, 0, 0), ("LIN", 0, 40 * c, 40 * s))
+        path = toolpath.segments(made, np.eye(4))
+        # the spindle leans as the tool does, about X: across it the travel would be at the same angle
+        nearest = min(90.0 - abs(angle - begin), 90.0 - abs(angle - end)) - 0.5 * abs(end - begin)
+        if abs(nearest - 45.0) > 0.01:
+            assert lines_run_across(made, path, np.array([1]), "+Z")[0] == (nearest > 45.0)
+
+
+def displaced_circle(load, piece, softness, shares):
+    """Places (n, 3) of the tip on a piece (motion, begin, end), displaced as it gives way to the force."""
+    k, begin, end = piece
+    made, path = load.axes.program, load.axes.path
+    sample = toolpath.at(made, path, np.full(len(shares), k), begin + shares * (end - begin))
+    wrench = load.at(sample)
+    return sample.pose[:, :3, 3] - softness[0] * wrench[:, :3] - softness[1] * wrench[:, 3:]
+
+
+def missed_by_circle(spots, shares):
+    """What the circle through first, middle and last of (n, 3) spots misses at their shares [m]."""
+    middle = int(np.flatnonzero(shares == 0.5)[0])
+    a, b, c = spots[0], spots[middle], spots[-1]
+    normal = np.cross(b - a, c - a)
+    rows = np.array([b - a, c - a, normal / np.linalg.norm(normal) * np.linalg.norm(c - a)])
+    centre = np.linalg.solve(rows, [(b - a) @ (a + b) / 2, (c - a) @ (a + c) / 2, rows[2] @ a])
+    axis = normal / np.linalg.norm(normal)
+    sweep = np.arctan2(np.cross(a - centre, c - centre) @ axis, (a - centre) @ (c - centre)) % (2 * np.pi)
+    out, side = a - centre, np.cross(axis, a - centre)
+    on = centre + np.cos(sweep * shares)[:, None] * out + np.sin(sweep * shares)[:, None] * side
+    return np.linalg.norm(spots - on, axis=1).max()
+
+
+@pytest.mark.parametrize("softness", [(4e-6, 0.0), (0.0, 5e-6), (2e-6, -2e-6)])
+def test_pieces_where_the_force_swings_round_are_halved_until_circles_follow_it(softness):
+    """An arc that comes near the direction of the spindle, and one that does not."""
+    moves_ = [("PTP", 50, 0, 0), arc((50, 0, 0), unit(0, -1.0, 0.15), (0, 0, 0), 170.0)]
+    made = program([*moves_, ("LIN", -60, 0, 0), arc((-60, 0, 0), (0.0, 0.0, 1.0), (0, 0, 0), 90.0)])
+    path = toolpath.segments(made, START)
+    knots = Knots.throughout(np.array([1, 3]), np.array([[100.0, 40, 20, 60, -50, 10]] * 2), np.full(2, FEED))
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    found, limit = forces.estimate(load, (1e-9, 1e-9)), 2e-6
+    assert found.round.tolist() == [False, True, False, False]
+    arcs = toolpath.pieces(made, path, 1e-5, found)
+    halved = forces.followed(load, arcs, found, softness, limit)
+    other = halved.motion == 3
+    np.testing.assert_array_equal(halved.number[other], arcs.number[arcs.motion == 3])
+    own = halved.take(~other)
+    assert len(own.motion) > 8
+    assert (own.number == 1).all()
+    np.testing.assert_array_equal(own.begin[1:], own.end[:-1])
+    assert (own.begin[0], own.end[-1]) == (0.0, 1.0)
+    quarters, fine = np.array([0.0, 0.25, 0.5, 0.75, 1.0]), np.linspace(0.0, 1.0, 33)
+    for begin, end in zip(own.begin, own.end, strict=True):
+        long = (end - begin) * path.length[1] > 1e-7
+        if long:
+            assert (
+                missed_by_circle(displaced_circle(load, (1, begin, end), softness, quarters), quarters) <= limit * 1.001
+            )
+        # the piece of which it is a half was too long
+        width = end - begin
+        parent = begin - width if round(begin / width) % 2 else begin
+        spots = displaced_circle(load, (1, parent, parent + 2 * width), softness, quarters)
+        if len(own.motion) > 2 and 2 * width <= 0.5:
+            assert missed_by_circle(spots, quarters) > limit * 0.999
+        if width > 1e-3:
+            spots = displaced_circle(load, (1, begin, end), softness, fine)
+            assert missed_by_circle(spots, fine) < 3.0 * limit
+
+
+@pytest.mark.parametrize("softness", [(4e-6, 0.0), (0.0, 5e-6), (3e-6, 1e-6)])
+def test_lines_that_turn_the_tool_through_the_travel_get_places_where_the_force_swings_round(softness):
+    made = leaning(-70.0, 80.0, ("PTP", 0, 0, 0), ("LIN", 3, 0, 60), ("LIN", 6, 0, 90))
+    turning = made.motions.target.copy()
+    turning[1, :3, :3] = turning[0, :3, :3]
+    made = replace(made, motions=replace(made.motions, target=turning))
+    path = toolpath.segments(made, START)
+    knots = Knots.throughout(np.array([1, 2]), np.array([[100.0, 40, 20, 60, -50, 10]] * 2), np.full(2, FEED))
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    limit = 3e-6
+    motion, t = forces.swung(load, softness, limit)
+    assert (np.bincount(motion, minlength=3) > 0).tolist() == [False, False, True]
+    places = np.array([0.0, *np.sort(t), 1.0])
+    assert (np.diff(places) > 0).all()
+
+    def displaced(shares):
+        wrench = load.at(toolpath.at(made, path, np.full(len(shares), 2), shares))
+        return np.hstack([softness[0] * wrench[:, :3], softness[1] * wrench[:, 3:]])
+
+    for a, b in pairwise(places):
+        shares = np.linspace(a, b, 5)
+        spots = displaced(shares)
+        straight = spots[0] + np.linspace(0, 1, 5)[:, None] * (spots[-1] - spots[0])
+        if (b - a) * path.length[2] > 1e-7:
+            assert np.linalg.norm(spots - straight, axis=1).max() <= limit * 1.001
+        parent = a - (b - a) if round(a / (b - a)) % 2 else a
+        shares = np.linspace(parent, parent + 2 * (b - a), 5)
+        spots = displaced(shares)
+        straight = spots[0] + np.linspace(0, 1, 5)[:, None] * (spots[-1] - spots[0])
+        assert np.linalg.norm(spots - straight, axis=1).max() > limit * 0.999
+
+
+def divided(made, cuts):
+    """The program with motions divided at places, each piece a motion of its own, and the targets at their ends."""
+    path, m = toolpath.segments(made, START), made.motions
+    motion = np.concatenate([np.full(len(each), k) for k, each in enumerate(cuts)])
+    t = np.concatenate(cuts)
+    pose = toolpath.at(made, path, motion, t).pose
+    none = np.full(len(t), -1)
+    targets = Targets(
+        motion,
+        t,
+        m.kind[motion],
+        pose,
+        np.full((len(t), 3), np.nan),
+        np.zeros(len(t), bool),
+        none,
+        none,
+        m.blend[motion],
+    )
+    columns = {name: getattr(m, name)[motion] for name in m.__struct_fields__}
+    columns["target"] = pose
+    columns["sweep"] = m.sweep[motion] * (t - targets.begin)
+    return path, targets, replace(made, motions=replace(m, **columns))
+
+
+def plain():
+    """As `mixed`, but its arcs keep their radius: a piece of such an arc is one too."""
+    first = arc((40, 10, 5), unit(1, 2, 3), (10, -20, 45), 250.0, climb=12.0)
+    second = arc(first[1:4], unit(-2, 1, 1), (5, 30, -10), 100.0, climb=-7.0)
+    moves_ = [("PTP", 40, 10, 5), first, second, ("LIN", 100, -50, 20), ("LIN", 40, 60, -30)]
+    made, whole = program(moves_), mixed()
+    target = made.motions.target.copy()
+    target[:, :3, :3] = whole.motions.target[:5, :3, :3]
+    motions = replace(made.motions, target=target, base=np.array([0, 0, 0, 1, 1]))
+    return replace(made, motions=motions, bases=whole.bases)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
+    """On each piece: along it where they are given along the motion, at its end where they come up over the ramp."""
+    rng, made = np.random.default_rng(seed), plain()
+    cuts = [
+        np.array([1.0]),
+        np.array([0.2, 0.55, 1.0]),
+        np.array([0.4, 1.0]),
+        np.array([0.1, 0.35, 0.9, 1.0]),
+        np.array([1.0]),
+    ]
+    path, targets, written = divided(made, cuts)
+    knots = random_knots(rng, made)
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    arrive = toolpath.tangent(made, path, targets.motion, targets.t)
+    wrench = load.at(toolpath.at(made, path, targets.motion, targets.t))
+    at_end = forces.of_targets(load, targets, arrive, wrench)
+    other = toolpath.segments(written, START)
+    row = np.arange(len(targets))
+    travel, _ = forces.last_travel(written, other, "+Z")
+    found = forces.of_pieces(load, targets, at_end, forces.Axes(written, other, "+Z", travel), row)
+    carried = forces.along(written, other, Given(replace(found, motion=row[found.motion])), "+Z", RAMP)
+    for share in (0.03, 0.3, 0.5, 0.81, 1.0):
+        sample = toolpath.at(written, other, row, np.full(len(row), share))
+        t = targets.begin + share * (targets.t - targets.begin)
+        nominal = toolpath.at(made, path, targets.motion, t)
+        np.testing.assert_allclose(sample.pose[:, :3, 3], nominal.pose[:, :3, 3], atol=1e-12)
+        expected, have = load.at(nominal), carried.at(sample)
+        along = ~load.ramped[targets.motion]
+        in_base = load.frame[targets.motion] == BASE
+        exact = (along & in_base) | (share == 1.0)
+        np.testing.assert_allclose(have[exact], expected[exact], atol=1e-6)
+        turns = along & ~in_base  # linear in the axes of the force, as the program has it
+        np.testing.assert_allclose(have[turns], expected[turns], atol=1e-5)
+        spread, carries = load.spread_at(nominal), carried.spread_at(sample)
+        if share == 1.0:  # the deviations of each component, in the axes in which the force is written
+            own = load.frame[targets.motion] == carried.frame
+            covariance, written_ = (each @ np.swapaxes(each, 2, 3) for each in (spread[own], carries[own]))
+            np.testing.assert_allclose(
+                np.trace(written_, axis1=2, axis2=3), np.trace(covariance, axis1=2, axis2=3), atol=1e-6
+            )
