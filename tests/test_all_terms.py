@@ -402,3 +402,21 @@ def test_a_parameter_that_the_robot_does_not_have_is_an_error():
     for lacks, name in ((replace(state, robot=replace(model, compensator=None)), "K_c"), (state, "A4.X")):
         with pytest.raises(ModelError, match="which the model does not have"):
             elastostatics.moved_by(lacks, state.reach(), parameters.named(name), x)
+
+
+@pytest.mark.parametrize("compliance", [20.0, 30.0, 40.0])
+def test_a_soft_arm_is_solved_as_exactly_as_a_stiff_one(compliance):
+    """Each round of its equilibrium gains a digit only: how many are needed is foreseen from the last two steps."""
+    joints = {name: JointSpring(source="test", compliance_urad_per_Nm=compliance) for name in robot.JOINTS}
+    file = replace(content(0, GRAVITIES[0]), joints=joints, compensator=None, links={})
+    model, arm = robot.assemble("soft", file, urdf.read(KUKA, "soft.urdf")), WholeArm(KUKA, file)
+    _, _, q, wrench = arms(0, GRAVITIES[0])
+    wrench *= 0.3
+    theta = elastostatics.deflect(model, q, TOOL, wrench).theta
+    expected = np.array([arm.equilibrium(q[row], TOOL, wrench[row])[0] for row in range(len(q))])
+    np.testing.assert_allclose(theta, expected, rtol=0, atol=5e-10)  # rad; deflections of 10 to 20 mrad
+    x = (elastostatics.coordinates(model, q) + expected).T
+    there = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
+    load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
+    springs = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, there))
+    np.testing.assert_allclose(springs.T, expected, rtol=0, atol=3e-9)

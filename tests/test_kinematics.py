@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from postproc import frames, kinematics, robot
-from postproc.errors import ModelError
+from postproc.errors import ModelError, PostprocError
 from tests.oracle.arm import Arm
 
 TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
@@ -255,3 +255,45 @@ def test_twists_by_components_are_exact_on_both_sides_of_the_series(size):
     found = kinematics.twist_between(kinematics.components(start), kinematics.components(end)).T
     np.testing.assert_allclose(found[:, :3], np.tile(shift, (4, 1)), rtol=0, atol=1e-15)
     np.testing.assert_allclose(found[:, 3:], size * axes, rtol=0, atol=2e-15 if size < 0.1 else 1e-14)
+
+
+def test_signs_of_joints_at_zero_are_not_left_to_rounding():
+    arm = robot.load(robot.find("kuka_kr270"))
+    small = np.outer([-2e-6, -0.5e-6, 0.0, 0.5e-6], np.ones(6))
+    assert kinematics.turn_of(small).tolist() == [0b111111, 0, 0, 0]
+    q = np.tile(np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]), (4, 1))
+    q[:, 4] = small[:, 4]
+    form = kinematics.closed_form(arm)
+    assert form.branch_of(q).tolist() == [6, 2, 2, 2]  # within 1e-6 rad of A4 and A6 in line: as with A5 > 0
+    assert kinematics.status_of(arm, q).tolist() == [6, 6, 2, 2]  # S is the sign as it is
+    poses = np.array([Arm.load(robot.find("kuka_kr270")).nominal_tcp(row, np.eye(4)) for row in q])
+    in_line = kinematics.on_branch(arm, poses[2:3], np.array([2]))
+    np.testing.assert_allclose(in_line, q[2:3], rtol=0, atol=1e-9)  # A4 is 0 where only its sum with A6 counts
+
+
+def test_without_pinocchio_what_needs_it_says_so(monkeypatch):
+    def missing(name):
+        raise ImportError(name)
+
+    model = robot.load(robot.find("kuka_kr270"))
+    monkeypatch.setattr(kinematics.hessian, "import_module", missing)
+    kinematics.hessian.pinocchio_model.cache_clear()
+    with pytest.raises(PostprocError, match="needs Pinocchio, which is not installed"):
+        kinematics.gravity_stiffness(model.loaded, np.zeros((1, 6)))
+
+
+def test_margins_of_poses_with_tools_of_their_own_and_of_few_and_many_rows():
+    arm, oracle = robot.load(robot.find("kuka_kr270")), Arm.load(robot.find("kuka_kr270"))
+    q = np.radians([10.0, -70, 105, 20, 50, -30]) + np.random.default_rng(9).uniform(-0.3, 0.3, (40, 6))
+    tools = frames.pose_from_xyzabc(np.random.default_rng(9).uniform(-100.0, 100.0, (40, 6)))
+
+    def smallest(row, tool):
+        linear = [oracle.gradient(lambda x, k=k: oracle.tcp(x, tool)[k, 3], row) for k in range(3)]
+        angular = [oracle.moment_torque(row, unit) for unit in np.eye(3)]
+        return np.linalg.svd([*linear, *angular], compute_uv=False)[-1]
+
+    each = [smallest(row, tool) for row, tool in zip(q, tools, strict=True)]
+    np.testing.assert_allclose(kinematics.singular_values(arm, q, tools), each, rtol=1e-9)
+    assert kinematics.smallest_singular_value(arm, q, tools) == pytest.approx(min(each), rel=1e-9)
+    many = np.repeat(q, 200, axis=0)
+    assert kinematics.smallest_singular_value(arm, many, np.repeat(tools, 200, axis=0)) == pytest.approx(min(each))
