@@ -1,0 +1,209 @@
+"""Statements as the parser reads them, held against the grammar of the tests, which shares no code with it."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lark import Token, Tree
+
+from postproc.dialects.krl.language import parser, tree
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.text import decode
+from tests.attack.krl_generator import Generator
+from tests.attack.krl_jobs import Job
+from tests.oracle.krl_grammar import check, takes
+
+KINDS = {
+    "procedure": tree.Definition,
+    "function": tree.Definition,
+    "variables": tree.Declaration,
+    "struc": tree.Declaration,
+    "enum": tree.Outside,
+    "external": tree.Outside,
+    "signal": tree.Cyclic,
+    "imported": tree.Imported,
+    "assignment": tree.Assignment,
+    "call": tree.CallStatement,
+    "motion": tree.Motion,
+    "circle": tree.Motion,
+    "piece": tree.Motion,
+    "spline": tree.Spline,
+    "label": tree.Label,
+    "goto": tree.Goto,
+    "branch": tree.If,
+    "switch": tree.Switch,
+    "case": tree.Case,
+    "loop": (tree.For, tree.While, tree.Bare),
+    "leave": tree.Return,
+    "interrupt": tree.Event,
+    "trigger": tree.Trigger,
+    "plain": (tree.Statement,),
+}
+"""What the grammar calls a statement, and what the parser makes of it."""
+FEATURES = """DEF part( )
+DECL INT i,j[3]
+DECL CONST REAL v=0.5
+GLOBAL INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO stopped(i)
+INTERRUPT ON 4
+ANIN ON v=0.1*$ANIN[1]+0
+again:
+FOR i=1 TO 5 STEP 2
+  IF (i==1) AND NOT (v<>0.5) OR $IN[2] THEN
+    j[i]=i+1
+  ELSE
+    EXIT
+  ENDIF
+ENDFOR
+SWITCH i
+CASE 1,2
+  LIN {X 1,Y 2,Z 3,A 0,B 0,C 0} C_DIS
+DEFAULT
+  PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}
+ENDSWITCH
+TRIGGER WHEN PATH=-12.5 ONSTART DELAY=20 DO $OUT[1]=TRUE PRIO=-1
+TRIGGER WHEN DISTANCE=1 DELAY=0 DO stopped(i) PRIO=5
+CIRC {X 1,Y 2,Z 3},{X 1,Y 2,Z 5},CA 90
+SPLINE WITH $VEL.CP=0.1
+  SLIN {X 1}
+  SPL {X 2}
+ENDSPLINE C_SPL
+WHILE i<3
+  i=i+1
+ENDWHILE
+REPEAT
+  i=i-1
+UNTIL i==0
+GOTO again
+RETURN
+END
+DEF stopped(n:IN)
+DECL INT n
+HALT
+END
+DEFFCT REAL half(x:IN,y:OUT)
+DECL REAL x,y
+RETURN (x/2)
+ENDFCT
+"""
+
+
+def texts():
+    """Sources that the grammar takes."""
+    yield FEATURES
+    yield from (path.read_bytes().decode() for path in sorted((Path(__file__).parents[2] / "samples").glob("in*.src")))
+    for seed in range(60):
+        files = Generator(np.random.default_rng(seed)).programs()
+        yield from (text for name, text in files.items() if name.endswith("part.src"))
+        yield Job(np.random.default_rng([9, seed]), keep=seed % 2 == 0, unknown=True, forces=False).files["part.src"]
+
+
+def stated(text):
+    """Line → statement of the grammar; the outermost where several begin on it."""
+    found, lines = {}, text.splitlines()
+    for node in check("part.src", text).iter_subtrees_topdown():
+        begins = not node.meta.empty and not lines[node.meta.line - 1][: node.meta.column - 1].strip()
+        if node.data in KINDS and begins:
+            found.setdefault(node.meta.line, node)
+    return found
+
+
+def source_of(text):
+    return Source.of(decode("part.src", text.encode()), 0)
+
+
+def first_name(node):
+    """The first name in a part of the grammar's tree, as that of an assignment, a call, a label or a counter."""
+    for value in node.children:
+        if isinstance(value, Token) and value.type == "NAME":
+            return str(value)
+        if isinstance(value, Tree):
+            return first_name(value)
+    return None
+
+
+def name_of(here):
+    """The same of a statement of the parser; None where it has none."""
+    for attribute in ("target", "call", "counter"):
+        if hasattr(here, attribute):
+            return getattr(here, attribute).name
+    return {tree.Label: lambda: here.name, tree.Goto: lambda: here.label}.get(type(here), lambda: None)()
+
+
+def differing(text):
+    """Lines on which the grammar and the parser see other statements."""
+    source, out = source_of(text), []
+    for line, node in stated(text).items():
+        here = parser.statement(source, line)
+        named = name_of(here)
+        if here.word == "PULSE":
+            continue  # which moves nothing: it is no call of a routine
+        if not isinstance(here, KINDS[node.data]) or (named is not None and named != first_name(node)):
+            out.append((line, node.data, type(here).__name__))
+    return out
+
+
+def test_every_statement_is_what_the_grammar_says():
+    seen, count = set(), 0
+    for text in filter(lambda text: takes("part.src", text), texts()):
+        assert differing(text) == []
+        count += len(stated(text))
+        seen |= {node.data for node in stated(text).values()}
+    assert count > 2000
+    assert seen >= KINDS.keys() - {"struc", "enum", "external", "signal", "imported"}
+
+
+def test_a_statement_that_is_read_otherwise_would_be_noticed(monkeypatch):
+    monkeypatch.setitem(parser._READERS, "GOTO", parser._return)
+    assert [kind for _, kind, _ in differing(FEATURES)] == ["goto"]
+
+
+def test_parts_of_statements_are_where_the_text_has_them():
+    source = source_of(FEATURES)
+
+    def on(line):
+        here = parser.statement(source, line)
+        assert source.text[here.start : here.stop] == FEATURES.splitlines()[line - 1].strip()
+        return here
+
+    assert on(3).constant
+    assert not on(2).constant
+    assert [one.name for one in on(2).names] == ["I", "J"]
+    assert on(4).public
+    assert on(4).declares
+    assert isinstance(on(4).action, tree.CallStatement)
+    assert not on(5).declares
+    assert on(5).action is None
+    assert on(6).name == "V"
+    assert on(9).condition.operators == ("AND", "OR")
+    assert on(9).condition.negated == (False, True, False)
+    assert on(9).head.of(source.text).strip() == "(i==1) AND NOT (v<>0.5) OR $IN[2]"
+    path, distance = on(21), on(22)
+    assert (path.value.of(source.text), path.delay.of(source.text)) == ("-12.5", "20")
+    assert path.from_start
+    assert not path.distance
+    assert distance.distance
+    assert not distance.from_start
+    assert len(on(16).values) == 2
+    assert on(27).behind == "C_SPL"
+    half = on(41)
+    assert (half.name, half.result) == ("half", "REAL")
+    assert [(one.name, one.by_value) for one in half.parameters] == [("X", True), ("Y", False)]
+
+
+def test_a_line_is_read_once(monkeypatch):
+    source = source_of(FEATURES)
+    first = parser.statement(source, 10)
+    monkeypatch.setattr(parser, "statement_in", None)
+    assert parser.statement(source, 10) is first
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["I=" + "(" * 5000, "I=" + "1+" * 4000 + "1", "IF " + "NOT " * 2000 + "TRUE THEN", "I=" + "-" * 9000, "F(" * 3000],
+)
+def test_statements_of_any_depth_take_no_time(line):
+    source = source_of(f"DEF part( )\n{line}\nEND\n")
+    begin = time.process_time()
+    parser.statement(source, 2)
+    assert time.process_time() - begin < 2.0
