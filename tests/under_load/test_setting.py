@@ -160,6 +160,18 @@ def test_places_asked_for_in_addition_are_sampled_in_place_of_those_of_the_force
         assert ((path.sample.motion == motion) & (path.sample.t == t)).any()
 
 
+def test_where_the_axes_of_the_feed_turn_with_the_tool_there_are_samples_between_the_ends():
+    turned = [DOWN, DOWN, Rotation.from_euler("y", 40, degrees=True).as_matrix() @ DOWN]
+    moves = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 60, 10, 0)]
+    made = program(moves, [(2, (2000.0, -3000.0, 1500.0, 0.0, 0.0, 0.0), "FEED")], orientation=np.array(turned))
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
+    motion, t = motions.swung
+    assert len(motion) > 3
+    path = PathUnderLoad.of(motions, motions.pieces())
+    for one, at in zip(motion, t, strict=True):
+        assert ((path.sample.motion == one) & (np.abs(path.sample.t - at) < 1e-12)).any()
+
+
 def test_a_sample_out_of_reach_names_its_line():
     far = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", -1500, 200, -500)], orientation=DOWN)
     motions = MotionsUnderLoad.of(far, RobotInCell.of(ROBOT, CELL), None)
