@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import elastostatics
-from tests.benchmarks.bound import against_chance
+from postproc import elastostatics, robot
+from tests.benchmarks.bound import TOOL, against_chance
 
 
 def test_95_percent_of_random_parameters_forces_and_discrepancies_stay_within_the_bound():
@@ -32,3 +32,26 @@ def test_a_bound_without_one_of_its_sources_would_be_noticed(monkeypatch, left_o
     monkeypatch.setattr(elastostatics, "position_bound", without)
     found, bound = against_chance(200)
     assert np.abs(bound / found - 1.0).max() > 0.15
+
+
+def test_a_part_of_a_gear_that_is_zero_is_bounded_at_the_torque_at_rest():
+    """Parts that the readings do not narrow are in [covariance] alone, with a value of zero."""
+    plain = robot.load(robot.find("kuka_kr270"))
+    part = robot.Knee("A3", 800.0)
+    model = replace(
+        plain,
+        carries_weight=True,
+        covariance=robot.Covariance((robot.JointCompliance("A3"), part), np.diag([0.0, 1e-2])),
+    )
+    q = np.radians([[0.0, -70.0, 60.0, 10.0, 40.0, 20.0], [20.0, -40.0, 100.0, 0.0, 30.0, 0.0]])
+    wrench = np.tile([100.0, -200.0, 400.0, 0.0, 0.0, 0.0], (2, 1))
+    step = 1e-9
+    here, there = (
+        elastostatics.deflect(model.with_values({part: value}), q, TOOL, wrench).twist[:, :3] for value in (0.0, step)
+    )
+    found = elastostatics.sensitivity(model, q, TOOL, wrench)[:, :, 1]
+    # k3 in files contains the part: more of the part at the same k3 is less of the rest
+    rest = robot.JointCompliance("A3")
+    less = elastostatics.deflect(model.with_values({part: 0.0, rest: rest.of(model) + step}), q, TOOL, wrench)
+    by_rest = (less.twist[:, :3] - here) / step
+    np.testing.assert_allclose(found, ((there - here) / step - by_rest) * 1e-6, rtol=2e-2, atol=1e-7)

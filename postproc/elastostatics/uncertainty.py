@@ -147,7 +147,8 @@ def _linear_sensitivity(
     torque = np.einsum("nij,ni->nj", jacobian, wrench) - _payload(robot, x)
     second = robot.actuated[A2]
     at_rest = np.zeros_like(torque)
-    if robot.terms and (robot.carries_weight or not robot.subtract_reference):
+    nonlinear = robot.terms or any(isinstance(parameter, Spring) and not parameter.linear for parameter in parameters)
+    if nonlinear and (robot.carries_weight or not robot.subtract_reference):
         at_rest = -asked(robot, x.T).T
     _, slope = spring_deflection(robot, torque, at_rest)
     share = beside(robot, x.T, slope.T)

@@ -148,7 +148,11 @@ def geometry_folder(
 def summary(data: record.Identified) -> str:
     """Return the identified values as a table for a terminal."""
     lines = [] if data.verdict is None else [data.verdict.line]
+    together = 0
     for name, entry in (data.parameters or {}).items():
+        if entry.determined is False and entry.prior is None:
+            together += 1
+            continue
         half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
         mark = _NOT_DETERMINED if entry.determined is False else ""
         if not entry.observable:
@@ -156,6 +160,11 @@ def summary(data: record.Identified) -> str:
         elif entry.source == record.ABOUT_THE_PRIOR:
             mark = f"   (about the prior's {entry.prior:.4g})"
         lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
+    if together:
+        lines.append(
+            f"{together} more parameters of links and gears are not determined one by one, only what they predict "
+            "together: identification.json"
+        )
     if data.parameters:
         lines.append(f"{robots.WITH_LINKS}: the intervals are of that sum")
     if data.structure is not None:

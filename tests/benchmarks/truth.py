@@ -285,10 +285,11 @@ def main() -> None:
         for row in ROWS:
             if options.part in row.name:
                 count = max(options.robots, row.robots)
-                found = list(pool.map(tried, [row] * count, range(options.first, options.first + count)))
-                if options.verbose:
-                    for one in found:
-                        print(_of_robot(one))
+                found = []
+                for one in pool.map(tried, [row] * count, range(options.first, options.first + count)):
+                    found.append(one)
+                    if options.verbose:
+                        print(_of_robot(one), flush=True)
                 print(line(row, found), flush=True)
 
 
