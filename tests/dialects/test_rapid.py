@@ -19,7 +19,7 @@ from postproc import kinematics, robot
 from postproc.cell import load as load_cell
 from postproc.cli import main
 from postproc.dialects import krl
-from postproc.dialects.rapid import conventions, names
+from postproc.dialects.rapid import conventions, language
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
@@ -270,10 +270,10 @@ def test_a_name_that_rapid_does_not_allow_is_made_valid(tmp_path):
 
 
 def test_names_are_those_of_rapid():
-    assert names.fault_of("a" * 28) is None
+    assert language.fault_of("a" * 28) is None
     for name in ("a" * 29, "_a", "1a", "ä", "a b", "while", "MoveTo", "stop", ""):
-        assert names.fault_of(name) is not None, name
-        assert names.fault_of(names.valid(name)) is None, name
+        assert language.fault_of(name) is not None, name
+        assert language.fault_of(language.valid(name)) is None, name
 
 
 def test_a_renamed_program_is_the_program_of_that_name(tmp_path):
@@ -288,12 +288,12 @@ def test_a_renamed_program_is_the_program_of_that_name(tmp_path):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("$OUT[1]=TRUE", "no RAPID instruction"),
-        ("SetDO doSpindle,1", "no RAPID instruction"),
+        ("$OUT[1]=TRUE", "not a RAPID instruction"),
+        ("SetDO doSpindle,1", "not a RAPID instruction"),
         ("MoveL p1,v100,fine,tool0;", "moves the robot"),
         ("ConfL\\\\On;", "changes how it moves"),
-        ("RETURN;", "changes the order"),
-        ("speed_1:=v100;", "belongs to the moves"),
+        ("RETURN;", "changes the execution order"),
+        ("speed_1:=v100;", "is used by the moves"),
     ],
 )
 def test_lines_of_the_cell_that_cannot_stand_there_are_refused(tmp_path, line, words):

@@ -1,13 +1,12 @@
 """From the frames and joint angles of the rest of the package to those of ABB, and back.
 
-The joints A1…A6 of every model folder have KUKA's signs, and at zero the arm lies stretched out along +X. ABB's axes
-turn about +Z, +Y, +Y, +X, +Y, +X, and at zero the upper arm stands upright with the forearm along +X. For an arm whose
-axes are driven one by one:
+The joints A1…A6 of every model folder have KUKA's signs, and at zero the arm is stretched out along +X. ABB's axes
+turn about +Z, +Y, +Y, +X, +Y, +X, and at zero the upper arm is vertical and the forearm along +X. For a serial arm:
 
     J1 = −A1    J2 = A2 + 90°    J3 = A3 − 90°    J4 = −A4    J5 = A5    J6 = −A6
 
-Where a parallelogram moves the forearm (IRB 6660, 7600 with rod, palletisers), ABB counts axis 3 against the floor, not
-against the upper arm; such arms are none of the six joints in series that a model folder describes. Robot root and
+With a parallelogram (IRB 6660, 7600 with rod, palletisers) ABB measures axis 3 from the floor, not from the upper arm.
+Such arms are not serial, and model folders cannot describe them. Robot root and
 flange are those of ABB: base frame, and `tool0` with Z out of the flange and X downwards at zero.
 
 A `num` of RAPID has single precision; so have positions, orientations and joint angles.
@@ -23,7 +22,7 @@ from postproc.program import Ints, TargetJoints
 _SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 _ZERO = np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
 _SAME_QUADRANT = 1e-6
-"""An angle this close below a quadrant [deg] is its beginning: rounding."""
+"""An angle this close below a quadrant [deg] counts as its beginning (rounding)."""
 
 
 def abb_from_joints(q: Array) -> Array:
@@ -39,10 +38,10 @@ def joints_from_abb(angles: Array) -> Array:
 def configuration(joints: TargetJoints) -> Ints:
     """Return cf1, cf4, cf6, cfx (K, 4) of robtargets.
 
-    cf1, cf4 and cf6 are the quadrants of J1, J4, J6: 0 from 0° to 90°, −1 from −90° to 0°, and so on. cfx, 0…7, adds up
-    4 where the wrist centre stands behind axis 1, 2 where it stands behind the lower arm, 1 where J5 is negative. The
-    status S of KUKA says the same: its bit 1 is set where the wrist centre stands *in front of* the line through axes
-    2 and 3. (ABB, data type confdata.)
+    cf1, cf4 and cf6 are the quadrants of J1, J4, J6: 0 from 0° to 90°, −1 from −90° to 0°, and so on. cfx, 0…7, is the
+    sum of 4 if the wrist centre is behind axis 1, 2 if it is behind the lower arm, 1 if J5 is negative. The status S of
+    KUKA has the same bits, but its bit 1 is set if the wrist centre is *in front of* the line through axes 2 and 3.
+    (ABB, data type confdata.)
     """
     quadrant = np.floor((abb_from_joints(joints.q)[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
     s = joints.status
@@ -51,14 +50,14 @@ def configuration(joints: TargetJoints) -> Ints:
 
 
 def status_from_cfx(cfx: Ints) -> Ints:
-    """Return the status S of KUKA (n,) that a cfx (n,) stands for."""
+    """Return the status S of KUKA (n,) for cfx (n,)."""
     return np.asarray((cfx >> 2 & 1) + 2 * (1 - (cfx >> 1 & 1)) + 4 * (cfx & 1))
 
 
 def quaternions(rotation: Array) -> Array:
     """Return q1…q4 (n, 4), q1 ≥ 0 the real part, of rotations (n, 3, 3).
 
-    The largest of the four is found first, the others by it: none is lost near half turns (Shepperd 1978).
+    The largest of the four is computed first and the others from it, which is accurate near half turns (Shepperd 1978).
     """
     r = np.asarray(rotation).reshape(-1, 3, 3)
     trace = np.einsum("nii->n", r)
@@ -93,7 +92,7 @@ def rotations(q: Array) -> Array:
 
 
 def poses(numbers: Array) -> Array:
-    """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), as the controller holds these numbers."""
+    """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), as the controller stores these numbers."""
     held = numbers.astype(np.float32).astype(np.float64)
     out = np.broadcast_to(np.eye(4), (len(numbers), 4, 4)).copy()
     out[:, :3, :3] = rotations(held[:, 3:])

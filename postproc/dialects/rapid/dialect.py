@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc import provenance
 from postproc.cell import Cell
-from postproc.dialects.rapid import names
+from postproc.dialects.rapid import language
 from postproc.dialects.rapid.read import Layout, read
 from postproc.dialects.rapid.write import write
 from postproc.errors import ProgramError
@@ -32,24 +32,24 @@ class _Writer:
 
     def fault_of(self, name: str) -> str | None:
         """Return why the controller would refuse a name for a program, or None if it would not."""
-        return names.fault_of(name)
+        return language.fault_of(name)
 
     def valid(self, name: str) -> str:
-        """Return a name as it stands if the controller accepts it, otherwise one as close to it as possible."""
-        return names.valid(name)
+        """Return the name itself if the controller accepts it, otherwise a similar valid one."""
+        return language.valid(name)
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
         """Return a program as text, see `write.write`.
 
-        :raises ProgramError: it was read from RAPID: such programs are predicted, not corrected.
+        :raises ProgramError: the program was read from RAPID, which can be predicted but not corrected.
         """
         if isinstance(program.layout, Layout):
             raise ProgramError(
                 "a RAPID program cannot be corrected",
                 file=program.documents[0].name,
-                advice="Convert the G-code that it was made from; `postproc predict` tells what it does as it stands.",
+                advice="Convert the G-code that it was made from, or see its deviation by `postproc predict`.",
             )
         return write(program, targets, joints, cell, comments)
 
@@ -60,16 +60,16 @@ class _Writer:
         return (replace(document, name=f"{name}{Path(document.name).suffix}", text=text),)
 
     def marked(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the file with the line that says where it comes from: below MODULE."""
+        """Return the file with the line of its provenance, below MODULE."""
         return provenance.marked(documents, origin, _COMMENT, _MODULE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
-        """Return what a program says of where it comes from."""
+        """Return the provenance that a program states."""
         return provenance.of(documents, _COMMENT)
 
 
 class Rapid:
-    """ABB RAPID, as it is written here."""
+    """ABB RAPID as this package writes it."""
 
     name = "rapid"
     extensions = (".mod", ".modx")

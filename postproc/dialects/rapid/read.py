@@ -1,12 +1,14 @@
-"""A RAPID module as `write` makes them, and no other: what cannot be followed statement by statement is refused.
+"""Reader of RAPID modules that `write` has written. Any other statement is refused, because its effect is not known.
 
-Numbers are taken as the controller holds them, in single precision.
+Numbers are taken as the controller stores them, in single precision.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
@@ -14,10 +16,9 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects import circles
-from postproc.dialects.rapid import instructions
+from postproc.dialects.rapid import language
 from postproc.dialects.rapid.conventions import joints_from_abb, poses, status_from_cfx
-from postproc.dialects.rapid.data import DECLARATION, Data
-from postproc.dialects.rapid.instructions import BEGIN, END, NO_EXTERNAL_AXES
+from postproc.dialects.rapid.language import BEGIN, END, NO_EXTERNAL_AXES
 from postproc.dialects.text import line_spans
 from postproc.errors import MOST, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, Array, inverse, xyzabc_from_pose
@@ -34,6 +35,90 @@ from postproc.program import (
     Starts,
     parse_force_note,
 )
+
+DECLARATION = re.compile(
+    r"LOCAL (?:PERS|CONST) (tooldata|wobjdata|speeddata|zonedata) ([A-Za-z]\w*):=(\[[^;]*\]);", re.ASCII
+)
+_FARTHEST = 1e6
+"""Largest coordinate of a frame [mm]."""
+
+
+class Data(Struct, eq=False):
+    """Tools, work objects, speeds and zones of a module, by name.
+
+    :ivar tools: `$TOOL` in the flange frame (4, 4) [m].
+    :ivar bases: `$BASE` in the robot root (4, 4) [m].
+    :ivar speeds: of the TCP [m/s].
+    :ivar zones: approximation distance [m]; 0 for fine.
+    """
+
+    tools: dict[str, Array] = field(default_factory=dict)
+    bases: dict[str, Array] = field(default_factory=dict)
+    speeds: dict[str, float] = field(default_factory=dict)
+    zones: dict[str, float] = field(default_factory=lambda: {"fine": 0.0})
+
+    def declare(self, kind: str, name: str, text: str) -> str | None:
+        """Add a declaration; return why it cannot be used, or None."""
+        try:
+            value = json.loads(text.replace("TRUE", "true").replace("FALSE", "false"))
+            _READERS[kind](self, name, value)
+        except (ValueError, TypeError, LookupError, RecursionError):
+            return f"the {kind} differs from what postproc writes"
+        return None
+
+
+def _pose(value: Any) -> Array:
+    place, turn = value
+    numbers = np.array([*place, *turn], dtype=np.float64)
+    norm = float(np.sqrt(numbers[3:] @ numbers[3:])) if numbers.shape == (7,) else 0.0
+    if not (np.abs(numbers) < _FARTHEST).all() or abs(norm - 1.0) > 1e-5:
+        raise ValueError
+    return np.asarray(poses(numbers[None])[0])
+
+
+def _tool(data: Data, name: str, value: Any) -> None:
+    held, frame, _load = value
+    if held is not True:
+        raise ValueError
+    data.tools[name] = _pose(frame)
+
+
+def _work_object(data: Data, name: str, value: Any) -> None:
+    held, fixed, unit, user, frame = value
+    if (held, fixed, unit) != (False, True, ""):
+        raise ValueError
+    data.bases[name] = _pose(user) @ _pose(frame)
+
+
+def _speed(data: Data, name: str, value: Any) -> None:
+    tcp, _turning, _linear, _rotating = (_single(number) for number in value)
+    if not 0.0 < tcp < _FARTHEST:
+        raise ValueError
+    data.speeds[name] = tcp * M_PER_MM
+
+
+def _zone(data: Data, name: str, value: Any) -> None:
+    fine, *distances = value
+    path, turning, *_others = (_single(number) for number in distances)
+    if fine is not False or len(distances) != 6 or not 0.0 < path <= turning < _FARTHEST:
+        raise ValueError
+    data.zones[name] = path * M_PER_MM
+
+
+def _single(number: Any) -> float:
+    """Return a number as the controller stores it."""
+    if isinstance(number, bool):
+        raise TypeError
+    return float(np.float32(number))
+
+
+_READERS: dict[str, Callable[[Data, str, Any], None]] = {
+    "tooldata": _tool,
+    "wobjdata": _work_object,
+    "speeddata": _speed,
+    "zonedata": _zone,
+}
+
 
 _N = r"([-+]?[0-9]{1,9}(?:\.[0-9]{1,12})?)"
 _I = r"(-?[0-9])"
@@ -53,7 +138,7 @@ _NOT_NORMALISED = 1e-4
 
 
 class Layout(Struct, frozen=True, eq=False):
-    """What the text of M motions commands.
+    """Commanded poses of M motions as written.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in the work objects.
     """
@@ -65,7 +150,7 @@ class Layout(Struct, frozen=True, eq=False):
 
 
 class _Moves(Struct, eq=False):
-    """What stands in the moves, row by row."""
+    """Texts of the moves, one entry a move."""
 
     line: list[int] = field(default_factory=list)
     kind: list[int] = field(default_factory=list)
@@ -87,15 +172,15 @@ _NOWHERE = ("nan",) * _COLUMNS
 def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
     """Read a RAPID module.
 
-    :param cell: where the robot stands first.
+    :param cell: its start position.
     :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
-    :raises InputError: it is not as `write` makes them; all such lines together, each with what to do.
+    :raises InputError: lines that `write` does not write, all together, each with advice.
     """
     return _Reader(document, cell).program(forward, name)
 
 
 class _Reader:
-    """Goes through the lines."""
+    """Reader of the lines of a module."""
 
     def __init__(self, document: Document, cell: Cell) -> None:
         self.document, self.cell = document, cell
@@ -139,13 +224,13 @@ class _Reader:
         )
 
     def _head(self, errors: list[InputError]) -> tuple[int, int]:
-        """Read declarations and what stands around the moves; return the rows of the lines between."""
+        """Read declarations and settings; return first and last row of the moves."""
         lines = self.lines
         code = [row for row, line in enumerate(lines) if line and not line.startswith("!")]
         begin = next((row for row in code if _PROCEDURE.fullmatch(lines[row])), None)
         ended = [lines[row] for row in code[-2:]] == ["ENDPROC", "ENDMODULE"]
         if not code or not _MODULE.fullmatch(lines[code[0]]) or begin is None or not ended:
-            raise self.error("this is not one module with one procedure, from MODULE to ENDMODULE", 1)
+            raise self.error("the file is not one module with one procedure", 1)
         for row in code[1 : code.index(begin)]:
             match = DECLARATION.fullmatch(lines[row])
             fault = self.data.declare(match[1], match[2], match[3]) if match else "the declaration is not understood"
@@ -155,11 +240,11 @@ class _Reader:
         settings = inside[: len(BEGIN)], inside[-len(END) :]
         for rows, given in zip(settings, (BEGIN, END), strict=True):
             if tuple(lines[row] for row in rows) != given:
-                raise self.error(f"the moves do not stand between {' '.join(BEGIN)} and {' '.join(END)}", begin + 1)
+                raise self.error(f"the moves are not between {' '.join(BEGIN)} and {' '.join(END)}", begin + 1)
         return settings[0][-1] + 1, settings[1][0]
 
     def _statement(self, line: int, text: str) -> None:
-        """Take one statement of the procedure."""
+        """Read one statement of the procedure."""
         if match := _MOVE.fullmatch(text):
             groups = match.groups()
             self.moves.add(line, _KINDS[groups[0]], groups[1 : 1 + _COLUMNS], groups[1 + _COLUMNS :])
@@ -175,10 +260,10 @@ class _Reader:
             if note is not None:
                 self.notes.append(replace(note, before=len(self.moves.line)))
         else:
-            fault = instructions.fault_of(text)
+            fault = language.line_fault(text)
             if fault is not None:
                 raise self.error(f"the statement is not understood: {fault}", line)
-            word = instructions.procedure(text) if text else None
+            word = language.procedure(text) if text else None
             if word is not None:
                 self.procedures.setdefault(word, (line, 0))
                 self.procedures[word] = (self.procedures[word][0], self.procedures[word][1] + 1)
@@ -240,7 +325,7 @@ class _Reader:
         )
 
     def _values(self, known: Mapping[str, float], names: list[str]) -> list[float]:
-        """Return what is declared under some names."""
+        """Return the declared values of names."""
         missing = next((row for row, name in enumerate(names) if name not in known), None)
         if missing is not None:
             raise self.error(f"{names[missing]} is not declared in this module", self.moves.line[missing])
@@ -249,7 +334,7 @@ class _Reader:
     def _check_quaternions(self, given: Array, line: Ints) -> None:
         off = np.abs(np.einsum("ni,ni->n", given[:, 3:7], given[:, 3:7]) - 1.0) > _NOT_NORMALISED
         if off.any():
-            raise self.error("the orientation is no unit quaternion", int(line[np.argmax(off)]))
+            raise self.error("the orientation is not a unit quaternion", int(line[np.argmax(off)]))
 
     def _arcs(self, starts: Starts, pose: Array, line: Ints, circular: Bools) -> tuple[Array, Array, Array]:
         """Return centre (M, 3), normal (M, 3) and sweep (M,) of circles; NaN elsewhere."""
@@ -265,15 +350,13 @@ class _Reader:
             centre[rows], normal[rows], sweep[rows], flat = circles.through(start, via, pose[rows, :3, 3])
             if flat.any():
                 at = int(line[rows[np.argmax(flat)]])
-                raise self.error("the three points of the circle lie on a line or coincide", at)
+                raise self.error("the three points of the circle are on a line or coincide", at)
         return centre, normal, sweep
 
     def _issues(self) -> Iterator[Issue]:
-        """Tell of procedures that may do anything."""
+        """Yield a warning for each procedure of the user."""
         for name, (line, count) in self.procedures.items():
-            message = (
-                f"{name} is no instruction known here: it is assumed not to move the robot, nor to change its data."
-            )
+            message = f"{name} is an unknown procedure: it is assumed neither to move the robot nor to change its data."
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
 
 

@@ -1,13 +1,13 @@
 r"""A new RAPID program: data, start position, moves, and the cell's lines for its events.
 
-Decisions, where ABB leaves a choice:
+Decisions where RAPID leaves a choice:
 
-- Targets stand in the instructions; tools, work objects, speeds and zones are data of the module, LOCAL to it.
+- Targets are written in the instructions; tools, work objects, speeds and zones are LOCAL data of the module.
 - The first move goes to joint angles (MoveAbsJ). Rapid approaches in joint interpolation are MoveJ, everything else is
-  MoveL or MoveC. ``ConfJ\On`` makes MoveJ arrive on the branch that its target names; with ``ConfL\Off`` MoveL and
-  MoveC stay on theirs, which they also name.
-- ``CirPathMode\ObjectFrame``: orientations turn in the work object along circles, as they are computed.
-- Before lines of the cell, dwells and stops the robot stops in a fine point, so that they happen there.
+  MoveL or MoveC. ``ConfJ\On`` makes MoveJ arrive on the branch of its target; with ``ConfL\Off`` MoveL and
+  MoveC keep their branch, which their targets state too.
+- ``CirPathMode\ObjectFrame``: along circles, orientations are interpolated in the work object, as in the computation.
+- The robot stops in a fine point before lines of the cell, dwells and stops, so that they happen at that point.
 - The zone of a move is a circle of the approximation distance around its end, for position and orientation alike.
 """
 
@@ -23,10 +23,9 @@ from postproc.decimals import Number, Part, lines
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
 from postproc.dialects.new_program import NewProgram, Words, check_name, number
-from postproc.dialects.rapid import instructions
+from postproc.dialects.rapid import language
 from postproc.dialects.rapid.conventions import abb_from_joints, configuration, quaternions
-from postproc.dialects.rapid.instructions import BEGIN, END, NO_EXTERNAL_AXES
-from postproc.dialects.rapid.names import PREFIX, fault_of, valid
+from postproc.dialects.rapid.language import BEGIN, END, NO_EXTERNAL_AXES, PREFIX, fault_of, valid
 from postproc.errors import CellError, Issue, group_issues
 from postproc.frames import MM_PER_M, Array
 from postproc.program import (
@@ -54,7 +53,7 @@ WORDS = Words("!", "WaitTime {};", "Stop;", _to_joints, encoding="ascii")
 _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
 _REORIENTATION, _EXTERNAL = 500.0, "5000,1000"
-"""Of speeddata, as those that the controller has: turning [deg/s], external axes [mm/s, deg/s]."""
+"""Other numbers of speeddata, as in the controller's own: rotation [deg/s], external axes [mm/s, deg/s]."""
 _NO_LOAD = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
 """The load of tool0."""
 _SPEED_DECIMALS = 3
@@ -65,18 +64,18 @@ def write(
 ) -> Written:
     """Return a program read from G-code as RAPID.
 
-    :param joints: where the branch of each target is taken from.
+    :param joints: joint angles of the targets, which give their branches.
     :param carried: forces to be written as comments, on lines before their targets.
     :returns: one document, ``NAME.mod``, CR LF.
-    :raises ProgramError: the name is not one of RAPID; a move has no feed, or one that would be printed as 0.
-    :raises CellError: a line of the cell is no RAPID.
+    :raises ProgramError: the name is not valid in RAPID; a move has no feed, or one that would be printed as 0.
+    :raises CellError: a line of the cell is not RAPID.
     """
     check_name(program, "RAPID", fault_of, valid)
     return _Writer(program, targets, joints, cell, carried).written()
 
 
 class _Writer:
-    """Prints all targets at once, between what `NewProgram` collects."""
+    """Writer of all targets at once, with the lines that `NewProgram` collects between them."""
 
     def __init__(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
@@ -89,7 +88,7 @@ class _Writer:
         """Return the document."""
         new, program = self.new, self.program
         for _ in new.frame_changes():
-            pass  # each target names its frames; the robot has to stop there all the same
+            pass  # each target names its frames, but the robot must stop there
         new.events()
         self._check_lines()
         distances = new.distances()
@@ -103,25 +102,25 @@ class _Writer:
         text, output_line = new.joined(head, printed, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
         limit = self.cell.output.lines_per_file
         if limit and text.count("\n") > limit:
-            message = f"The module has more than {limit} lines: lines_per_file divides KRL, a module stays one file."
+            message = f"The module has more than {limit} lines: lines_per_file divides only KRL."
             new.issues.append(Issue("warning", "long-file", message))
         document = Document(f"{program.name}.mod", text, "ascii")
         return Written((document,), output_line, "rapid", group_issues(new.issues))
 
     def _check_lines(self) -> None:
-        """Refuse lines of the cell that are no RAPID, or that move the robot; set in those that are."""
+        """Refuse lines of the cell that are not RAPID or move the robot; indent the others."""
         for k, own in self.new.before.items():
             for line in own:
-                fault = instructions.fault_of(line)
+                fault = language.line_fault(line)
                 if fault is not None:
                     raise CellError(
-                        f"a line of [gcode] cannot stand in a RAPID program: {line!r}: {fault}",
+                        f"a line of [gcode] is not allowed in a RAPID program: {line!r}: {fault}",
                         advice='Write it as RAPID in the cell, for example spindle_on = ["SetDO doSpindle,1;"].',
                     )
             self.new.before[k] = [f"    {line}" for line in own]
 
     def _speeds(self) -> Array:
-        """Return the speeds that the program needs (S, 2) [mm/s, deg/s], MoveJ's first, and note those of targets."""
+        """Return the distinct speeds (S, 2) [mm/s, deg/s], MoveJ's first; store the index of each target."""
         path, millionths = self.new.speeds()
         steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3)) / 10.0**_SPEED_DECIMALS
         turns = np.nan_to_num(self.new.turning_speeds()[path], nan=_REORIENTATION)
@@ -140,7 +139,7 @@ class _Writer:
             self.new.before[k].append(f"    {text}")
 
     def _head(self, zones: Array, speeds: Array) -> list[str]:
-        """Return the lines down to the start position."""
+        """Return the lines up to the start position."""
         program, cell = self.program, self.cell
         start = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(cell.start_joints) + 0.0).tolist())
         base, tool = self.new.frames(0)
@@ -168,14 +167,14 @@ class _Writer:
         ]
 
     def _load(self) -> str:
-        """Return the loaddata of the tools: the payload of the cell; without one that of tool0, and tell the user."""
+        """Return the loaddata of the tools: the payload of the cell, or that of tool0 with a warning."""
         payload = self.cell.payload
         if payload.mass_kg > 0.0:
             centre = ",".join(number(value) for value in (payload.X, payload.Y, payload.Z))
             return f"[{number(payload.mass_kg)},[{centre}],[1,0,0,0],0,0,0]"
         message = (
-            "The tool data have no load: [payload] of the cell has none. Set it in the controller before the program "
-            "runs, by LoadIdentify for example."
+            "The tool data have no load, because the cell has no [payload]. Set the load in the controller before the "
+            "program runs, for example with LoadIdentify."
         )
         self.new.issues.append(Issue("warning", "tool-load", message))
         return _NO_LOAD
@@ -230,7 +229,7 @@ def _frame(pose: Array) -> str:
 
 
 def _zone(distance: float) -> str:
-    """Return zonedata of an approximation distance [m]: reorientation begins where the path does."""
+    """Return zonedata of an approximation distance [m]; reorientation begins with the path."""
     mm = number(distance * MM_PER_M)
     tenth = number(0.1 * distance * MM_PER_M)
     return f"[FALSE,{mm},{mm},{mm},{tenth},{mm},{tenth}]"
