@@ -1,16 +1,18 @@
-"""Size and language of the project: `python -m tests.measure [FOLDER]`.
+"""Size and language of the project: `python -m tests.measure [PART …] [--folder FOLDER]`, e.g. `dialects.krl`.
 
-Prints for each package its lines, files, modules with exactly one client, share of import lines, regular expressions
-and idioms; and for each page of documentation its words, words a sentence, longest paragraph and idioms. An idiom is an
+Prints for each package, and for each sub-package of the parts given, its lines, files, modules with exactly one
+client, share of import lines, regular expressions (all, and those outside of modules that split text into tokens) and
+idioms; and for each page of documentation its words, words a sentence, longest paragraph and idioms. An idiom is an
 expression of `IDIOMS` in a name, docstring, comment or message: they have plainer words.
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
 import re
-import sys
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,14 +21,15 @@ IDIOMS = re.compile(
     r"|so many|comes? along|came along|spared|houses?|floors?|lies off|a stranger|nobody)\b",
     re.IGNORECASE,
 )
+TOKENS = {"tokens", "bulk", "plain_lines", "plain_settings", "words"}
+"""Modules that split text into tokens: regular expressions belong there."""
 _REGEX = re.compile(r"\bre\.(compile|match|fullmatch|search|sub|finditer|findall|split)\(")
 
 
 @dataclass
 class Module:
-    """A module: its package, lines, lines of imports, the modules it imports, regular expressions, idioms."""
+    """A module: its lines, lines of imports, the modules it imports, regular expressions, idioms."""
 
-    package: str
     lines: int
     imports: int
     targets: set[str]
@@ -44,9 +47,7 @@ def modules_of(folder: Path) -> dict[str, Module]:
         targets = {target for node in nodes for target in _targets(node, names)} - {name}
         lines = sum((node.end_lineno or node.lineno) - node.lineno + 1 for node in nodes)
         count = len(text.splitlines())
-        out[name] = Module(
-            _package(name), count, lines, targets, len(_REGEX.findall(text)), len(IDIOMS.findall(_spaced(text)))
-        )
+        out[name] = Module(count, lines, targets, len(_REGEX.findall(text)), len(IDIOMS.findall(_spaced(text))))
     return out
 
 
@@ -78,10 +79,16 @@ def _dotted(folder: Path, path: Path) -> str:
     return ".".join(path.relative_to(folder.parent).with_suffix("").parts).removesuffix(".__init__")
 
 
-def _package(name: str) -> str:
-    parts = name.split(".")
-    depth = 3 if parts[1:2] == ["dialects"] else 2
-    return ".".join(parts[1:depth]) or parts[0]
+def _packages(name: str, parts: Sequence[str]) -> set[str]:
+    """The packages that a module is counted in, below the top one."""
+    levels = name.split(".")[1:]
+    within = {".".join(levels[:depth]) for depth in range(1, len(levels) + 1)}
+    wanted = {levels[0]} if levels else set()
+    for part in (*parts, "dialects"):
+        depth = part.count(".") + 2
+        if part in within and len(levels) >= depth:
+            wanted.add(".".join(levels[:depth]))
+    return wanted | {"all"}
 
 
 def _targets(node: ast.Import | ast.ImportFrom, names: dict[str, Path]) -> set[str]:
@@ -97,22 +104,24 @@ def _spaced(text: str) -> str:
     return text.replace("_", " ")
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, parts: Sequence[str]) -> None:
     """Print both tables."""
     modules = modules_of(folder / "postproc")
     single = single_clients(modules)
-    packages: defaultdict[str, list[tuple[str, Module]]] = defaultdict(list)
-    for name, module in modules.items():
-        packages[module.package].append((name, module))
-        packages["all"].append((name, module))
-    print(f"{'package':<24}{'lines':>8}{'files':>7}{'one client':>12}{'imports':>9}{'regex':>7}{'idioms':>8}")
-    for package, found in sorted(packages.items(), key=lambda item: -sum(module.lines for _, module in item[1])):
-        lines = sum(module.lines for _, module in found)
-        imports = sum(module.imports for _, module in found)
+    packages: defaultdict[str, list[str]] = defaultdict(list)
+    for name in modules:
+        for package in _packages(name, parts):
+            packages[package].append(name)
+    titles = f"{'lines':>8}{'files':>7}{'one client':>12}{'imports':>9}{'regex':>7}{'outside':>9}{'idioms':>8}"
+    print(f"{'package':<24}{titles}")
+    for package, names in sorted(packages.items(), key=lambda item: -sum(modules[name].lines for name in item[1])):
+        found = [modules[name] for name in names]
+        lines = sum(module.lines for module in found)
+        outside = sum(modules[name].regexes for name in names if name.rpartition(".")[2] not in TOKENS)
         print(
-            f"{package:<24}{lines:>8}{len(found):>7}{sum(name in single for name, _ in found):>12}"
-            f"{imports / max(1, lines):>9.1%}{sum(module.regexes for _, module in found):>7}"
-            f"{sum(module.idioms for _, module in found):>8}"
+            f"{package:<24}{lines:>8}{len(found):>7}{sum(name in single for name in names):>12}"
+            f"{sum(module.imports for module in found) / max(1, lines):>9.1%}"
+            f"{sum(module.regexes for module in found):>7}{outside:>9}{sum(module.idioms for module in found):>8}"
         )
     print(f"\n{'page':<40}{'words':>7}{'a sentence':>12}{'paragraph':>11}{'idioms':>8}")
     for page in [*sorted(folder.glob("*.md")), *sorted(folder.glob("docs/**/*.md"))]:
@@ -122,4 +131,8 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if sys.argv[1:] else Path(__file__).resolve().parent.parent)
+    options = argparse.ArgumentParser(description="Size and language of the project.")
+    options.add_argument("parts", nargs="*", help="packages whose sub-packages are listed too")
+    options.add_argument("--folder", type=Path, default=Path(__file__).resolve().parent.parent)
+    given = options.parse_args()
+    main(given.folder, given.parts)
