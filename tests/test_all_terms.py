@@ -25,6 +25,7 @@ from postproc.robot.model_file import (
     Stiffening,
     TransmissionEntry,
 )
+from tests.oracle import whole_arm
 from tests.oracle.whole_arm import WholeArm, slopes, twist
 from tests.test_pinocchio import any_urdf
 
@@ -33,6 +34,7 @@ KUKA = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
 PLAIN = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
 TOOL = frames.pose_from_xyzabc([230.0, -120.0, 350.0, 10.0, -20.0, 30.0])
 PAYLOAD = (60.0, (0.1, -0.2, 0.15))
+NO_PAYLOAD = (0.0, (0.0, 0.0, 0.0))
 GRAVITIES = [Gravity(reference, in_gears) for reference in ("calibrated", "rigid") for in_gears in (False, True)]
 
 
@@ -189,9 +191,17 @@ def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_o
             )
 
 
+def straight(arm):
+    """The arm whose gears give way in proportion to the torque, by their whole compliance."""
+    linear = arm.linear.copy()
+    for function, row, _, value in arm.parts:
+        linear[row] += value * (function in (whole_arm._fading, whole_arm._knee))
+    return arm.but(linear=linear, parts=[])
+
+
 def at_first_order(arm, q, tool, wrench):
-    """Displacement (3,) under a small load: J (C⁻¹ + U_c″)⁻¹ JᵀF with C the slopes of the springs at rest."""
-    tcp, _, bare = arm.loads(tool)
+    """Displacement (3,) under a small load and the payload: J (C⁻¹ + U_c″)⁻¹ τ, C the slopes of the springs at rest."""
+    tcp, loaded, bare = arm.loads(tool)
     x = arm.held_by_motors(q)
     rest = -bare(x) if arm.rigid or arm.in_gears else 0.0 * x
     h = np.full(len(x), 1e-2)  # N·m, N
@@ -201,14 +211,19 @@ def at_first_order(arm, q, tool, wrench):
     stiffer = np.zeros((len(x), len(x)))
     stiffer[second, second] = (arm.compensator(at + step) - arm.compensator(at - step)) / (2 * step)
     jacobian = tcp(x)[1]
-    theta = np.linalg.solve(np.eye(len(x)) + np.diag(compliance) @ stiffer, compliance * (jacobian.T @ wrench))
+    theta = np.linalg.solve(
+        np.eye(len(x)) + np.diag(compliance) @ stiffer, compliance * (jacobian.T @ wrench - loaded(x) + bare(x))
+    )
     return jacobian[:3] @ theta
 
 
 @STATES
 @ARMS
-def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(seed, gravity):
-    model, arm, q, wrench = arms(seed, gravity)
+@pytest.mark.parametrize("payload", [NO_PAYLOAD, PAYLOAD], ids=["alone", "payload"])
+def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(payload, seed, gravity):
+    model, arm, q, wrench = arms(seed, gravity, payload)
+    if payload is PAYLOAD:  # what it bends is no small load to gears that stiffen
+        model, arm = replace(model, terms=()), straight(arm)
     names = all_names(model)
     model = replace(model, covariance=robot.Covariance.of(names, np.eye(len(names))))
     small = wrench * 1e-6  # torques of some mN·m: what gears that stiffen add to them is below the tolerance
@@ -223,8 +238,9 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(seed,
             slope[n, :, column] = (other - one) / (2 * step)
     usual = np.array([parameter.usual for parameter in order])
     scale = np.abs(slope).max(axis=(0, 1))
-    felt = gravity.in_gears or gravity.reference == "rigid"
-    none = [name for name, size in zip(names, scale, strict=True) if size == 0.0 and "backlash" not in name]
+    felt = model.terms and (gravity.in_gears or gravity.reference == "rigid")
+    counts = scale * usual > 1e-9 * (scale * usual).max()
+    none = [name for name, each in zip(names, counts, strict=True) if not each and "backlash" not in name]
     assert none == ([] if felt else names[-3:])  # and backlash of gears that the weights press to one side
     rounding = 1e-7 * (scale * usual).max() / usual
     for column, name in enumerate(names):
@@ -280,7 +296,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     assert found.value.rows == (1,)
     monkeypatch.setattr(elastostatics.equilibrium, "_MAX_ITERATIONS", 1)
     still = wrench * [[1.0], [0.0], [1.0]]
-    model, _, q, _ = arms(0, GRAVITIES[0], payload=(0.0, (0.0, 0.0, 0.0)))
+    model, _, q, _ = arms(0, GRAVITIES[0], payload=NO_PAYLOAD)
     with pytest.raises(NotConvergedError, match="not found") as found:
         elastostatics.deflect(model, q, TOOL, still)  # row 1 has no load: it does not move
     assert found.value.rows == (0, 2)
@@ -346,6 +362,7 @@ def test_the_length_bound_is_the_quantile_of_lengths_whatever_the_shape_of_the_c
 
 def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covariances():
     model, _, q, wrench = arms(0, GRAVITIES[0])
+    model = replace(model, terms=())
     rng = np.random.default_rng(8)
     names = ["k1", "k2", "k5", "K_c", "A2.Y"]
     factor = rng.normal(size=(5, 5)) * np.array([0.1, 0.3, 0.1, 5e4, 2e-3])[:, None]
@@ -383,6 +400,32 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
     whole = by_parameters + by_force[1] + by_discrepancy + by_geometry
     found = elastostatics.position_bound(everything[0], q, TOOL, wrench, *everything[1:])
     np.testing.assert_allclose(found, [length_95(one) for one in whole], rtol=0.02)
+
+
+@STATES
+def test_the_bound_counts_the_flanks_of_gears_by_how_far_their_torque_is_from_turning_over(gravity):
+    model, arm, q, wrench = arms(0, gravity)
+    wrench *= 0.05  # torques that are near to turning gears over
+    turning = np.zeros((3, 6), dtype=bool)
+    turning[1, [0, 4]] = True
+    model = replace(model, covariance=robot.Covariance.of([], np.zeros((0, 0))))
+    found = elastostatics.position_bound(model, q, TOOL, wrench, turning=turning)
+    expected = []
+    for n in range(3):
+        tcp, loaded, bare = arm.loads(TOOL)
+        x = arm.held_by_motors(q[n])
+        jacobian, rest = tcp(x)[1], 0.0 * x if arm.rigid else bare(x)
+        torque = jacobian.T @ wrench[n] - loaded(x) + rest
+        by_load = torque + bare(x) if arm.rigid else torque
+        pressed = torque - rest if arm.in_gears else torque
+        covariance = np.zeros((3, 3))
+        for function, row, scale, value in arm.parts:
+            if function in (whole_arm._backlash, None):
+                share = 1.0 - np.tanh((by_load if function is None else pressed)[row] / scale) ** 2
+                reach = jacobian[:3, row]
+                covariance += value**2 * (1.0 if turning[n, arm.rows.index(row)] else share) * np.outer(reach, reach)
+        expected.append(length_95(covariance))
+    np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
 def test_sensitivity_without_parameters_is_empty_and_with_a_spring_that_is_none_an_error():
