@@ -80,7 +80,8 @@ def test_a_number_of_a_target_that_is_another_one(monkeypatch, kind, name):
     """Positions by 2 µm, angles by 1e-4°: twice what printing may do."""
     tampered(monkeypatch, shifted(of_line(kind, name), 2e-3 if name in "XYZ" else 1.2e-4))
     result = convert()
-    assert [kind for kind, _ in errors(result)] == ["read-back"]
+    assert errors(result) == [("read-back", 6 if kind == "LIN" else 4)]
+    assert [issue.count for issue in result.issues if issue.level == "error"] == [1]
     assert result.documents == ()
 
 

@@ -65,6 +65,8 @@ def test_a_source_wins_over_comments_for_the_motions_it_knows():
         ({"sigma": np.full((2, 6), -1.0)}, "no finite standard deviation"),
         ({"frame": np.array([BASE, FEED])}, "two frames on one motion"),
         ({"frame": np.array([7, 7])}, "an unknown frame"),
+        ({"frame": np.array([3, 3])}, "an unknown frame"),
+        ({"frame": np.array([-1, -1])}, "an unknown frame"),
         ({"ramped": np.array([True, True])}, "a ramped motion with several knots"),
         ({"wrench": np.zeros((3, 6))}, "do not have one row a knot"),
     ],
@@ -72,8 +74,18 @@ def test_a_source_wins_over_comments_for_the_motions_it_knows():
 def test_what_a_source_must_not_give_is_told_with_its_name_and_line(changes, message):
     with pytest.raises(ForceError, match=f"rising.*{message}|{message}.*rising|rising.*"):
         put_on(rising(**changes))
-    with pytest.raises(ForceError, match=message):
+    with pytest.raises(ForceError, match=message) as caught:
         put_on(rising(**changes))
+    if "one row a knot" not in message and "does not exist" not in message:
+        assert caught.value.line == (3 if message == "motions out of order" else 2)
+
+
+def test_deviations_of_knots_are_those_given_or_none():
+    motion, wrench, frame, sigma = np.array([1, 2]), np.ones((2, 6)), np.zeros(2, dtype=int), np.full((2, 6), 3.0)
+    for made in (Knots.throughout(motion, wrench, frame, sigma), Knots.along(motion, np.ones(2), wrench, frame, sigma)):
+        np.testing.assert_array_equal(made.sigma, sigma)
+    for made in (Knots.throughout(motion, wrench, frame), Knots.along(motion, np.ones(2), wrench, frame)):
+        np.testing.assert_array_equal(made.sigma, np.zeros((2, 6)))
 
 
 def added(monkeypatch, **entries):

@@ -134,6 +134,8 @@ def moves(wrench):
 def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
     rng, made = np.random.default_rng(seed), mixed()
     knots = random_knots(rng, made)
+    knots.wrench[np.ix_(knots.motion == 6, [0, 1, 3, 4])] = 0.0  # along the spindle alone
+    knots.frame[knots.motion == 6] = FEED
     keep = knots.motion == 3  # on this line the force goes straight on through its knots, but for one
     knots.wrench[keep] = 50.0 * knots.t[keep, None] + np.where(knots.t[keep, None] > 0.6, 9.0, 0.0)
     path = toolpath.segments(made, START)
@@ -364,6 +366,8 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
     arrive = toolpath.tangent(made, path, targets.motion, targets.t)
     wrench = load.at(toolpath.at(made, path, targets.motion, targets.t))
     at_end = forces.of_targets(load, targets, arrive, wrench)
+    acts = wrench.any(axis=1)  # every motion turns the tool: forces keep their axes
+    np.testing.assert_array_equal(at_end.frame, np.where(acts, load.frame[targets.motion], BASE))
     other = toolpath.segments(written, START)
     row = np.arange(len(targets))
     travel, _ = forces.last_travel(written, other, "+Z")
@@ -388,3 +392,45 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
             np.testing.assert_allclose(
                 np.trace(written_, axis1=2, axis2=3), np.trace(covariance, axis1=2, axis2=3), atol=1e-6
             )
+
+
+def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
+    made = plain()
+    path, targets, written = divided(made, [np.array([1.0]), *[np.array([0.5, 1.0])] * 4])
+    rng = np.random.default_rng(1)
+    wrench, sigma = rng.normal(0.0, 9.0, (4, 6)), rng.uniform(1.0, 2.0, (4, 6))
+    motion = np.repeat(np.arange(1, 5), 2)
+    columns = [np.repeat(values, 2, axis=0) for values in (wrench, sigma)]
+    columns[1][5, 3] += 1.0  # a deviation that changes on the third of them
+    knots = Knots.along(motion, np.tile([0.2, 0.8], 4), columns[0], np.repeat([FEED, TOOL, FEED, TOOL], 2), columns[1])
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    there = load.at(toolpath.at(made, path, targets.motion, targets.t))
+    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), there)
+    other = toolpath.segments(written, START)
+    axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
+    found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))
+    assert np.bincount(found.motion).tolist() == [1, 1, 1, 1, 1, 3, 3, 1, 1]
+
+
+def test_on_a_plunge_the_travel_of_another_base_keeps_its_direction_in_the_root():
+    """Bases that are turned in all three angles."""
+    bases = frames.pose_from_xyzabc([[1500.0, 0, 700, 20, -35, 50], [1400.0, 100, 650, -70, 15, -100]])
+    made = program([("PTP", 0, 0, 0), ("LIN", 30, 20, 10), ("LIN", 0, 0, 0)], bases=bases, base=[0, 0, 1])
+    target, r = made.motions.target.copy(), bases[:, :3, :3]
+    spindle = unit(0.2, -0.3, -1.0)
+    down = np.linalg.qr(np.stack([spindle, (1, 0, 0), (0, 1, 0)], axis=1))[0][:, [1, 2, 0]]
+    down *= np.sign(down[:, 2] @ spindle)
+    for k in (0, 1):
+        target[k, :3, :3] = down
+    in_other = np.linalg.inv(bases[1]) @ bases[0] @ target[1]
+    target[2] = in_other
+    target[2, :3, 3] += 0.02 * in_other[:3, 2]
+    made = replace(made, motions=replace(made.motions, target=target))
+    path = toolpath.segments(made, np.eye(4))
+    last, needs = forces.last_travel(made, path, "+Z")
+    assert needs.tolist() == [True, False, True]
+    travel = target[1, :3, 3] - target[0, :3, 3]
+    z = -down[:, 2]
+    x = travel - (travel @ z) * z
+    np.testing.assert_allclose(last[2], r[1].T @ r[0] @ x / np.linalg.norm(x), atol=1e-12)
+    np.testing.assert_allclose(last[0], x / np.linalg.norm(x), atol=1e-12)

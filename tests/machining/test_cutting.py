@@ -139,7 +139,9 @@ def peak_by_turning(cutter, law, feed, descent, begin, end):
     [
         (FLAT, 1e-4, 0.0, 0.0, np.pi), (FLAT, 1e-4, 0.0, 2.2, np.pi), (BULL, 1e-4, 0.0, 0.0, 1.0),
         (BALL, 1e-4, 0.0, 0.5, 2.0), (Cutter(5e-3, 0.0, 4, helix=0.6), 1e-4, 0.0, 2.4, np.pi),
-        (Cutter(5e-3, 0.0, 2, helix=0.8), 1e-4, 0.0, 0.3, 1.2), (DRILL, 0.0, 5e-5, 0.0, 2.0 * np.pi),
+        (Cutter(5e-3, 0.0, 2, helix=0.8), 1e-4, 0.0, 0.3, 1.2),
+        (Cutter(5e-3, 0.0, 4, helix=0.2), 1e-4, 0.0, 2.6, np.pi),
+        (Cutter(5e-3, 0.0, 3, helix=0.3), 1e-4, 0.0, 0.4, 0.9), (DRILL, 0.0, 5e-5, 0.0, 2.0 * np.pi),
         (Cutter(8e-3, 2e-3, 3, helix=0.5), 1e-4, 3e-5, 0.2, 2.5),
     ],
 )  # fmt: skip
@@ -149,7 +151,7 @@ def test_peak_within_a_turn_is_that_of_teeth_that_turn(cutter, feed, descent, be
     chip = cutting.chips(turn, n * np.float32(feed), n * np.float32(descent))
     force, torque = cutting.peak(turn, engaged_of(turn, begin, end, in_part=False), chip, cutter)
     most, turning = peak_by_turning(cutter, LINEAR, feed, descent, begin, end)
-    allowed = 0.05 if cutter.helix == 0.0 else 0.12  # the helix is taken in six steps
+    allowed = 0.05 if cutter.helix < 0.4 else 0.12  # the helix is taken in six steps
     assert force[0] == pytest.approx(most, rel=allowed)
     assert torque[0] == pytest.approx(turning, rel=allowed)
 
