@@ -199,3 +199,22 @@ def test_at_the_pole_a_is_zero_and_close_to_it_a_is_found(a, b, c):
     np.testing.assert_allclose(at[[0, 1, 2, 3, 4]], [1.0, -2.0, 3.0, 0.0, b], rtol=0, atol=1e-6)
     near = frames.xyzabc_from_pose(frames.pose_from_xyzabc([0.0, 0, 0, a, b * (1.0 - 1e-6), c]))
     assert (near[3] - a + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-4)
+
+
+def test_any_number_of_leading_axes_is_worked_on_pose_by_pose():
+    one, other = random_poses(6).reshape(2, 3, 4, 4), random_poses(6, 4).reshape(2, 3, 4, 4)
+    twist = np.random.default_rng(7).normal(size=(2, 3, 6))
+    for index in np.ndindex(2, 3):
+        a, b, t = one[index], other[index], twist[index]
+        for together, alone in (
+            (frames.displaced(one, twist), frames.displaced(a, t)),
+            (frames.displaced(one[0, 0], twist), frames.displaced(one[0, 0], t)),
+            (frames.displaced(one, twist[0, 0]), frames.displaced(a, twist[0, 0])),
+            (frames.twist_between(one, other), frames.twist_between(a, b)),
+            (frames.inverse(one), frames.inverse(a)),
+            (frames.xyzabc_from_pose(one), frames.xyzabc_from_pose(a)),
+            (frames.pose_from_xyzabc(twist), frames.pose_from_xyzabc(t)),
+            (frames.hat(twist[..., :3]), frames.hat(t[:3])),
+            (frames.interpolated(one, other, np.full((2, 3), 0.3)), frames.interpolated(a, b, np.array(0.3))),
+        ):
+            np.testing.assert_allclose(together[index], alone, rtol=0, atol=1e-12)
