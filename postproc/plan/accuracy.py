@@ -13,8 +13,7 @@ from msgspec import Struct
 from postproc.frames import Array
 from postproc.identification.fit import NORMAL_95
 from postproc.identification.observability import UNCERTAIN
-from postproc.plan.joint2 import Joint2
-from postproc.plan.measured import Measured
+from postproc.plan.criterion import Joint2, Measured
 from postproc.plan.milling import TestPoses
 from postproc.plan.sensitivity import Readings
 from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter

@@ -13,10 +13,8 @@ from msgspec import Struct
 
 from postproc import kinematics
 from postproc.frames import Array
-from postproc.plan.arm import Posed
-from postproc.plan.sensitivity import direction
-from postproc.plan.shapes import BoxShape, MeshShape, along, between_segments
-from postproc.plan.site import Site
+from postproc.plan.sensitivity import Posed, direction
+from postproc.plan.site import BoxShape, MeshShape, Site, along, between_segments
 from postproc.program import Bools, Ints
 
 _ROPE = 0.01

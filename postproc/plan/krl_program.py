@@ -5,7 +5,7 @@ from __future__ import annotations
 from postproc.cell import Cell
 from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.frames import DEG_PER_RAD, Array
-from postproc.plan.measurement_plan import PlanResult
+from postproc.plan.planning import PlanResult
 from postproc.program import WRENCH, Document
 
 _SPEED_PERCENT = 10

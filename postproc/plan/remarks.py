@@ -7,7 +7,7 @@ import numpy as np
 from postproc.errors import PlanError
 from postproc.frames import MM_PER_M, Array
 from postproc.plan.accuracy import Accuracy
-from postproc.plan.joint2 import Joint2
+from postproc.plan.criterion import Joint2
 from postproc.plan.milling import TestPoses
 from postproc.plan.site import Site
 from postproc.program import Ints

@@ -1,4 +1,7 @@
-"""Where the robot is measured, in SI units: rig, shape of the arm, obstacles, tracker, limits."""
+"""Where the robot is measured, in SI units: rig, shape of the arm, obstacles, tracker, limits.
+
+Obstacles are boxes and meshes; their distances from many points or segments are computed at once.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,139 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.errors import PlanError
-from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
-from postproc.identification.experiment import Experiment
+from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, inverse
+from postproc.identification.experiment import Box, Experiment, MeshFile
 from postproc.kinematics.forward import GRAVITY
-from postproc.plan.arm import Arm
-from postproc.plan.shapes import BoxShape, MeshShape
+from postproc.plan.sensitivity import Arm
+from postproc.program import Bools
 from postproc.robot import RobotModel
+
+_SPACING = 0.04
+"""Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
+_MOST_VERTICES = 400_000
+_NEAR = 0.005
+_POINT = 1e-12
+"""Square of a length [m²] below which a segment is a point."""
+
+
+def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
+    """Return distances (...) [m] between segments p–p_end and r–r_end, each (..., 3) (Ericson, "Real-Time Collision
+    Detection", 2005, 5.1.9).
+    """
+    u, v, w = p_end - p, r_end - r, p - r
+    a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
+    d, e = _dot(u, w), _dot(v, w)
+    denominator = a * c - b * b
+    skew = denominator > _POINT
+    s = np.where(skew, np.clip((b * e - c * d) / np.where(skew, denominator, 1.0), 0.0, 1.0), 0.0)
+    t = np.where(c > _POINT, (b * s + e) / np.where(c > _POINT, c, 1.0), 0.0)
+    outside = ((t < 0.0) | (t > 1.0) | (c <= _POINT)) & (a > _POINT)
+    t = np.clip(t, 0.0, 1.0)
+    s = np.where(outside, np.clip((b * t - d) / np.where(a > _POINT, a, 1.0), 0.0, 1.0), s)
+    gap = w + s[..., None] * u - t[..., None] * v
+    return np.sqrt(_dot(gap, gap))
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", one, other))
+
+
+def along(start: Array, end: Array, length: float) -> Array:
+    """Return points (..., n, 3) on segments (..., 3) of at most `length` [m], evenly spaced, ends included."""
+    count = max(2, int(np.ceil(length / _SPACING)) + 1)
+    t = np.linspace(0.0, 1.0, count)[:, None]
+    return np.asarray(start[..., None, :] * (1.0 - t) + end[..., None, :] * t)
+
+
+class BoxShape(Struct, frozen=True, eq=False):
+    """A box: `to_box` (4, 4) maps the root to its frame, half sizes `half` (3,) [m]."""
+
+    name: str
+    to_box: Array
+    half: Array
+
+    @classmethod
+    def of(cls, box: Box, number: int) -> BoxShape:
+        """Take a box of the experiment."""
+        name = box.name or str(number)
+        return cls(f"box {name}", inverse(box.pose()), 0.5 * np.array(box.size) * M_PER_MM)
+
+    def distance(self, point: Array) -> Array:
+        """Return signed distances (...) of points (..., 3) [m]; negative inside."""
+        beyond = np.abs(point @ self.to_box[:3, :3].T + self.to_box[:3, 3]) - self.half
+        return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0))
+
+    def blocks(self, start: Array, end: Array) -> Bools:
+        """Return (...) True where a line of sight (..., 3) passes through the box (slabs, Kay and Kajiya 1986)."""
+        p = start @ self.to_box[:3, :3].T + self.to_box[:3, 3]
+        d = end @ self.to_box[:3, :3].T + self.to_box[:3, 3] - p
+        d = np.where(np.abs(d) > 1e-12, d, 1e-12)
+        one, other = (-self.half - p) / d, (self.half - p) / d
+        enter, leave = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+        return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
+
+
+class MeshShape(Struct, frozen=True, eq=False):
+    """A mesh as its vertices, after splitting all edges to at most 40 mm.
+
+    No point of the surface is farther than `between` from a vertex, so that the distance to the nearest vertex less
+    `between` is on the safe side. The arm begins outside and is checked all along: it cannot be inside unnoticed.
+    """
+
+    name: str
+    vertices: Array
+    between: float
+    tree: object
+
+    @classmethod
+    def of(cls, mesh: MeshFile, folder: Path) -> MeshShape:
+        """Read a mesh of the experiment (mm, unless `scale` says otherwise).
+
+        :raises PlanError: the file cannot be read or holds no surface.
+        """
+        import trimesh
+        from scipy.spatial import cKDTree
+
+        path = folder / mesh.file.replace("\\", "/")
+        if not path.is_file():
+            raise PlanError("no such file", file=str(path), advice="[[meshes]] file is relative to the experiment.")
+        try:
+            shape = trimesh.load(path, force="mesh")
+        except (ValueError, OSError, KeyError, IndexError, TypeError, NotImplementedError) as cause:
+            raise PlanError(f"not a mesh that trimesh reads ({cause})", file=str(path)) from cause
+        vertices = np.asarray(getattr(shape, "vertices", np.zeros((0, 3))), dtype=float)
+        faces = np.asarray(getattr(shape, "faces", np.zeros((0, 3))), dtype=np.int64)
+        if len(faces) == 0 or not np.isfinite(vertices).all():
+            raise PlanError("the mesh has no surface", file=str(path))
+        vertices = vertices * (M_PER_MM * mesh.scale)
+        area = float(trimesh.Trimesh(vertices, faces, process=False).area)
+        edge = max(_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
+        split, _ = trimesh.remesh.subdivide_to_size(vertices, faces, edge, max_iter=30)  # type: ignore[no-untyped-call]
+        pose = mesh.pose()
+        placed = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)
+        return cls(f"mesh {mesh.file}", placed, edge / np.sqrt(3.0), cKDTree(placed))
+
+    def distance(self, point: Array) -> Array:
+        """Return distances (...) of points (..., 3) [m] from the surface, at most what they are."""
+        found, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
+        return np.asarray(found).reshape(point.shape[:-1]) - self.between
+
+    def blocks(self, start: Array, end: Array) -> Bools:
+        """Return (...) True where a line of sight (..., 3) comes too near the surface (sphere tracing)."""
+        start, end = (np.ascontiguousarray(side) for side in np.broadcast_arrays(start, end))
+        shape = start.shape[:-1]
+        start, end = start.reshape(-1, 3), end.reshape(-1, 3)
+        length = np.linalg.norm(end - start, axis=-1)
+        travelled, hit = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
+        rows = np.arange(len(start))
+        while len(rows):
+            share = travelled[rows] / np.maximum(length[rows], 1e-9)
+            free = self.distance(start[rows] + (end[rows] - start[rows]) * share[:, None])
+            hit[rows] = free < _NEAR
+            travelled[rows] += free
+            rows = rows[~hit[rows] & (travelled[rows] < length[rows])]
+        return hit.reshape(shape)
+
 
 _RADII = (0.149, 0.085, 0.12, 0.072, 0.055)
 """Radii of column, link 2, elbow, forearm and hand over the reach of the wrist, with motors and hoses: drawings of KUKA

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.plan.arm import Arm
+from postproc.plan.sensitivity import Arm
 from tests.plan.setting import ORACLE, POINTS, ROBOT, differences, in_flange
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from postproc.plan import candidate_poses
-from postproc.plan.criterion import Criterion
-from postproc.plan.joint2 import Joint2
+from postproc.plan.criterion import Criterion, Joint2
 from postproc.plan.sensitivity import Readings, direction, direction_slope
 from tests.plan import setting
 

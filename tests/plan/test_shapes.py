@@ -6,7 +6,7 @@ import trimesh
 
 from postproc.errors import PlanError
 from postproc.identification.experiment import Box, MeshFile
-from postproc.plan.shapes import BoxShape, MeshShape, along, between_segments
+from postproc.plan.site import BoxShape, MeshShape, along, between_segments
 
 
 def test_distances_between_segments_are_those_of_a_fine_grid():

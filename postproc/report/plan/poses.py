@@ -6,7 +6,7 @@ import numpy as np
 
 from postproc.frames import Array
 from postproc.plan import PlanResult
-from postproc.plan.shapes import BoxShape
+from postproc.plan.site import BoxShape
 from postproc.report.kit import Lines, Plot, Section
 from postproc.report.kit.plots import Colour
 
