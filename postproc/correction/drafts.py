@@ -14,6 +14,7 @@ from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen
 from postproc.correction.verify import Simulated, simulate
 from postproc.dialects.dialect import Writer
+from postproc.elastostatics import Reversals
 from postproc.errors import Issue, group_issues
 from postproc.forces import Axes, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
@@ -118,7 +119,8 @@ def result_of(task: Task, draft: Draft) -> Result:
     if task.mode == "predict":
         without = tuple(each[row] for each in without)
     deviation, deflection, by_tool = without
-    bound, doubt, untold = _bound(draft, norm(deviation))
+    turned = _reversals(draft)
+    bound, doubt, untold = _bound(draft, norm(deviation), turned)
     result = Result(
         program=program,
         robot=task.robot,
@@ -143,6 +145,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         between=between,
         rounding=draft.chosen.programmed,
         programmed=draft.chosen.programmed,
+        reversals=turned,
         causes=_causes(path),
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
     )
@@ -187,10 +190,19 @@ def _numbers(task: Task, draft: Draft) -> Array:
     return numbers
 
 
-def _bound(draft: Draft, corrected: Array) -> tuple[Array | None, Doubt | None, list[Issue]]:
+def _reversals(draft: Draft) -> Reversals:
+    """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
+    path, row = draft.path, draft.chosen.row
+    found = elastostatics.reversals(path.setting.robot, draft.q[row], path.tool(row), path.wrench_in_root(row))
+    cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[found.row]]
+    return Reversals(found.row[cuts], found.before[cuts], found.joint[cuts], found.step[cuts])
+
+
+def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | None, Doubt | None, list[Issue]]:
     """Return the expected error (K,) by model and forces (95 %), or None; where it exceeds the correction; issues.
 
     :param corrected: (K,) distance of the uncorrected tip from nominal [m].
+    :param turned: where gears turn over: on the targets next to it they may lie on either flank.
     """
     path, row = draft.path, draft.chosen.row
     robot = path.setting.robot
@@ -208,7 +220,9 @@ def _bound(draft: Draft, corrected: Array) -> tuple[Array | None, Doubt | None, 
     told = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
     if spread is None and robot.covariance is not None and wrench.any():
         told.append(Issue("info", "exact-forces", _EXACT_FORCES))
-    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series)
+    turning = np.zeros((len(row), 6), dtype=bool)
+    turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
+    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning)
     if bound is None:
         return None, None, told
     motion = draft.chosen.targets.motion
@@ -225,7 +239,7 @@ def _bound(draft: Draft, corrected: Array) -> tuple[Array | None, Doubt | None, 
     one = slice(at, at + 1)
     forces_there, series = (each if each is None else each[one] for each in (in_root, in_series))
     tool = tool[one] if tool.ndim == 3 else tool
-    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series)
+    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series, turning[one])
     return bound, Doubt(at, float(bound[at]), level, source), told
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
+from postproc.elastostatics import Reversals
 from postproc.errors import Issue
 from postproc.forces import Knots
 from postproc.frames import Array, norm
@@ -14,6 +15,8 @@ from postproc.program import Bools, Document, Ints, Program
 from postproc.robot import RobotModel
 
 Mode = Literal["convert", "nominal", "predict"]
+_MOST_REVERSALS = 20
+"""So many of the largest reversals are listed."""
 
 
 class Doubt(Struct, frozen=True):
@@ -63,6 +66,7 @@ class Result(Struct, frozen=True, eq=False):
     :param carried: forces that a CSV file must give to the written program, along the piece to the target that
         `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
+    :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
     :param causes: what moves the tool from nominal if nothing is corrected, in words.
     """
 
@@ -92,6 +96,7 @@ class Result(Struct, frozen=True, eq=False):
     programmed: Array = np.zeros(0)
     carried: Knots | None = None
     largest_correction: float = np.nan
+    reversals: Reversals | None = None
     causes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -121,6 +126,16 @@ class Result(Struct, frozen=True, eq=False):
     def after(self) -> Array:
         """(K,) distance of the predicted tip from nominal with the program as written [m]."""
         return norm(self.deviation_after)
+
+    @property
+    def largest_reversals(self) -> Ints:
+        """Rows of `reversals` with the largest steps, the first one of each joint and source line; twenty at most."""
+        if self.reversals is None:
+            return np.zeros(0, dtype=np.int64)
+        order = np.argsort(-self.reversals.step, kind="stable")
+        of = np.stack([self.source_line[self.reversals.row], self.reversals.joint], axis=1)[order]
+        _, first = np.unique(of, axis=0, return_index=True)
+        return order[np.sort(first)[:_MOST_REVERSALS]]
 
     @property
     def inserted(self) -> int:

@@ -18,6 +18,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
 from postproc.report.digits import ROUNDING_MM
 from postproc.report.verdict import NOTHING_MM, State, nothing_corrected, verdict
+from postproc.robot import JOINTS
 
 
 class Distances(TypedDict):
@@ -53,6 +54,14 @@ class Expected(Bound):
 
     basis: str
     unusable: Unusable | None
+
+
+class Reversal(TypedDict):
+    """A change of the direction of a joint's torque on a cutting move, and the step of the tool by its lost motion."""
+
+    joint: str
+    source_line: int
+    lost_motion_mm: float
 
 
 class OnPart(TypedDict):
@@ -143,6 +152,7 @@ class Summary(TypedDict):
     tool_deflection: Bound | None  # None where holder, spindle and tool are rigid
     max_force_N: float
     limits: Limits
+    reversals: list[Reversal]
     issues: list[IssueEntry]
     verdict: Judged
     copied: NotRequired[list[str]]  # files that it needs and that are as they were; nothing is called there that moves
@@ -194,6 +204,7 @@ def summary(result: Result, tolerance: float | None = None, part_tolerance: floa
             "min_singular_value": _finite(result.singular_value),
             "joint_margins_deg": [_finite(float(value)) for value in margin],
         },
+        reversals=_reversals(result),
         issues=[issue_entry(issue) for issue in result.issues],
         verdict={"state": "ok", "reasons": []},
     )
@@ -283,6 +294,20 @@ def _expected(result: Result, bound: Statistics, allowed: float | None) -> Expec
             "source": doubt.source,
         },
     }
+
+
+def _reversals(result: Result) -> list[Reversal]:
+    turned = result.reversals
+    if turned is None:
+        return []
+    return [
+        {
+            "joint": JOINTS[turned.joint[index]],
+            "source_line": int(result.source_line[turned.row[index]]),
+            "lost_motion_mm": float(turned.step[index]) * MM_PER_M,
+        }
+        for index in result.largest_reversals.tolist()
+    ]
 
 
 def _on_part(result: Result, tolerance: float | None) -> OnPart:

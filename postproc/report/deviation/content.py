@@ -17,6 +17,7 @@ from postproc.report.deviation.places import Places, places
 from postproc.report.kit import Columns
 from postproc.report.summary import Summary, nothing_to_correct, summary
 from postproc.report.verdict import Verdict, verdict
+from postproc.robot import JOINTS
 
 if TYPE_CHECKING:
     from postproc.machining import ProcessForces
@@ -44,6 +45,7 @@ class Facts(msgspec.Struct, frozen=True):
     :param bases: each `$BASE` in the root, tools each `$TOOL` in the flange: 4×4 by rows [mm].
     :param placement: of each joint on the link before it, 4×4 by rows [mm]; `axis` about which it turns; `flange`.
     :param histograms: by column name.
+    :param reversals: place and joint of the largest changes of direction of a torque.
     """
 
     mode: str
@@ -59,6 +61,7 @@ class Facts(msgspec.Struct, frozen=True):
     axis: list[list[float]]
     flange: list[float]
     histograms: dict[str, Histogram]
+    reversals: list[tuple[int, str]]
 
 
 class Deviation(Struct, frozen=True, dict=True):
@@ -155,8 +158,17 @@ class Deviation(Struct, frozen=True, dict=True):
             placement=[_in_mm(joint) for joint in nominal.placement],
             axis=nominal.axis.tolist(),
             flange=_in_mm(nominal.flange),
+            reversals=self.reversals(),
             histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
         )
+
+    def reversals(self) -> list[tuple[int, str]]:
+        """Return place and joint of the reversals that are listed."""
+        turned = self.result.reversals
+        if turned is None:
+            return []
+        listed = self.result.largest_reversals.tolist()
+        return [(self.places.of(int(turned.row[each])), JOINTS[turned.joint[each]]) for each in listed]
 
 
 def _histogram(values: Array) -> Histogram:

@@ -49,7 +49,7 @@ def correction(result: Result) -> Array:
 
 def kept(result: Result) -> Ints:
     """Return the rows (P,) that a page shows, in order: of each run of targets the first, and the largest deviation
-    before and after, correction, force, bound. Thinning hides no worst place.
+    before and after, correction, force, bound; and the reversals that are listed. Thinning hides no worst place.
     """
     count = len(result)
     if count <= MOST:
@@ -57,10 +57,11 @@ def kept(result: Result) -> Ints:
     measures = [result.before, result.after, norm(correction(result)), norm(result.wrench[:, :3])]
     if result.bound is not None:
         measures.append(result.bound)
+    turned = [] if result.reversals is None else [result.reversals.row[result.largest_reversals]]
     runs = MOST // (len(measures) + 1)
     begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
     run = np.repeat(np.arange(len(begin)), np.diff(begin, append=count))
-    rows = [begin, np.array([count - 1])]
+    rows = [begin, np.array([count - 1]), *turned]
     for measure in measures:
         value = np.nan_to_num(measure, nan=np.inf)
         largest = np.maximum.reduceat(value, begin)

@@ -82,6 +82,8 @@
         yaxis: `y${suffix}`, name: name || strip.title, hoverinfo: "none",
         line: { color: theme.colour(colour), width: 1.3, dash: ["solid", "dash", "dot"][s] } }));
     });
+    layout.shapes = facts.reversals.map(([place]) => ({ type: "line", xref: "x", yref: "paper", y0: 0, y1: 1, x0: at[over][place], x1: at[over][place],
+      line: { color: theme.colour("soft"), width: 1, dash: "dot" } })); // a joint changes the direction of its torque
     layout.xaxis = theme.axis({ title: { text: over === "length" ? "length of the path, mm" : "time, s" }, range: range ?? undefined, automargin: false,
       anchor: shownStrips.length > 1 ? `y${shownStrips.length}` : "y" });
     return [data, layout];

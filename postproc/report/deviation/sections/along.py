@@ -14,8 +14,8 @@ def section(told: Deviation) -> Section | None:
     if not len(told.result) or told.nothing is not None:
         return None
     note = (
-        "Gaps are rapid moves. Drag to look closer, double click to see all again; left and right arrow keys step. "
-        "Along, across, normal: along the feed, square to feed and spindle, along the spindle. Time is without "
-        "accelerations."
+        "Gaps are rapid moves; dotted: a joint changes the direction of its torque. Drag to look closer, double click "
+        "to see all again; left and right arrow keys step. Along, across, normal: along the feed, square to feed and "
+        "spindle, along the spindle. Time is without accelerations."
     )
     return Section("along", "Along the path", (View("along", _LABEL, note),))
