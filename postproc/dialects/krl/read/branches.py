@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -45,13 +45,34 @@ class Meeting(NamedTuple):
     ends: tuple[int, ...]
 
 
+def free_joins(course: Course, ordered: OrderedMotions) -> frozenset[Join]:
+    """Return where branches may end in different poses: what follows is nothing, or a PTP to joint angles."""
+    steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    lines, found = ordered.rows.line, []
+    for number, step in enumerate(steps):
+        if isinstance(step, Join):
+            row = int(np.searchsorted(lines, step.line, side="right"))
+            beyond = int(lines[row]) if row < len(lines) else len(course.source.starts)
+            later = next((other for other in steps[number + 1 :] if not isinstance(other, Join)), None)
+            other = isinstance(later, Branch) and later.line < beyond  # what follows runs in another branch
+            if not other and (row == len(lines) or _to_joints(ordered, row)):
+                found.append(step)
+    return frozenset(found)
+
+
+def _to_joints(ordered: OrderedMotions, row: int) -> bool:
+    move = ordered.moves.get(row)
+    return move is not None and not move.relative and move.end.position.axis and move.end.position.complete
+
+
 def branching(
-    course: Course, ordered: OrderedMotions, after: Ints | None, kept: Sequence[int]
+    course: Course, ordered: OrderedMotions, after: Ints | None, kept: Sequence[int], free: Set[Join]
 ) -> tuple[Ints | None, list[Meeting]]:
     """Return at the end of which motion each begins, see `Program.after`, and where branches meet.
 
     :param after: the same without branches.
     :param kept: lines of motions that stay as they are.
+    :param free: where branches may end in different poses.
     :raises BranchError: a motion of a branch, or behind it, depends on more than where it begins.
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
@@ -88,9 +109,10 @@ def branching(
             rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
             if any(fork < inside <= step.line for inside in kept):
                 faults.append(_error(course, forks, fork, "a motion that stays as it is stands in a branch"))
-            elif (ordered.rows.kind[rows] == PTP).any():
+            elif step not in free and (ordered.rows.kind[rows] == PTP).any():
                 faults.append(_error(course, forks, fork, "PTP stands in a branch"))
-            meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
+            if step not in free:
+                meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
             now = min(ends)
     run_to(count)
     _raise(faults)

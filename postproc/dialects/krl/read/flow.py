@@ -59,14 +59,18 @@ class Flow:
         self._way: list[tuple[Place, int]] = []
         self._traced = self._still = 0
 
-    def follow(self, source: Source, nodes: tuple[Node, ...]) -> None:
+    def follow(self, source: Source, nodes: tuple[Node, ...], *, last: bool = False) -> None:
         """Run statements and control structures one by one, up to RETURN or the EXIT of a loop.
 
+        :param last: behind them the routine ends.
         :raises InexactError: it is not known what runs.
         """
         level, index = self.run.level, 0
         while index < len(nodes):
             node = nodes[index]
+            if isinstance(node, Block) and (beyond := self._skipped(source, nodes, index, last=last)):
+                index = beyond
+                continue
             if isinstance(node, Block):
                 self._block(source, node)
             else:
@@ -102,7 +106,7 @@ class Flow:
     def called(self) -> None:
         """Run the routine that was called."""
         routine = self.run.level.routine
-        self.follow(routine.source, self.run.nodes(routine))
+        self.follow(routine.source, self.run.nodes(routine), last=True)
 
     def matters(self, source: Source, node: Node) -> bool:
         """Return whether the course of the program leads through a statement or a control structure.
@@ -336,6 +340,87 @@ class Flow:
         complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
         trace.divide(Join(0, complete))
         run.join(Place(source, block.last), complete=complete)
+
+    def _skipped(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
+        """Follow an IF that leads to a label or the end of a called routine, and what it skips, as two branches.
+
+        :param last: behind the nodes the routine ends.
+        :returns: the place among the nodes behind what it skips; 0 where it does not do that, or its condition is
+            known.
+        :raises InexactError: it is not known what runs in one of the branches.
+        """
+        run, block, trace = self.run, nodes[index], self.trace
+        if trace is None or not isinstance(block, Block) or not run.level.traced or run.level.loops or not run.certain:
+            return 0
+        part = block.parts[0]
+        if block.word != "IF" or len(block.parts) > 1 or calls(source, *source.code_span(block.first)):
+            return 0
+        beyond, end = self._target(source, nodes, index, part.nodes[-1:], last=last)
+        if not beyond:
+            return 0
+        occasion = Occasion(Place(source, block.first), tuple(self._way))
+        try:
+            self._taken(source, block)
+        except InexactError:
+            if occasion in run.elsewhere:
+                return 0
+        else:
+            return 0
+        undo = self._undoing(trace)
+        try:
+            trace.run_to(block.first - 1)
+            trace.pass_to(part.head)
+            trace.divide(Fork(0, occasion))
+            run.fork()
+            self._branch(source, part.nodes[:-1], trace, last=False)
+            jump = part.nodes[-1]
+            trace.run_to((jump if isinstance(jump, int) else jump.last) - 1)
+            trace.pass_to(block.last)
+            returns = end == run.level.routine.last - 1
+            self._branch(source, nodes[index + 1 : beyond], trace, last=returns)
+            trace.run_to(end)
+            trace.divide(Join(0, complete=True))
+            run.join(Place(source, block.last), complete=True)
+        except InexactError:
+            if not run.keep:
+                raise
+            undo()
+            return 0
+        return beyond
+
+    def _branch(self, source: Source, nodes: tuple[Node, ...], trace: Trace, *, last: bool) -> None:
+        """Follow one of the branches of an IF that skips statements.
+
+        :raises InexactError: it does not lead to its end.
+        """
+        level = self.run.level
+        trace.divide(Branch(0))
+        self.run.branch()
+        self.follow(source, nodes, last=last)
+        if level.broken_off:
+            raise inexact(Place(source, level.jump or level.returned), JUMP, JUMP_ADVICE)
+
+    def _target(
+        self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
+    ) -> tuple[int, int]:
+        """Return the place among some nodes behind what a GOTO or RETURN skips, and its last line.
+
+        :returns: zeros where it leads elsewhere.
+        """
+        if not jump or not isinstance(jump[0], int):
+            return 0, 0
+        start, stop = source.code_span(jump[0])
+        word = word_at(source.text, start, stop)
+        if word == "RETURN" and stop - start == len(word):
+            return (len(nodes), self.run.level.routine.last - 1) if last and len(self.run.stack) > 1 else (0, 0)
+        if word != "GOTO":
+            return 0, 0
+        wanted = self.label_of(source, jump[0])
+        for number in range(index + 1, len(nodes)):
+            line = nodes[number]
+            if isinstance(line, int) and wanted in self.labels(source, [line]):
+                return number + 1, line
+        return 0, 0
 
     def _taken(self, source: Source, block: Block) -> int:
         """Return which part of IF or SWITCH runs; −1 for none."""

@@ -7,7 +7,7 @@ therefore followed as one that moves; behind what cannot be followed the force i
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,13 @@ def noted_lines(source: Source) -> tuple[int, ...]:
     return tuple(_places(source)[1].tolist())
 
 
-def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, str]) -> list[tuple[int, ForceNote]]:
+def notes_of(
+    course: Course,
+    motions: Ints,
+    rapid: Bools,
+    unknown: Mapping[int, str],
+    free: Set[Join] = frozenset(),
+) -> list[tuple[int, ForceNote]]:
     """Return the force comments of a course that hold, by its lines.
 
     Where a branch begins, and where branches meet, the force that holds there is stated once more.
@@ -37,6 +43,7 @@ def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, 
     :param motions: (M,) lines of the course on which its motions stand.
     :param rapid: (M,) True for motions that carry no force.
     :param unknown: lines of the course behind which it is not known which force acts, and why.
+    :param free: where branches may end in different poses.
     :raises ProgramError: that is so for a motion.
     :raises ForceError: a comment cannot be read.
     """
@@ -68,7 +75,7 @@ def notes_of(course: Course, motions: Ints, rapid: Bools, unknown: Mapping[int, 
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not lost:
         return notes
-    return _Held(course, motions, rapid).through(notes, lost, marks)
+    return _Held(course, motions, rapid, free).through(notes, lost, marks)
 
 
 class _Held:
@@ -78,8 +85,8 @@ class _Held:
     :ivar last: what acts on the last motion.
     """
 
-    def __init__(self, course: Course, motions: Ints, rapid: Bools) -> None:
-        self.course, self.motions, self.rapid = course, motions, rapid
+    def __init__(self, course: Course, motions: Ints, rapid: Bools, free: Set[Join]) -> None:
+        self.course, self.motions, self.rapid, self.free = course, motions, rapid, free
         self.notes: list[tuple[int, ForceNote]] = []
         self.now: _Force = None
         self.last: _Force = None
@@ -114,17 +121,19 @@ class _Held:
                 self._state(line, entry[0])
             elif isinstance(event, Join):
                 entry, ends = forks.pop()
-                self._meet(line, [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])])
+                met = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
+                self._meet(line, met, free=event in self.free)
         self._move(len(self.course.source.starts))
         return self.notes
 
-    def _meet(self, line: int, ends: Sequence[tuple[_Force, _Force]]) -> None:
+    def _meet(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, free: bool) -> None:
         """Come to where branches meet.
 
+        :param free: they may end in different poses.
         :raises ProgramError: they end under different forces: corrected, they would not meet.
         """
         held, last = ([_force_of(end[which]) for end in ends] for which in (0, 1))
-        if any(_differ(force, last[0]) or _turns(*force) for force in last):
+        if not free and any(_differ(force, last[0]) or _turns(*force) for force in last):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
             raise self.course.source.line_error(problem, line, _MEETING_ADVICE)
         alike = all(force == held[0] for force in held)

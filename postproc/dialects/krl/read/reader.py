@@ -20,7 +20,7 @@ from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.read.apart import refuse_loaded, refuse_noted, unfollowed
-from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings
+from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings, free_joins
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.folder_files import FolderFiles
 from postproc.dialects.krl.read.force_notes import notes_of
@@ -148,11 +148,12 @@ class _Reading(Struct, frozen=True, eq=False):
         del plain  # what follows needs the memory
         resolved = without_unresolved(main, ordered)
         ordered = resolved.ordered
-        notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced)
+        free = frozenset() if cell.carriage is not None else free_joins(course, ordered)
+        notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced, free)
         if not cell.krl.keep_unresolved:
             refuse_loaded(main.run, notes)
         lost = [line for line, _ in main.run.unresolved]
-        after, meetings = branching(course, ordered, resolved.after, lost)
+        after, meetings = branching(course, ordered, resolved.after, lost, free)
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
         motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
