@@ -6,6 +6,7 @@ Unlike `krl_generator`, whose programs are to be understood, these are to be cor
 from __future__ import annotations
 
 TURN = "A 180,B 0,C 180"
+HOME = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
 ARRAY = 5
 DATA = "\n".join(
     [
@@ -60,9 +61,14 @@ class Job:
             body = [f"DEF {name}(n:IN)", "DECL INT n"]
             for _ in range(int(rng.integers(1, 4))):
                 body += self.statement(1, "away" if away else "sub", [] if away else below)
+            if unknown and not away and self.maybe(0.3):
+                body += self.left_early(below)
             (elsewhere if away else subs).extend([*body, "END"])
         if keep:
-            subs += ["DEF STOPPED()", "$OUT[7]=TRUE", "END"]
+            back = self.pick("$OUT[7]=TRUE", "PTP $AXIS_RET")
+            subs += ["DEF STOPPED()", back, "END"]
+            called = f"{self.pick(*self.routines)}(2)" if self.routines else self.line()
+            subs += ["DEFFCT INT MEASURE()", self.pick(called, self.line()), "RETURN(1)", "ENDFCT"]
         end = self.pick("\r\n", "\n")
         self.files = {"part.src": self.text([*main, *subs], end), "part.dat": DATA.replace("\n", end)}
         self.files["points.dat"] = (
@@ -171,6 +177,29 @@ class Job:
             return [self.line()]
         return self.structure(depth, where, below, inner)
 
+    def left_early(self, below):
+        """The end of a routine that may return before it."""
+        meet = self.line().removesuffix(" C_DIS")
+        left = [f"IF $IN[{int(self.rng.integers(1, 9))}] THEN", "RETURN", "ENDIF"]
+        return [meet, *left, *self.body(1, "sub", below, inner=True), meet]
+
+    def skipping(self, depth, where, below):
+        """A jump over statements, on an input: to a label behind which all goes on from one place."""
+        self.labels += 1
+        label = f"fault{self.labels}"
+        jump = [
+            f"IF $IN[{int(self.rng.integers(1, 9))}] THEN",
+            *self.pick([], ["$OUT[3]=TRUE"]),
+            f"GOTO {label}",
+            "ENDIF",
+        ]
+        if self.maybe(0.6):
+            rest = self.body(depth, where, below)
+            again = self.pick([], [jump[0], f"GOTO {label}", "ENDIF", self.line()])
+            return [*jump, self.line(), *rest, self.line(), *again, f"{label}:", HOME, self.line()]
+        meet = self.line().removesuffix(" C_DIS")
+        return [meet, *jump, *self.body(depth, where, below, inner=True), meet, f"{label}:", self.line()]
+
     def body(self, depth, where, below, inner=False):
         lines = []
         for _ in range(int(self.rng.integers(1, 4))):
@@ -205,6 +234,8 @@ class Job:
         if choice == 5 and where == "main":
             return ["SWITCH K+1", "CASE 1,2", *self.body(depth, where, below, inner),
                     "DEFAULT", self.line(), "ENDSWITCH"]  # fmt: skip
+        if choice == 6 and self.unknown and where == "main" and not inner and not self.loops and depth == 0:
+            return self.skipping(depth + 1, where, below)
         if choice < 9 and self.unknown:
             meet = self.line()
             number = int(self.rng.integers(1, 9))
@@ -227,5 +258,7 @@ class Job:
                 ["LIN_REL {Z 3}", "LIN $POS_ACT", self.line()],
                 [f"{label}:", self.line(), "IF $IN[4] THEN", f"GOTO {label}", "ENDIF", self.line()],
                 ["IF $IN[5] THEN", self.line(), "ENDIF", self.line()],
+                [f"{self.pick('n', 'K')}=MEASURE()", self.line()],
+                [f"{self.pick('n', 'K')}=MEASURE()", self.line()],
             )
         return [self.line()]

@@ -141,11 +141,20 @@ def compare(nominal, corrected, kept, text):
     for number, motion in enumerate(nominal):
         where = f"motion {number} of line {motion.line} in {motion.file}"
         stays = not kept.isdisjoint({*motion.callers, (motion.file, motion.line)})
+        if motion.joints is not None:
+            made = next(todo, None)
+            if made is None or made.joints != motion.joints:
+                raise Wrong(f"{where}: other joint angles are commanded")
+            guess, lost = np.radians(motion.joints), False
+            flange = arm.frames(guess)[-1]
+            continue
         path = Path_(motion, flange if flange is not None else np.eye(4))
         while True:
             made = next(todo, None)
             if made is None:
                 raise Wrong(f"{where} is not made")
+            if made.joints is not None:
+                raise Wrong(f"{where}: joint angles are commanded")
             stays = stays and text[0][motion.file, motion.line] == text[1][made.file, made.line]
             if stays:
                 guess = inverse(arm, made.base @ abc(*made.numbers), made.tool, guess)
