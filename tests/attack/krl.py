@@ -139,7 +139,7 @@ def attempt(seed, folder):
     :raises Wrong: the package is wrong.
     """
     rng = np.random.default_rng(seed)
-    files = Generator(rng).programs()
+    files = Generator(rng, more=seed >= 1_000_000).programs()
     try:
         program = read(files, folder)
     except PostprocError:

@@ -26,10 +26,9 @@ DECL GLOBAL INT IG=1
 DECL REAL V=0.125
 DECL REAL W=2.5
 DECL BOOL OK=TRUE
-STRUC PT INT N,REAL R
-DECL PT SX={N 1,R 2.5}
 ENDDAT
 """
+STRUCTURE = "STRUC PT INT N,REAL R\nDECL PT SX={N 1,R 2.5}\nENDDAT"
 OTHER_DATA = """DEFDAT other
 DECL E6POS XP1={X 1,Y 1,Z 1,A 0,B 0,C 0}
 DECL INT I=2
@@ -50,10 +49,12 @@ class Routine:
 class Generator:
     """Writes one program and the files that it calls."""
 
-    def __init__(self, rng):
-        self.rng = rng
+    def __init__(self, rng, *, more=False):
+        """:param more: values of other types, structures, functions that give points, frames with gaps."""
+        self.rng, self.more = rng, more
         self.files = {}
-        names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN", "POINT", "LIB2"][: int(rng.integers(0, 9))]
+        names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN", "POINT", "LIB2"]
+        names = names[: int(rng.integers(0, 9 if more else 7))]
         self.routines = [self.routine(name) for name in names]
         self.here = None
         self.wild = rng.random()
@@ -65,7 +66,7 @@ class Generator:
         parameters = [(n, kind, rng.choice(["IN", "OUT", ""])) for n, kind in kinds if rng.random() < 0.3]
         local = [one for one in (("XP2", "E6POS"), ("I", "INT"), ("W", "REAL")) if rng.random() < 0.12]
         file = str(rng.choice(["other", "lib/shared"])) if name.startswith("LIB") else "part"
-        result = self.one("INT", "INT", "REAL") if "FN" in name or name == "NEXT" else ""
+        result = (self.one("INT", "INT", "REAL") if self.more else "INT") if "FN" in name or name == "NEXT" else ""
         return Routine(name, "E6POS" if name == "POINT" else result, parameters, local, file)
 
     def one(self, *options):
@@ -89,7 +90,7 @@ class Generator:
         choice = int(self.rng.integers(8 if depth < 2 else 4))
         if choice < 3:
             return str(int(self.rng.integers(1, 4)))
-        if choice == 5 and self.maybe(0.2) and self.in_part():
+        if self.more and choice == 5 and self.maybe(0.2) and self.in_part():
             return "SX.N"
         if choice < 6:
             return self.one(*self.names("INT"))
@@ -128,8 +129,9 @@ class Generator:
         return self.here is None or self.here.file == "part"
 
     def element(self):
-        index = self.one(*self.names("INT")) if self.maybe(0.4) else self.integer(1)
-        return f"P[{index}]" if self.in_part() else "XG1"
+        if not self.in_part():
+            return "XG1"
+        return f"P[{self.one(*self.names('INT')) if self.more and self.maybe(0.4) else self.integer(1)}]"
 
     def point(self):
         return self.element() if self.maybe(0.25) else self.one(*self.names("E6POS"))
@@ -139,7 +141,7 @@ class Generator:
         choice = int(self.rng.integers(6))
         if choice < 2 and names:
             return self.one(*names)
-        if choice == 2 and self.maybe(0.05):
+        if self.more and choice == 2 and self.maybe(0.05):
             return self.aggregate(full=False)
         if choice == 2:
             return f"BASE_DATA[{self.integer(1) if self.maybe(0.4) else self.one('1', '2', '3')}]"
@@ -149,8 +151,8 @@ class Generator:
 
     def argument(self, kind):
         if kind == "E6POS":
-            return self.element() if self.maybe(0.3) else self.point()
-        if self.maybe(0.1):
+            return self.element() if self.more and self.maybe(0.3) else self.point()
+        if self.more and self.maybe(0.1):
             kind = {"INT": "REAL", "REAL": "INT"}[kind]
         if self.maybe(0.6):
             return self.one(*self.names(kind))
@@ -193,9 +195,9 @@ class Generator:
 
     def assignment(self):
         choice = int(self.rng.integers(11))
-        if choice == 0 and self.maybe(0.1) and self.in_part():
+        if self.more and choice == 0 and self.maybe(0.1) and self.in_part():
             return f"SX.{self.one('N', 'R')}={self.one(self.integer(), self.real())}"
-        if choice == 1 and (found := self.callable("point")):
+        if self.more and choice == 1 and (found := self.callable("point")):
             return f"{self.element() if self.maybe(0.5) else self.point()}={self.call(self.one(*found))}"
         if choice == 0:
             return f"{self.point()}={self.aggregate()}"
@@ -325,7 +327,7 @@ class Generator:
         if self.maybe(0.04 if routine.function or not self.moving else 0.5):
             lines.append(self.motion())
         if routine.function:
-            given = self.real() if self.maybe(0.15) else self.integer()
+            given = self.real() if self.more and self.maybe(0.15) else self.integer()
             lines.append(f"RETURN {self.point()}" if routine.function == "E6POS" else f"RETURN ({given})")
         self.here = None
         return [*lines, "ENDFCT" if routine.function else "END"]
@@ -345,7 +347,8 @@ class Generator:
         for routine in self.routines:
             if routine.file == "part":
                 main += self.written(routine)
-        files = {"part.src": main, "part.dat": DATA.splitlines()}
+        data = DATA.replace("ENDDAT", STRUCTURE) if self.more else DATA
+        files = {"part.src": main, "part.dat": data.splitlines()}
         others = [r for r in self.routines if r.file == "other"]
         for routine in others:
             files.setdefault(f"{routine.name.lower()}.src", self.written(routine))

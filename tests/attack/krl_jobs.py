@@ -36,10 +36,12 @@ class Job:
 
     :param keep: it may hold motions that only the running robot knows.
     :param forces: it has comments with forces.
+    :param jumps: it may jump over statements, leave routines early, and call functions that move.
     :ivar files: name → text.
     """
 
-    def __init__(self, rng, *, keep=False, unknown=True, forces=True):
+    def __init__(self, rng, *, keep=False, unknown=True, forces=True, jumps=False):
+        self.jumps = jumps
         self.rng, self.keep, self.unknown, self.forces = rng, keep, unknown, forces
         self.routines = ["CUT", "DEEP", "FACE"][: int(rng.integers(0, 4))]
         self.labels = 0
@@ -61,12 +63,13 @@ class Job:
             body = [f"DEF {name}(n:IN)", "DECL INT n"]
             for _ in range(int(rng.integers(1, 4))):
                 body += self.statement(1, "away" if away else "sub", [] if away else below)
-            if unknown and not away and self.maybe(0.3):
+            if jumps and unknown and not away and self.maybe(0.3):
                 body += self.left_early(below)
             (elsewhere if away else subs).extend([*body, "END"])
         if keep:
-            back = self.pick("$OUT[7]=TRUE", "PTP $AXIS_RET")
+            back = self.pick("$OUT[7]=TRUE", "PTP $AXIS_RET") if jumps else "$OUT[7]=TRUE"
             subs += ["DEF STOPPED()", back, "END"]
+        if keep and jumps:
             called = f"{self.pick(*self.routines)}(2)" if self.routines else self.line()
             subs += ["DEFFCT INT MEASURE()", self.pick(called, self.line()), "RETURN(1)", "ENDFCT"]
         end = self.pick("\r\n", "\n")
@@ -234,7 +237,15 @@ class Job:
         if choice == 5 and where == "main":
             return ["SWITCH K+1", "CASE 1,2", *self.body(depth, where, below, inner),
                     "DEFAULT", self.line(), "ENDSWITCH"]  # fmt: skip
-        if choice == 6 and self.unknown and where == "main" and not inner and not self.loops and depth == 0:
+        if (
+            choice == 6
+            and self.jumps
+            and self.unknown
+            and where == "main"
+            and not inner
+            and not self.loops
+            and depth == 0
+        ):
             return self.skipping(depth + 1, where, below)
         if choice < 9 and self.unknown:
             meet = self.line()
@@ -252,13 +263,13 @@ class Job:
         if self.keep and where == "main" and not inner:
             self.labels += 1
             label = f"again{self.labels}"
+            measured = [f"{'n' if depth % 2 else 'K'}=MEASURE()", self.line()] if self.jumps else []
             return self.pick(
+                *([measured, measured] if measured else []),
                 ["WHILE $IN[3]", self.line(), "ENDWHILE", self.line()],
                 ["LIN $POS_ACT:{Z 5}", self.line()],
                 ["LIN_REL {Z 3}", "LIN $POS_ACT", self.line()],
                 [f"{label}:", self.line(), "IF $IN[4] THEN", f"GOTO {label}", "ENDIF", self.line()],
                 ["IF $IN[5] THEN", self.line(), "ENDIF", self.line()],
-                [f"{self.pick('n', 'K')}=MEASURE()", self.line()],
-                [f"{self.pick('n', 'K')}=MEASURE()", self.line()],
             )
         return [self.line()]

@@ -210,6 +210,12 @@ def every_run(files, main="PART"):
         choices = choices.following()
 
 
+def job_of(seed, rng, *, keep):
+    """The job of a seed; those from a million on have jumps too."""
+    unknown, forces = bool(rng.random() < 0.6), bool(rng.random() < 0.85)
+    return Job(rng, keep=keep, unknown=unknown, forces=forces, jumps=seed >= 1_000_000)
+
+
 def prove(seed, folder):
     """Try the job of a seed; return what came of it.
 
@@ -217,7 +223,7 @@ def prove(seed, folder):
     """
     rng = np.random.default_rng(seed)
     keep = bool(rng.random() < 0.3)
-    job = Job(rng, keep=keep, unknown=bool(rng.random() < 0.6), forces=bool(rng.random() < 0.85))
+    job = job_of(seed, rng, keep=keep)
     try:
         runs = list(every_run(job.files))
     except Invalid as cause:
@@ -311,7 +317,7 @@ def attack(seed):
         except Exception as cause:
             rng = np.random.default_rng(seed)
             keep = bool(rng.random() < 0.3)
-            job = Job(rng, keep=keep, unknown=bool(rng.random() < 0.6), forces=bool(rng.random() < 0.85))
+            job = job_of(seed, rng, keep=keep)
             files = "\n".join(f"--- {name}\n{text}" for name, text in job.files.items() if not name.endswith(".dat"))
             raise Wrong(f"seed {seed}: {type(cause).__name__}: {cause}\n{files}") from cause
 

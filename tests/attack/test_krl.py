@@ -17,6 +17,11 @@ def test_random_programs_do_what_is_read_and_what_is_written():
     assert outcomes["accepted"] > 100
 
 
+def test_what_enters_variables_of_other_types_is_what_the_controller_makes_of_it():
+    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_200))
+    assert outcomes["accepted"] > 40
+
+
 def test_programs_that_were_refused_when_they_were_read_back():
     assert [attack(seed) for seed in (508015, 4160)] == ["accepted", "accepted"]
 

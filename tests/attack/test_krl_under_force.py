@@ -23,6 +23,11 @@ def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
     assert outcomes["kept"] >= 1
 
 
+def test_jumps_over_statements_and_routines_left_early_do_what_the_job_said():
+    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(1_000_000, 1_000_030))
+    assert sum(number for name, number in outcomes.items() if name != "refused") > 15
+
+
 def test_branches_that_stay_in_some_rounds_of_a_loop_only_are_read_back_as_they_were_read():
     assert attack(20409) == "kept, in files"  # its first round is corrected and written out, the others stay a loop
 

@@ -49,7 +49,7 @@ def test_the_cell_gives_inputs_and_variables_of_data_files():
 
 
 def test_a_variable_of_a_called_routine_is_another_one():
-    subs = "DEF SUB()\nDECL INT lnActSt\nIF lnActSt==1 THEN\nPTP {X 5,Y 0,Z 300,A 10,B 20,C 170}\nENDIF\nEND\n"
+    subs = "DEF SUB()\nDECL INT lnActSt\nWHILE lnActSt==1\nPTP {X 5,Y 0,Z 300,A 10,B 20,C 170}\nENDWHILE\nEND\n"
     with pytest.raises(ProgramError, match="not known"):
         read(job("SUB()", subs=subs), cell=given(lnActSt=1))
 
@@ -59,7 +59,7 @@ def test_a_variable_of_a_called_routine_is_another_one():
     [
         (["WHILE lnActSt>1", FULL, "ENDWHILE"], r"what lnActSt will be"),
         (["WHILE $IN[5] AND NOT $IN[lnActSt]", FULL, "ENDWHILE"], r"what \$IN\[5\], lnActSt will be"),
-        (["LIN {X 1,Y 0,Z 300}", "IF $IN[5] THEN", "LIN {X 9,Y 0,Z 0,A 0,B 0,C 0}", "ENDIF"], r"\[krl.values\]"),
+        (["LIN {X 1,Y 0,Z 300}", "IF $IN[5] THEN", "LIN {X 9,Y 0,Z 0,A 0,B 0,C 0}", "ENDIF", FULL], r"\[krl.values\]"),
     ],
 )
 def test_the_message_that_stops_names_what_the_cell_can_give(lines, named):

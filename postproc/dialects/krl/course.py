@@ -55,10 +55,15 @@ class Branch(Struct, frozen=True):
 
 
 class Join(Struct, frozen=True):
-    """Before the line behind this one branches meet; not `complete`: it may be that none of them runs."""
+    """Before the line behind this one branches meet.
+
+    :ivar complete: False where it may be that none of them runs.
+    :ivar skipped: True where one of them is what a GOTO or RETURN skips.
+    """
 
     line: int
     complete: bool
+    skipped: bool = False
 
 
 class Enter(Struct, frozen=True):

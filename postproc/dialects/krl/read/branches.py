@@ -46,11 +46,11 @@ class Meeting(NamedTuple):
 
 
 def free_joins(course: Course, ordered: OrderedMotions) -> frozenset[Join]:
-    """Return where branches may end in different poses: what follows is nothing, or a PTP to joint angles."""
+    """Return joins behind a jump at which poses may differ: what follows is nothing, or a PTP to joint angles."""
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     lines, found = ordered.rows.line, []
     for number, step in enumerate(steps):
-        if isinstance(step, Join):
+        if isinstance(step, Join) and step.skipped:
             row = int(np.searchsorted(lines, step.line, side="right"))
             beyond = int(lines[row]) if row < len(lines) else len(course.source.starts)
             later = next((other for other in steps[number + 1 :] if not isinstance(other, Join)), None)

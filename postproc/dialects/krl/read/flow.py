@@ -379,7 +379,7 @@ class Flow:
             returns = end == run.level.routine.last - 1
             self._branch(source, nodes[index + 1 : beyond], trace, last=returns)
             trace.run_to(end)
-            trace.divide(Join(0, complete=True))
+            trace.divide(Join(0, complete=True, skipped=True))
             run.join(Place(source, block.last), complete=True)
         except InexactError:
             if not run.keep:
@@ -409,11 +409,10 @@ class Flow:
         """
         if not jump or not isinstance(jump[0], int):
             return 0, 0
-        start, stop = source.code_span(jump[0])
-        word = word_at(source.text, start, stop)
-        if word == "RETURN" and stop - start == len(word):
+        here = statement(source, jump[0])
+        if isinstance(here, tree.Return) and not source.text[here.value.start : here.value.stop].strip():
             return (len(nodes), self.run.level.routine.last - 1) if last and len(self.run.stack) > 1 else (0, 0)
-        if word != "GOTO":
+        if not isinstance(here, tree.Goto):
             return 0, 0
         wanted = self.label_of(source, jump[0])
         for number in range(index + 1, len(nodes)):
