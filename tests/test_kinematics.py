@@ -297,3 +297,15 @@ def test_margins_of_poses_with_tools_of_their_own_and_of_few_and_many_rows():
     assert kinematics.smallest_singular_value(arm, q, tools) == pytest.approx(min(each), rel=1e-9)
     many = np.repeat(q, 200, axis=0)
     assert kinematics.smallest_singular_value(arm, many, np.repeat(tools, 200, axis=0)) == pytest.approx(min(each))
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_load_stiffness_of_a_force_or_moment_along_one_axis_alone(axis):
+    arm = robot.load(robot.find("kuka_kr270"))
+    q = np.random.default_rng(10).uniform(arm.lower, arm.upper, (3, 6))
+    wrench = np.tile(np.eye(6)[axis], (3, 1))
+    hessian = kinematics.load_stiffness(kinematics.tcp(arm.nominal, q, TOOL)[1], wrench)
+    for joint in range(6):
+        change = np.eye(6)[joint] * STEP
+        plus, minus = (kinematics.tcp(arm.nominal, q + sign * change, TOOL)[1] for sign in (1, -1))
+        np.testing.assert_allclose((plus - minus)[:, axis] / (2 * STEP), hessian[:, :, joint], atol=1e-8)
