@@ -85,19 +85,19 @@ class Held:
         return self.process.returncode, stdout, stderr
 
 
-def programs(count: int) -> None:
+def programs(count: int, folder: str = ".") -> None:
     """Write so many short KRL programs: p00.src, p01.src …"""
     head = (SAMPLES / "long_lin.src").read_text().splitlines()[:24]
     source = "\n".join([*head[:8], ";FORCE FX=80 FY=-40 FZ=120", *head[8:], "END", ""])
     for index in range(count):
-        Path(f"p{index:02}.src").write_text(source.replace("DEF long_lin", f"DEF p{index:02}"))
+        Path(folder, f"p{index:02}.src").write_text(source.replace("DEF long_lin", f"DEF p{index:02}"))
 
 
 def written(folder: str = "out") -> set[str]:
-    """Return the names of the programs in a folder, each whole; beside them there may be but their overview."""
+    """Return the names of the programs in a folder, each whole; an overview and leftovers do not count."""
     if not Path(folder).exists():
         return set()
-    names = {path.name for path in Path(folder).iterdir()} - {"index.html"}
+    names = {path.name for path in Path(folder).iterdir() if not path.name.startswith(".postproc")} - {"index.html"}
     stems = {name.split(".")[0] for name in names}
     assert names == {stem + ending for stem in stems for ending in ENDINGS}
     for stem in stems:

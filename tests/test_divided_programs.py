@@ -198,7 +198,7 @@ def test_another_program_of_the_run_is_not_replaced():
     cell(45)
     program(5, "part2.nc")
     done = run("convert", "part.nc", "part2.nc", "-o", "out", code=1)
-    assert "part.nc writes part2.src too" in done.stderr
+    assert "part.nc also writes part2.src" in done.stderr
     assert "also written in this run" in done.stderr
     text = Path("out/part2.src").read_text()
     assert "part=2" not in text

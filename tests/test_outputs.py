@@ -122,6 +122,25 @@ def test_the_report_names_the_files_written_with_it():
     assert {entry["name"] for entry in entries} == PART - {"part.report.json"}
 
 
+def test_the_program_of_another_language_does_not_stay_beside_the_report_of_the_new_one(monkeypatch):
+    convert()
+    assert "part.src" in names()
+    result = fabricated.result()
+
+    def process(*_, **__):
+        return fabricated.with_changes(result, documents=(Document("part.mod", "MODULE part\nENDMODULE\n"),))
+
+    monkeypatch.setattr("postproc.correction.process", process)
+    cell = str(Path(CELL).with_name("cell_irb6700.toml"))
+    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", cell, "--to", "rapid", "-o", "out"])
+    assert done.exit_code == 0, done.output
+    assert names() == PART - {"part.src"} | {"part.mod"}
+    with Path("out/part.mod").open("a") as file:
+        file.write("! by hand\n")
+    assert f"changed since: {Path('out/part.mod')}" in convert(code=1).stderr
+    assert "part.mod" in names()
+
+
 @pytest.mark.parametrize("text", ["odd", "far"])
 def test_where_nothing_comes_of_a_program_the_earlier_one_does_not_look_current(text):
     convert()

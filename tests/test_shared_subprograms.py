@@ -1,22 +1,18 @@
-"""Two programs that call one subprogram of another file: neither is left with what was corrected for the other."""
+"""Two programs that call one subprogram of another file: none moves by what was corrected for the other."""
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from postproc import cell, files
+from postproc import cell
 from postproc.cli import main
 from postproc.dialects.krl.callers import callers
-from postproc.errors import InputError
-from postproc.files import write_whole
-from postproc.jobs import shared_files
-from postproc.jobs.inputs import find_jobs
+from postproc.jobs import Job, find_jobs, shared_files
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
@@ -44,41 +40,91 @@ def run(*arguments: str, code: int = 0):
     return done
 
 
+def alone(name: str) -> None:
+    """The written program moves as one that was converted into a folder of its own."""
+    assert "unchanged since" in run("predict", f"out/{name}.src", "-o", "told").output
+    run("convert", f"{name}.src", "-o", f"alone_{name}")
+    one, other = (Path(folder, f"{name}.targets.csv").read_text() for folder in ("out", f"alone_{name}"))
+    assert one == other
+    run("compare", f"{name}.src", f"out/{name}.src", "-o", "told")
+
+
 @pytest.mark.parametrize("more", [[], ["--overwrite"]])
-def test_what_was_corrected_for_another_program_is_not_replaced(more):
+def test_a_subprogram_that_was_corrected_for_another_program_is_written_under_a_name_of_its_own(more):
+    run("convert", "one.src", "-o", "out")
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    told = " ".join(run("convert", "two.src", "-o", "out", *more).stdout.split())
+    assert "sub.src is written as sub_two.src: it differs from the one written for one." in told
+    assert "would move by what is corrected here" not in told
+    assert {name: Path("out", name).read_bytes() for name in before} == before
+    assert "\nsub_two()\n" in Path("out/two.src").read_text()
+    assert Path("out/sub_two.src").read_text().startswith("DEF sub_two()\n;POSTPROC 1 ")
+    alone("one")
+    alone("two")
+    run("convert", "one.src", "-o", "out")  # its own
+    two = {path.name: path.read_bytes() for path in Path("out").glob("*two*")}
+    run("convert", "two.src", "-o", "out")
+    assert two == {path.name: path.read_bytes() for path in Path("out").glob("*two*")}
+
+
+GLOBAL = "DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\nGLOBAL DEF other()\nEND\n"
+
+
+@pytest.mark.parametrize(
+    ("sub", "two"),
+    [
+        (GLOBAL, ""),  # the controller would know other() twice
+        ("", 'CWRITE($CMD,STAT,MODE,"RUN sub")\n'),
+    ],
+)
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, two):
+    if sub:
+        Path("sub.src").write_text(sub)
+    Path("two.src").write_text(Path("two.src").read_text().replace("sub()\n", f"sub()\n{two}"))
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     told = run("convert", "two.src", "-o", "out", *more, code=1).stderr
-    assert "out/sub.src: this file was written for one, which calls it too" in told
+    assert "out/sub.src: this file was written for one, which calls it too, and is corrected differently" in told
     assert "another folder with -o" in told
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
-    run("convert", "one.src", "-o", "out")  # its own
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 @pytest.mark.parametrize("before", [False, True])
-def test_in_one_run_the_second_is_refused(jobs, before):
-    if before:  # alike then, so that both stand there
+def test_in_one_run_the_first_has_the_file_and_the_second_a_copy(jobs, before):
+    if before:  # alike then, so that both use it
         for name in ("one", "two"):
             program(name, 150)
         run("convert", "one.src", "two.src", "-o", "out")
         for name, force in (("one", 200), ("two", -300)):
             program(name, force)
-    done = run("convert", "one.src", "two.src", "-o", "out", "--jobs", jobs, "--overwrite", code=1)
-    written = {path.stem for path in Path("out").glob("*.src")} - {"sub"}
-    assert len(written) == 1
-    (first,) = written
-    second = ({"one", "two"} - written).pop()
-    told = (
-        f"out/sub.src: this file was written for {first}, which calls it too, and is corrected otherwise for {second}."
+    run("convert", "one.src", "two.src", "-o", "out", "--jobs", jobs, "--overwrite")
+    assert {path.name for path in Path("out").glob("*.src*")} == {"one.src", "two.src", "sub.src", "sub_two.src"}
+    assert not [path for path in Path("out").iterdir() if ".old" in path.name or path.name.startswith(".")]
+    alone("one")
+    alone("two")
+
+
+def test_what_calls_a_copy_is_a_copy_too():
+    for name in ("one", "two"):
+        path = Path(f"{name}.src")
+        path.write_text(path.read_text().replace("sub()", "mid( ) ; sub()"))
+    Path("mid.src").write_text(
+        "&ACCESS RVP\nDEF mid( )\nEXT sub ( )\nsub ( )\nLIN {X 30,Y 20,Z 0,A 0,B 0,C 180}\nEND\n"
     )
-    assert told in done.stderr
-    assert "Write this program into another folder with -o, or give each" in done.stderr
-    assert "meanwhile" not in done.stderr
-    old = {path.name for path in Path("out").iterdir() if ".old" in path.name or path.name.startswith(".")}
-    assert all(name.startswith(f"{second}.") for name in old)
-    assert before or not old
-    run("predict", f"out/{written.pop()}.src", "-o", "told")
+    Path("sub.dat").write_text("DEFDAT sub\nDECL INT sub_count=0\nENDDAT\n")
+    run("convert", "one.src", "two.src", "-o", "out")
+    names = {path.name for path in Path("out").iterdir() if path.suffix in (".src", ".dat")}
+    files = {"mid.src", "sub.src", "sub.dat", "mid_two.src", "sub_two.src", "sub_two.dat"}
+    assert names == {"one.src", "two.src", *files}
+    assert "mid_two( ) ; sub()" in Path("out/two.src").read_text()
+    text = Path("out/mid_two.src").read_text()
+    assert "DEF mid_two( )" in text
+    assert "EXT sub_two ( )\nsub_two ( )" in text
+    assert Path("out/sub_two.dat").read_text() == "DEFDAT sub_two\nDECL INT sub_count=0\nENDDAT\n"
+    for name in ("one", "two"):
+        alone(name)
 
 
 def test_programs_that_are_corrected_alike_share_it():
@@ -120,7 +166,7 @@ def test_in_a_folder_it_is_corrected_with_those_that_call_it():
     done = run("convert", "jobs", "-o", "out", code=1)
     assert "jobs/sub.src: called by one.src, three.src: corrected with it" in done.stderr
     assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL.src:2") == 1
-    assert "jobs/tools.src: called by last.src, one.src: written beside as it is" in done.stderr
+    assert "jobs/tools.src: called by last.src, one.src: written with it, unchanged" in done.stderr
     written = {"one.src", "three.src", "last.src", "sub.src", "tools.src"}
     assert {path.name for path in Path("out").glob("*.src")} == written
     for name in ("one.src", "sub.src", "tools.src"):
@@ -186,8 +232,11 @@ def test_those_that_may_correct_one_file_in_common_are_one_line():
     Path("cell.toml").write_text(CELL.read_text() + '\n[krl]\nsearch = ["more"]\n')
 
     def lines(*names, **keywords):
-        found = shared_files.lines(find_jobs([f"{name}.src" for name in names], **keywords), cell.load("cell.toml"))
-        return [" ".join(job.program.stem for job in line) for line in found]
+        found: dict[Path, list[Job]] = {}
+        for job in find_jobs([f"{name}.src" for name in names], **keywords):
+            found.setdefault(job.output, []).append(job)
+        groups = [line for jobs in found.values() for line in shared_files.lines(jobs, cell.load("cell.toml"))]
+        return sorted(" ".join(sorted(job.program.stem for job in line)) for line in groups)
 
     assert lines("five", "four", "one", "six", "two") == ["five six", "four", "one two"]
     shutil.copy("four.src", "more/seven.src")
@@ -199,38 +248,10 @@ def test_the_first_has_the_file_however_long_it_takes():
     text = Path("one.src").read_text()
     Path("one.src").write_text(text.replace("sub()\n", "sub()\n" + "LIN {X 20,Y 30}\nLIN {X 30,Y 30}\n" * 300))
     for _ in range(2):
-        told = run("convert", "one.src", "two.src", "three.src", "-o", "out", "--jobs", "2", code=1).stderr
-        assert "sub.src: this file was written for one, which calls it too, and is corrected otherwise for two." in told
-        assert {path.name for path in Path("out").glob("*.src*")} == {"one.src", "three.src", "sub.src"}
+        run("convert", "one.src", "two.src", "three.src", "-o", "out", "--jobs", "2")
+        files = {"one.src", "two.src", "three.src", "sub.src", "sub_two.src"}
+        assert {path.name for path in Path("out").glob("*.src*")} == files
         run("predict", "out/one.src", "-o", "told")
-
-
-def test_what_is_seen_of_a_shared_file_stays_so_until_it_is_written(monkeypatch):
-    fcntl = pytest.importorskip("fcntl")
-    seen = []
-
-    def looked(function):
-        def call(*arguments, **keywords):
-            other = os.open("out", os.O_RDONLY)  # as another process
-            try:
-                fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                seen.append("free")
-            except BlockingIOError:
-                seen.append("waits")
-            finally:
-                os.close(other)
-            return function(*arguments, **keywords)
-
-        return call
-
-    monkeypatch.setattr(shared_files, "check_shared", looked(shared_files.check_shared))
-    monkeypatch.setattr(files, "write_whole", looked(files.write_whole))
-    run("convert", "one.src", "-o", "out")
-    assert seen == ["waits", "waits"]
-    program("four", 100)
-    Path("four.src").write_text(Path("four.src").read_text().replace("sub()\n", ""))
-    run("convert", "four.src", "-o", "out")
-    assert seen[2:] == ["free", "free"]
 
 
 def test_a_shared_file_that_was_changed_leaves_what_is_there():
@@ -242,22 +263,6 @@ def test_a_shared_file_that_was_changed_leaves_what_is_there():
     assert told.count("not written by postproc, or changed since: out/sub.src. Nothing was written.") == 2
     after = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     assert {**after, "index.html": b""} == {**before, "index.html": b""}
-
-
-def test_a_file_that_came_meanwhile_is_not_replaced_unless_it_is_the_same(tmp_path):
-    (tmp_path / "sub.src").write_bytes(b"other")
-
-    def contents(text):
-        yield text
-        (tmp_path / "sub.src").write_bytes(b"other")  # while it is written
-
-    (tmp_path / "sub.src").unlink()
-    with pytest.raises(InputError, match="came there meanwhile"):
-        write_whole(tmp_path, {"one.src": contents(b"1"), "sub.src": b"own"}, shared={"sub.src": None})
-    assert {path.name for path in tmp_path.glob("*.src")} >= {"sub.src"}
-    (tmp_path / "sub.src").unlink()
-    write_whole(tmp_path, {"one.src": contents(b"1"), "sub.src": b"other"}, shared={"sub.src": None})
-    assert (tmp_path / "one.src").read_bytes() == b"1"
 
 
 @pytest.mark.parametrize("force", [";FORCE FX=200 FY=0 FZ=0\n", ""])
@@ -281,7 +286,7 @@ def test_without_force_it_stays_with_a_warning_that_comes_first_and_names_the_ca
     Path("jobs/one.src").write_text(text)
     Path("jobs/sub.src").write_text(f"DEF sub()\nLIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\n{motion}\nEND\n")
     done = run("convert", "jobs", "-o", "out")
-    assert "jobs/sub.src: called by one.src: written beside as it is" in done.stderr
+    assert "jobs/sub.src: called by one.src: written with it, unchanged" in done.stderr
     assert Path("out/sub.src").read_bytes() == Path("jobs/sub.src").read_bytes()
     reasons = json.loads(Path("out/one.report.json").read_text())["verdict"]["reasons"]
     assert "its motions are not corrected here, because of sub.src, line 3: " in reasons[0]
@@ -365,9 +370,10 @@ def test_what_fails_leaves_the_file_of_its_name_that_another_program_calls():
 def test_a_subprogram_that_was_changed_is_replaced_with_all_programs_of_the_run_that_call_it(jobs):
     run("convert", "one.src", "three.src", "-o", "out")
     Path("sub.src").write_text(Path("sub.src").read_text().replace("X 20", "X 23"))
-    told = run("convert", "one.src", "-o", "out", code=1).stderr
-    assert "this file was written for three" in told  # which is not in this run
     before = Path("out/sub.src").read_bytes()
+    run("convert", "one.src", "-o", "out")
+    assert Path("out/sub.src").read_bytes() == before  # for three, which is not in this run
+    assert Path("out/sub_one.src").exists()
     run("convert", "one.src", "three.src", "-o", "out", "--jobs", jobs)
     assert Path("out/sub.src").read_bytes() != before
     assert {path.name for path in Path("out").glob("*.src")} == {"one.src", "three.src", "sub.src"}

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from postproc.errors import InputError
-from postproc.files import remove_leftovers, write_whole
+from postproc.files import locked, remove_leftovers, write_whole
 
 NEW = {"part.src": b"new program", "part.csv": b"new table", "part.json": b"new report"}
 OLD = {"part.src": b"old program", "part.csv": b"old table", "part.json": b"old report"}
@@ -166,7 +166,7 @@ def test_files_have_the_rights_that_the_user_gives_to_new_files(folder):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a POSIX signal")
-def test_leftovers_of_a_killed_process_are_removed_those_of_a_living_one_are_not(folder):
+def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_living_one_are_locked(folder):
     code = (
         "import sys, time\nfrom pathlib import Path\nfrom postproc.files import write_whole\n"
         "def wait():\n    print(flush=True)\n    time.sleep(1000)\n    yield b''\n"
@@ -174,9 +174,16 @@ def test_leftovers_of_a_killed_process_are_removed_those_of_a_living_one_are_not
     )
     with subprocess.Popen([sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE) as process:
         process.stdout.readline()
-        remove_leftovers(folder)
-        assert [path.suffix for path in folder.iterdir()] == [".tmp"]
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        remove_leftovers(folder)
-    assert list(folder.iterdir()) == []
+        assert {path.suffix for path in folder.iterdir()} == {".tmp", ".lock"}
+        said = []
+
+        def waiting(sentence):
+            said.append(sentence)
+            process.send_signal(signal.SIGKILL)
+
+        with locked([folder], waiting):
+            assert process.wait() == -signal.SIGKILL
+            remove_leftovers(folder)
+        assert f"{folder}: waiting for process {process.pid} on " in said[0]
+        assert len(said) == 1
+    assert not folder.exists() or list(folder.iterdir()) == []

@@ -136,7 +136,7 @@ def convert(
       postproc convert samples/freeform.nc --cell samples/cell_kr270.toml --forces samples/freeform.forces.csv
       postproc convert samples/plate.nc --cell samples/cell_kr270.toml --process samples/plate.process.toml
       postproc convert "parts/*.nc" --cell cell.toml --forces forces/ --jobs 4
-      postproc convert samples/pocket.nc --cell samples/cell_irb6700.toml --to rapid -o out
+      postproc convert samples/pocket.nc --cell samples/cell_irb6700.toml --to rapid -o out_abb
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 

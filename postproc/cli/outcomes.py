@@ -31,7 +31,8 @@ def work(
 
     known: dict[str, Outcome] = {}
     try:
-        for outcome in _with_progress(convert_all(jobs, settings, workers=workers, cluster=cluster), len(jobs)):
+        found = convert_all(jobs, settings, workers=workers, cluster=cluster, waiting=_say)
+        for outcome in _with_progress(found, len(jobs)):
             known[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
         earlier = left([job for job in jobs if not job.callers and str(job.program) not in known], settings.mode)
@@ -49,6 +50,10 @@ def work(
     outcomes = [known[str(job.program)] for job in jobs]
     _print(outcomes, jobs, as_json=as_json)
     ctx.exit(_worst(outcomes))
+
+
+def _say(sentence: str) -> None:
+    click.echo(sentence, err=True)
 
 
 def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]:

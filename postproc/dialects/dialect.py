@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -114,4 +114,23 @@ class Calling(Protocol):
 
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
         """Return the files with motions that each of some programs of one folder may call, one through the other."""
+        ...
+
+    def with_own_copies(
+        self,
+        documents: Sequence[Document],
+        unchanged: Sequence[bytes],
+        stems: Sequence[str],
+        program: str,
+        taken: Collection[str],
+    ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
+        """Return the files of a program with other names for some of its subprograms; None if that is not possible.
+
+        :param documents: files of the program and of its subprograms, the main file first.
+        :param unchanged: contents of files that are written with them and must stay as they are.
+        :param stems: names of the files to be renamed, without extension.
+        :param program: name of the program, which becomes a part of the new names.
+        :param taken: names of other files, without extension, lower case.
+        :returns: the files, and new file name → old file name.
+        """
         ...

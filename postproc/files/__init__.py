@@ -1,5 +1,6 @@
-"""Strict reading of TOML and CSV, and writing that leaves whole files or none."""
+"""Strict reading of TOML and CSV; sets of files that are replaced whole or not at all."""
 
+from postproc.files.locking import locked
 from postproc.files.reading import convert, parse_csv, read_csv, read_text, read_toml
 from postproc.files.records import (
     FileEntry,
@@ -12,15 +13,17 @@ from postproc.files.records import (
     sealed,
     with_record,
 )
-from postproc.files.writing import alone_in, remove_leftovers, toml, write_whole
+from postproc.files.writing import Staged, discard, remove_leftovers, replace, stage, toml, write_whole
 
 __all__ = [
     "FileEntry",
-    "alone_in",
+    "Staged",
     "convert",
+    "discard",
     "foreign",
     "foreign_single",
     "listed",
+    "locked",
     "noted",
     "parse_csv",
     "read_csv",
@@ -29,7 +32,9 @@ __all__ = [
     "recorded",
     "refuse",
     "remove_leftovers",
+    "replace",
     "sealed",
+    "stage",
     "toml",
     "with_record",
     "write_whole",

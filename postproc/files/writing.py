@@ -1,141 +1,136 @@
-"""Writing files that belong together: all of them are replaced, or none."""
+"""Write files that belong together: all of them are replaced, or none."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import filecmp
 import os
 import shutil
-import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 import tomli_w
+from msgspec import Struct
 
 from postproc import interrupts
 from postproc.errors import InputError
+from postproc.files.locking import locked
 
-if sys.platform == "win32":
-
-    def _lock(_file: BinaryIO) -> None:
-        """Nothing to do: an open file cannot be removed on Windows."""
-
-    @contextlib.contextmanager
-    def alone_in(_folder: Path) -> Iterator[None]:
-        """Nothing to do: folders cannot be locked on Windows."""
-        yield
-else:
-    import fcntl
-
-    def _lock(file: BinaryIO) -> None:
-        """Lock a file until it is closed, or its process ends however that may be; `OSError` if another has."""
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-    @contextlib.contextmanager
-    def alone_in(folder: Path) -> Iterator[None]:
-        """Wait until no other process is in here with a folder, which is made if needed; each is let in alone.
-
-        For files that several programs need: what was seen of them stays so until they are written. Where there are no
-        locks, as on some network drives, none waits.
-        """
-        descriptor = None
-        try:
-            with contextlib.suppress(OSError):
-                folder.mkdir(parents=True, exist_ok=True)
-                descriptor = os.open(folder, os.O_RDONLY)
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
-            yield
-        finally:
-            if descriptor is not None:
-                os.close(descriptor)
+_STAGE = (".postproc-", ".tmp")
+"""Prefix and suffix of the folder that files are written in at first."""
 
 
-_STAGE, _LOCK = (".postproc-", ".tmp"), "lock"
-"""Prefix and suffix of the folder that files are written in at first; the file in it that its writer keeps open."""
+class Staged(Struct, frozen=True):
+    """Files that are complete, in a folder of their own inside the one that they are for.
+
+    :param path: of that folder.
+    :param names: of the files. The first is the last to appear in its place, and the first to go.
+    """
+
+    path: Path
+    names: tuple[str, ...]
 
 
 def write_whole(
-    folder: Path,
-    contents: Mapping[str, bytes | Iterable[bytes]],
-    obsolete: Sequence[str] = (),
-    shared: Mapping[str, bytes | None] | None = None,
+    folder: Path, contents: Mapping[str, bytes | Iterable[bytes]], obsolete: Sequence[str] = ()
 ) -> list[Path]:
-    """Write files so that all are replaced, or none.
+    """Write files so that all are replaced, or none, also where several processes write into a folder.
 
-    All are written in a folder of their own inside `folder` (made if needed) and synced; only then those that they
-    replace are moved out of the way, the first named one first, and the new ones take their place, the first named one
-    last. So at any moment, also if the process is killed: if the first is there, the others belong to it. On any
-    failure the old ones come back. A signal is heard while the files are made, and held back while they are replaced.
+    A signal interrupts while the files are made, and is held back while they are replaced.
 
-    :param folder: where to write.
+    :param folder: made if needed.
     :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written, in this order.
     :param obsolete: names of files that are removed with those that are replaced, if they are there.
-    :param shared: files that another process may write at the same time, and what stood there when it was looked at
-        (None: nothing). What came there since, and is not what is written here, is not replaced.
     :returns: the paths written.
-    :raises InputError: the folder or a file cannot be written, or a shared file came there since; the message names it.
+    :raises InputError: the folder or a file cannot be written; the message names it.
     """
     with interrupts.held_back():
-        at = folder
+        with interrupts.heard():
+            lock = contextlib.ExitStack()
+            lock.enter_context(locked([folder]))
+        with lock:
+            with interrupts.heard():
+                staged = stage(folder, contents)
+            return replace(folder, [staged], obsolete)
+
+
+def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Staged:
+    """Write files into a new folder inside `folder` and sync them; `replace` puts them in their places.
+
+    :param contents: see `write_whole`.
+    :raises InputError: the folder or a file cannot be written; the message names it.
+    """
+    with _naming(folder, contents) as at:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in contents:
+            if (folder / name).is_dir():
+                at.append(folder / name)
+                raise IsADirectoryError(errno.EISDIR, "a folder of that name is in the way")
+        path = Path(tempfile.mkdtemp(_STAGE[1], _STAGE[0], dir=folder))
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for at in (folder / name for name in contents):
-                if at.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, "a folder of that name is in the way")
-            at = folder
-            with _stage(folder) as stage:
-                with interrupts.heard():
-                    for name, content in contents.items():
-                        at = folder / name
-                        _write(stage / "new" / name, content)
-                at = folder
-                try:
-                    _replace(stage, folder, list(contents), obsolete, shared or {})
-                except FileExistsError as cause:
-                    raise InputError(
-                        "a file of another program came there meanwhile",
-                        file=str(cause.filename),
-                        advice="Nothing was written. Write this program into another folder with -o.",
-                    ) from cause
-        except OSError as cause:
-            name = Path(cause.filename or "").name
-            raise InputError(
-                f"cannot be written ({cause.strerror or cause})",
-                file=str(folder / name if name in contents else at),
-                advice="Nothing was written, what was there is as it was. Check the folder, its rights and the free "
-                "space, and that no other program has the file open.",
-            ) from cause
-    return [folder / name for name in contents]
+            (path / "new").mkdir()
+            (path / "old").mkdir()
+            for name, content in contents.items():
+                at.append(folder / name)
+                _write(path / "new" / name, content)
+        except BaseException:
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+    return Staged(path, tuple(contents))
+
+
+def replace(folder: Path, staged: Sequence[Staged], obsolete: Sequence[str] = ()) -> list[Path]:
+    """Put staged files in their places: all of them, or none. The caller has locked the folder.
+
+    Those that they replace are moved out of the way, then the new ones take their places. So at any moment, also if the
+    process is killed: if the first file of a set is there, the others belong to it. On any failure the old ones come
+    back.
+
+    :param obsolete: names of files that are removed with those that are replaced, if they are there.
+    :returns: the paths written.
+    :raises InputError: a file cannot be replaced; the message names it.
+    """
+    firsts = [each.names[0] for each in staged]
+    names = list(dict.fromkeys([*firsts, *(name for each in staged for name in each.names)]))
+    with interrupts.held_back():
+        try:
+            with _naming(folder, names):
+                _replace(staged, folder, names, obsolete)
+        finally:
+            for each in staged:
+                discard(each)
+    return [folder / name for each in staged for name in each.names]
+
+
+def discard(staged: Staged) -> None:
+    """Remove staged files, unless files that they should have replaced could not be put back."""
+    if not any(staged.path.glob("old/*")):
+        shutil.rmtree(staged.path, ignore_errors=True)
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what processes that were killed while they wrote left in a folder; not what is being written now."""
-    for stage in folder.glob("*".join(_STAGE)):
-        with contextlib.suppress(OSError):
-            with (stage / _LOCK).open("r+b") as file:
-                _lock(file)
-            (stage / _LOCK).unlink()
-            shutil.rmtree(stage)
+    """Remove staged files of processes that were killed. The caller has locked the folder."""
+    for path in folder.glob("*".join(_STAGE)):
+        shutil.rmtree(path, ignore_errors=True)
 
 
 @contextlib.contextmanager
-def _stage(folder: Path) -> Iterator[Path]:
-    """Make a folder with room for new files and old ones, and remove it unless old ones had to stay in it."""
-    stage = Path(tempfile.mkdtemp(_STAGE[1], _STAGE[0], dir=folder))
+def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
+    """Turn an `OSError` into an `InputError` that names the file of which it is, or the last one in the list."""
+    at = [folder]
     try:
-        with (stage / _LOCK).open("wb") as file:
-            with contextlib.suppress(OSError):  # some network drives have no locks
-                _lock(file)
-            (stage / "new").mkdir()
-            (stage / "old").mkdir()
-            yield stage
-    finally:
-        if not any(stage.glob("old/*")):
-            shutil.rmtree(stage, ignore_errors=True)
+        yield at
+    except OSError as cause:
+        name = Path(cause.filename or "").name
+        raise InputError(
+            f"cannot be written ({cause.strerror or cause})",
+            file=str(folder / name if name in names else at[-1]),
+            advice="Nothing was written, what was there is as it was. Check the folder, its rights and the free "
+            "space, and that no other program has the file open.",
+        ) from cause
 
 
 def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
@@ -145,57 +140,32 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
         os.fsync(file.fileno())
 
 
-def _replace(
-    stage: Path, folder: Path, names: Sequence[str], obsolete: Sequence[str], shared: Mapping[str, bytes | None]
-) -> None:
+def _replace(staged: Sequence[Staged], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
     """Put new files in the place of old ones; a single one in one step."""
+    source = {name: each.path / "new" / name for each in staged for name in each.names}
     aside: list[str] = []
     placed: list[str] = []
+    old = staged[0].path / "old"
     try:
-        for name, known in shared.items():
-            _refuse_newer(folder / name, known, stage / "new" / name)
         for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():
-                (folder / name).rename(stage / "old" / name)
+                (folder / name).rename(old / name)
                 aside.append(name)
         for name in reversed(names):
-            if name in shared and not _claimed(folder / name, stage / "new" / name):
-                continue
-            (stage / "new" / name).replace(folder / name)
+            source[name].replace(folder / name)
             placed.append(name)
     except BaseException as cause:
         for name in placed:
             (folder / name).unlink(missing_ok=True)
         for name in aside:
             with contextlib.suppress(OSError):
-                (stage / "old" / name).rename(folder / name)
-        left = sorted(path.name for path in stage.glob("old/*"))
+                (old / name).rename(folder / name)
+        left = sorted(path.name for path in old.iterdir())
         if left:
             problem = f"could not be put back: {', '.join(left)}; the new ones could not be written ({cause})"
-            raise InputError(problem, file=str(stage / "old"), advice=f"Move them to {folder} by hand.") from cause
+            raise InputError(problem, file=str(old), advice=f"Move them to {folder} by hand.") from cause
         raise
-    shutil.rmtree(stage / "old", ignore_errors=True)
-
-
-def _refuse_newer(path: Path, known: bytes | None, new: Path) -> None:
-    """Raise `FileExistsError` if a file is neither as it was known nor the new one."""
-    there = path.read_bytes() if path.exists() else known
-    if there != known and there != new.read_bytes():
-        raise FileExistsError(errno.EEXIST, "another file came there", str(path))
-
-
-def _claimed(path: Path, new: Path) -> bool:
-    """Make an empty file; False where the same as the new one stands there already.
-
-    :raises FileExistsError: something else stands there.
-    """
-    try:
-        path.open("xb").close()
-    except FileExistsError:
-        if filecmp.cmp(path, new, shallow=False):
-            return False
-        raise
-    return True
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def toml(content: object, comment: str) -> bytes:

@@ -16,7 +16,7 @@ from postproc.cell import Cell, Frame, GCode, Start, Tool, ToolAxis, load
 from postproc.dialects.text import decode
 from postproc.errors import InputError, ProgramError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
-from postproc.jobs.setup import load_robot
+from postproc.jobs.settings import load_robot
 from postproc.robot import JOINTS, RobotModel
 
 Numbers = tuple[float, ...]

@@ -1,29 +1,24 @@
-"""Programs on the workers of a Dask cluster, each in a process of its own there (see `jobs.pool`)."""
+"""Programs on the workers of a Dask cluster, each in a process of its own there (see `workers`)."""
 
 from __future__ import annotations
 
 import logging
 import re
 import time
-from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any
 
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc import interrupts
 from postproc.errors import PostprocError
-from postproc.jobs.job import Job
-from postproc.jobs.outcome import FAILED, Outcome, Settings
+from postproc.jobs.settings import FAILED, Outcome, Settings
+from postproc.jobs.shared_files import Task
 
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
 _ADDRESS = re.compile(r"(tcp|tls)://(\[[\da-fA-F:.]+\]|[\w.-]+):\d{1,5}")
-_POLL = 0.2
-"""Seconds between two looks at the cluster and at whether a signal came."""
 
 
 class Cluster(Struct, frozen=True):
@@ -43,18 +38,56 @@ class Cluster(Struct, frozen=True):
     key: Path | None = None
 
 
-def convert_on_cluster(lines: Sequence[Sequence[Job]], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
-    """Work through jobs on a cluster, those of a line one after the other; yield each outcome as it comes.
+class ClusterWorkers:
+    """Workers of a Dask cluster; each task is done in a process of its own there.
 
-    When a signal asks for the end (`interrupts.came`), what waits is cancelled; the cluster finishes what it has begun.
-
+    :param settings: settings of all tasks.
     :raises PostprocError: there is no Dask, no scheduler answers, or it has no workers.
     """
-    client = _connected(cluster)
-    try:
-        yield from _outcomes(client, lines, settings, cluster)
-    finally:
-        client.close(timeout=2)
+
+    def __init__(self, cluster: Cluster, settings: Settings) -> None:
+        self._cluster = cluster
+        self._settings = replace(settings, cell=settings.cell.resolve())
+        self._client = _connected(cluster)
+        self._alive = time.monotonic()
+        self._begun: list[Any] = []
+
+    def begin(self, task: Task) -> Any:
+        """Send a task to the cluster; return its future."""
+        from postproc.jobs.workers import work_alone
+
+        future = self._client.submit(work_alone, _absolute(task), self._settings, pure=False)
+        self._begun.append(future)
+        return future
+
+    def outcome(self, future: Any, task: Task) -> Outcome:
+        """Return what came of a task, with the name that the user knows."""
+        self._alive = time.monotonic()
+        if future.cancelled():
+            return self._gone(task)
+        try:
+            outcome: Outcome = future.result(timeout=_PATIENCE)
+        except Exception as cause:
+            message = f"{task.job.program}: the cluster could not convert it: {cause!r}"
+            return Outcome(str(task.job.program), FAILED, message=message, keeps_earlier=True)
+        return replace(outcome, program=str(task.job.program))
+
+    def lost(self, task: Task) -> Outcome | None:
+        """Return a failure if the cluster has not been there for some time."""
+        if self._client.status == "running" and self._client.scheduler_info()["workers"]:
+            self._alive = time.monotonic()
+        return self._gone(task) if time.monotonic() > self._alive + _PATIENCE else None
+
+    def end(self) -> None:
+        """Cancel what waits; the cluster finishes what it has begun, and leaves staged files."""
+        with suppress(Exception):
+            self._client.cancel([future for future in self._begun if not future.done()])
+        self._client.close(timeout=2)
+
+    def _gone(self, task: Task) -> Outcome:
+        program = task.job.program
+        message = f"{program}: the Dask scheduler at {self._cluster.address} or all its workers are gone."
+        return Outcome(str(program), FAILED, message=message, keeps_earlier=True)
 
 
 def _connected(cluster: Cluster) -> Any:
@@ -106,56 +139,9 @@ def _security(cluster: Cluster) -> Any:
     return security
 
 
-def _outcomes(client: Any, lines: Sequence[Sequence[Job]], settings: Settings, cluster: Cluster) -> Iterator[Outcome]:
-    from postproc.jobs.pool import work_alone  # what runs processes is imported where there are some
-
-    done: SimpleQueue[Any] = SimpleQueue()
-    settings = replace(settings, cell=settings.cell.resolve())
-    waiting: dict[Any, Sequence[Job]] = {}
-
-    def begin(line: Sequence[Job]) -> None:
-        future = client.submit(work_alone, _absolute(line[0]), settings, pure=False)
-        waiting[future] = line
-        future.add_done_callback(done.put)
-
-    for line in lines:
-        begin(line)
-    alive = time.monotonic()
-    while waiting:
-        with suppress(Empty):
-            future = done.get(timeout=_POLL)
-            job, *later = waiting.pop(future)
-            if later and not interrupts.came():
-                begin(later)
-            yield _outcome(future, job, cluster)
-            continue
-        if interrupts.came():
-            client.cancel(list(waiting))
-            return
-        if client.status == "running" and client.scheduler_info()["workers"]:
-            alive = time.monotonic()
-        elif time.monotonic() > alive + _PATIENCE:
-            for job in (job for line in waiting.values() for job in line):
-                yield _lost(job, cluster)
-            return
-
-
-def _absolute(job: Job) -> Job:
+def _absolute(task: Task) -> Task:
+    """Return a task with paths that are the same on other machines."""
+    job = task.job
     forces = None if job.forces is None else job.forces.resolve()
-    return replace(job, program=job.program.resolve(), output=job.output.resolve(), forces=forces)
-
-
-def _outcome(future: Any, job: Job, cluster: Cluster) -> Outcome:
-    """Return what came of a job, with the name the user knows."""
-    if future.cancelled():
-        return _lost(job, cluster)
-    try:
-        outcome: Outcome = future.result(timeout=_PATIENCE)
-    except Exception as cause:
-        return Outcome(str(job.program), FAILED, message=f"{job.program}: the cluster could not do it: {cause!r}")
-    return replace(outcome, program=str(job.program))
-
-
-def _lost(job: Job, cluster: Cluster) -> Outcome:
-    message = f"{job.program}: the Dask scheduler at {cluster.address} or all its workers are gone."
-    return Outcome(str(job.program), FAILED, message=message)
+    job = replace(job, program=job.program.resolve(), output=job.output.resolve(), forces=forces)
+    return replace(task, job=job, records=tuple(replace(record, at=record.at.resolve()) for record in task.records))

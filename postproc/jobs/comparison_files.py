@@ -18,11 +18,10 @@ from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
 from postproc.jobs.conversion import read_program
-from postproc.jobs.job import Job
 from postproc.jobs.marking import marked, origin_of, with_options
-from postproc.jobs.outcome import EXCEEDED, GOOD, Settings
-from postproc.jobs.outputs import protect
-from postproc.jobs.setup import as_stated, load_setup
+from postproc.jobs.output_plan import protect
+from postproc.jobs.programs import Job
+from postproc.jobs.settings import EXCEEDED, GOOD, Settings, as_stated, load_setup
 from postproc.program import Document, Program
 from postproc.report import to_json
 from postproc.report.comparison import (

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc import correction, files, forces, interrupts, report
+from postproc import correction, files, forces, report
 from postproc.cell import Cell
-from postproc.correction import Mode, Result
+from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, SubprogramError
 from postproc.frames import M_PER_MM
-from postproc.jobs import outputs, shared_files
-from postproc.jobs.inputs import read_documents
-from postproc.jobs.job import Job
+from postproc.jobs import shared_files
 from postproc.jobs.marking import marked, subprograms
-from postproc.jobs.outcome import EXCEEDED, FAILED, GOOD, Outcome, Settings
+from postproc.jobs.programs import Job, read_documents
+from postproc.jobs.settings import EXCEEDED, FAILED, GOOD, Outcome, Settings
+from postproc.jobs.shared_files import Task
 from postproc.program import Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
@@ -30,49 +29,37 @@ if TYPE_CHECKING:
     from postproc.machining import ProcessForces
 
 
-def convert_one(job: Job, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
-    """Convert or predict one program and write its files, all or none.
+def convert(task: Task, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
+    """Convert or predict one program and stage its files (`Outcome.staged`).
 
-    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included. If nothing
-    comes of the program, what an earlier run wrote for it is renamed; if it can only not be written, that stays.
+    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
 
-    :raises KeyboardInterrupt: nothing was written.
+    :raises KeyboardInterrupt: nothing was staged.
     """
-    mode = settings.mode
-    with contextlib.ExitStack() as turn:
-        try:
-            with interrupts.heard():
-                name = None if job.keeps_text else job.stem
-                program = read_program(job.program, robot, cell, job.dialect, name)
-                result, process = _result(job, settings, cell, robot, program)
-                if result.failed:
-                    made = None
-                else:
-                    if result.program.needed or subprograms(result, job):
-                        turn.enter_context(files.alone_in(job.output))
-                    made = _made(job, settings, cell, result, process)
-        except Exception as cause:
-            if isinstance(cause, SubprogramError) and not job.named:
-                return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
-            return replace(failure(job, cause), earlier=outputs.set_aside(job, mode))
-        if made is None:
-            return Outcome(str(job.program), FAILED, issues=result.issues, earlier=outputs.set_aside(job, mode))
-        try:
-            with shared_files.retiring(job, made.replaced, mode):
-                written = files.write_whole(job.output, made.contents, made.obsolete, made.shared)
-            return _written(job, made, written, mode)
-        except Exception as cause:
-            return replace(failure(job, cause), earlier=outputs.left([job], mode))
-
-
-def _written(job: Job, made: _Made, written: Sequence[Path], mode: Mode) -> Outcome:
-    exceeded = mode != "predict" and made.summary["verdict"]["state"] == "failed"
+    job = task.job
+    computed = False
+    try:
+        name = None if job.keeps_text else job.stem
+        program = read_program(job.program, robot, cell, job.dialect, name)
+        result, process = _result(job, settings, cell, robot, program)
+        if result.failed:
+            return Outcome(str(job.program), FAILED, issues=result.issues)
+        made = _made(task, settings, cell, result, process)
+        computed = True
+        staged = files.stage(job.output, made.contents)
+    except Exception as cause:
+        if isinstance(cause, SubprogramError) and not job.named:
+            return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
+        return replace(failure(job, cause), keeps_earlier=computed)
+    exceeded = settings.mode != "predict" and made.summary["verdict"]["state"] == "failed"
     return Outcome(
         str(job.program),
         EXCEEDED if exceeded else GOOD,
         made.summary,
-        written=tuple(str(path) for path in written),
         copied=tuple(str(job.output / name) for name in made.copied),
+        staged=staged,
+        shared=made.shared,
+        read=made.read,
     )
 
 
@@ -118,7 +105,6 @@ def _result(
         result = replace(result, issues=tuple(_with_file_beside(issue, job) for issue in result.issues))
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
-    result = marked(result, job, settings, cell)
     fault = job.writer.fault_of(job.program.stem)
     if settings.mode != "predict" and not job.keeps_text and fault is not None:
         written = f"{job.stem}{job.writer.extension}"
@@ -138,33 +124,33 @@ def _with_file_beside(issue: Issue, job: Job) -> Issue:
 class _Made(Struct, frozen=True, eq=False):
     """What is to be written for a program.
 
-    :param contents: file name → content; `copied` names those that it needs and that are as they were.
-    :param shared: what stands there of files that other programs need too.
-    :param replaced: those of them that change.
-    :param obsolete: files of an earlier run that go.
+    :param summary: content of `report.json`.
+    :param contents: file name → content.
+    :param copied: names of files that the program needs and that are as they were read.
+    :param shared: names of files that other programs may need too.
+    :param read: files that were read.
     """
 
     summary: Summary
     contents: dict[str, bytes | Iterable[bytes]]
     copied: tuple[str, ...]
-    shared: dict[str, bytes | None]
-    replaced: list[str]
-    obsolete: list[str]
+    shared: tuple[str, ...]
+    read: tuple[str, ...]
 
 
-def _made(job: Job, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None) -> _Made:
+def _made(task: Task, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None) -> _Made:
     """Return what is to be written.
 
-    :raises InputError: it must not be, for what stands in the folder.
+    :raises InputError: files of subprograms would replace those of another program.
     """
-    mode, needed = settings.mode, result.program.needed
+    job, mode, needed = task.job, settings.mode, result.program.needed
     stated = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
+    result, called, copies = _with_subprograms(task, settings, cell, result)
     content = report.summary(result, tolerance, cell.part_tolerance)
     name = job.report(mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
-    copies = shared_files.copies(job, needed, contents, mode) if contents else {}
     contents |= copies
     carried = report.forces_csv(result)
     if carried is not None:
@@ -185,14 +171,9 @@ def _made(job: Job, settings: Settings, cell: Cell, result: Result, process: Pro
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
     documents = result.program.documents
     read = [Path(document.folder) / document.name for document in documents if document.folder]
-    outputs.protect([*read, *(Path(each.path) for each in needed)], job.output, contents)  # files of subprograms too
-    texts = {document.name: document.to_bytes() for document in result.documents if job.keeps_text} | copies
-    shared = shared_files.check_shared(job, texts, subprograms(result, job), copies, documents, mode)
-    same = [file for file, there in shared.items() if there == texts[file]]
-    outputs.check_more(job, [*contents, name], mode, overwrite=settings.overwrite, same=same)
     still = [Path(each.path).name for each in needed if not each.moves]
-    if beside := [file for file in copies if file in still]:
-        content["copied"] = beside
+    if unchanged := [file for file in copies if file in still]:
+        content["copied"] = unchanged
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
         content["files"] = entries
@@ -202,10 +183,39 @@ def _made(job: Job, settings: Settings, cell: Cell, result: Result, process: Pro
         summary=content,
         contents=files.with_record(contents, name, rendered),
         copied=tuple(copies),
-        shared=shared,
-        replaced=[file for file, there in shared.items() if there is not None and file not in same],
-        obsolete=outputs.obsolete(job, [*contents, name], mode, overwrite=settings.overwrite),
+        shared=(*called, *copies),
+        read=tuple(map(str, [*read, *(each.path for each in needed)])),
     )
+
+
+def _with_subprograms(
+    task: Task, settings: Settings, cell: Cell, result: Result
+) -> tuple[Result, list[str], dict[str, bytes]]:
+    """Return a result whose program states where it comes from, with subprograms that are no other program's.
+
+    :returns: the result, the names of the files of its subprograms, and files that are written as they were read.
+    :raises InputError: see `shared_files`.
+    """
+    job, read = task.job, result.program.documents
+    own_names: dict[str, str] = {}
+    while True:
+        written = marked(result, job, settings, cell, own_names)
+        called = subprograms(result, job, own_names)
+        if not written.documents or settings.mode == "predict":
+            return written, called, {}
+        texts = {document.name: document.to_bytes() for document in written.documents}
+        copies = shared_files.copies(task, result.program.needed, [*texts, *own_names.values()])
+        others = shared_files.conflicts(task, texts | copies if job.keeps_text else copies, called, copies, read)
+        if not others:
+            return written, called, copies
+        documents, more = shared_files.with_own_names(task, result.documents, others, called, copies)
+        own_names |= {new: own_names.get(old, old) for new, old in more.items()}
+        issues = [each for each in result.issues if each.kind != "shared-file" or each.subject not in more.values()]
+        for new, old in sorted(more.items()):
+            if old in others:
+                note = f"{old} is written as {new}: it differs from the one written for {others[old]}."
+                issues.append(Issue("info", "own-copy", note))
+        result = replace(result, documents=documents, issues=tuple(issues))
 
 
 def failure(job: Job, cause: Exception) -> Outcome:

@@ -14,8 +14,8 @@ from postproc.errors import InputError, Issue
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import Array
 from postproc.jobs.conversion import read_program
-from postproc.jobs.outputs import protect
-from postproc.jobs.setup import load_robot
+from postproc.jobs.output_plan import protect
+from postproc.jobs.settings import load_robot
 from postproc.machining import Process, ProcessForces
 from postproc.machining.stock import as_trimesh
 from postproc.program import Ints, Program

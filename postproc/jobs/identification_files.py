@@ -21,8 +21,8 @@ from postproc.identification import (
 from postproc.identification.compensator_geometry import CompensatorGeometry
 from postproc.identification.coverage import share
 from postproc.identification.validation import Validation, table, validate
-from postproc.jobs.outputs import protect
-from postproc.jobs.setup import load_robot
+from postproc.jobs.output_plan import protect
+from postproc.jobs.settings import load_robot
 from postproc.report.identification import page
 
 

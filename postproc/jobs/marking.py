@@ -12,8 +12,8 @@ from postproc import provenance
 from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.correction import Result
-from postproc.jobs.job import Job
-from postproc.jobs.outcome import Settings
+from postproc.jobs.programs import Job
+from postproc.jobs.settings import Settings
 from postproc.program import Document
 from postproc.version import VERSION
 
@@ -43,38 +43,49 @@ def with_options(settings: Settings, said: Mapping[str, str]) -> Settings:
     return replace(settings, **{name: _OPTIONS[name](value) for name, value in said.items()})
 
 
-def marked(result: Result, job: Job, settings: Settings, cell: Cell) -> Result:
-    """Return a result whose program says where it comes from; one that came back byte for byte says nothing new."""
+def marked(
+    result: Result, job: Job, settings: Settings, cell: Cell, own_names: Mapping[str, str] | None = None
+) -> Result:
+    """Return a result whose program states where it comes from; one that is unchanged to the byte states nothing new.
+
+    :param own_names: names of copies of subprograms → names as they were read.
+    """
     source = [document.to_bytes() for document in result.program.documents]
     if not result.documents or [document.to_bytes() for document in result.documents] == source:
         return result
     mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
     origin = replace(origin, options=options_of(settings))
-    documents, moved = job.writer.marked(_subprograms_marked(result, job, origin), origin)
+    documents, moved = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
 
 
-def subprograms(result: Result, job: Job) -> list[str]:
-    """Return the names of the files that are written beside a program because it calls what stands in them."""
+def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
+    """Return the names of the files that are written with a program because it calls routines in them."""
     own = {path.name for path in job.reads()}
     called = {document.name for document in result.program.documents} - own
-    return [document.name for document in result.documents if document.name in called]
+    return [document.name for document in result.documents if own_names.get(document.name, document.name) in called]
 
 
-def _subprograms_marked(result: Result, job: Job, origin: provenance.Origin) -> list[Document]:
-    """Return the files of a program; those of subprograms that differ from what was read say so themselves.
+def _subprograms_marked(
+    result: Result, job: Job, origin: provenance.Origin, own_names: Mapping[str, str]
+) -> list[Document]:
+    """Return the files of a program; those of subprograms that differ from what was read state their own origin.
 
-    What they say does not depend on the program that calls them: two programs may be given the same file.
+    It does not depend on the program that calls them: two programs may be given the same file.
     """
     before = {document.name: document for document in result.program.documents}
     after = {document.name: document for document in result.documents}
-    for name in subprograms(result, job):
+
+    def read(name: str) -> Document:
+        return before[own_names.get(name, name)]
+
+    for name in subprograms(result, job, own_names):
         files = [other for other in after if Path(other).stem.lower() == Path(name).stem.lower()]
         files.sort(key=lambda other: other != name)
-        if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != before[n].text for n in files):
-            source = provenance.digest(before[other].to_bytes() for other in files)
+        if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != read(n).text for n in files):
+            source = provenance.digest(read(other).to_bytes() for other in files)
             own, _ = job.writer.marked(
                 [after[other] for other in files], replace(origin, source=source, forces="-", options={})
             )

@@ -20,9 +20,9 @@ from postproc.frames import RAD_PER_DEG
 from postproc.identification.experiment import read_experiment
 from postproc.identification.readings import read
 from postproc.jobs.conversion import read_program
-from postproc.jobs.inputs import find_jobs
-from postproc.jobs.outputs import protect
-from postproc.jobs.setup import load_robot
+from postproc.jobs.output_plan import protect
+from postproc.jobs.programs import find_jobs
+from postproc.jobs.settings import load_robot
 from postproc.plan import Options, PlanResult, compensator, milling, plan_measurements
 from postproc.plan.compensator import CompensatorOptions, CompensatorPlan, plan_compensator
 from postproc.plan.krl_program import krl_program

@@ -12,7 +12,7 @@ from postproc import kinematics
 from postproc import robot as robots
 from postproc.errors import InputError, ModelError
 from postproc.files import read_text, toml, write_whole
-from postproc.jobs.outputs import protect
+from postproc.jobs.output_plan import protect
 from postproc.robot.from_urdf import adopt
 
 _NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)

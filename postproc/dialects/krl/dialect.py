@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 
 from msgspec.structs import replace
@@ -153,6 +153,17 @@ class Krl:
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
         """Return the files with motions that each of some programs of one folder may call."""
         return moving(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
+
+    def with_own_copies(
+        self,
+        documents: Sequence[Document],
+        unchanged: Sequence[bytes],
+        stems: Sequence[str],
+        program: str,
+        taken: Collection[str],
+    ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
+        """Return the files of a program with other names for some of its subprograms, see `write.own_copies`."""
+        return write.own_copies(documents, unchanged, stems, program, taken)
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""

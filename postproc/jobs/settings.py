@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 from msgspec import Struct
 
+from postproc import cell as cells
+from postproc import robot as robots
+from postproc.cell import Cell
 from postproc.correction import Mode
 from postproc.errors import Issue
+from postproc.files import Staged
 from postproc.report import Summary
+from postproc.robot import RobotModel
 
 GOOD, FAILED, EXCEEDED = 0, 1, 3
 """Exit codes of one program."""
@@ -52,6 +58,11 @@ class Outcome(Struct, frozen=True):
     :param copied: those of them that it needs, and that are as they were.
     :param earlier: what became of the results of an earlier run, where there are none of this one.
     :param traceback: of a fault of postproc.
+    :param staged: files that are complete and not yet in their places, see `output_plan`.
+    :param shared: names of those of them that other programs may need too.
+    :param read: files that were read.
+    :param keeps_earlier: whether the results of an earlier run stay, although there are none of this one: the program
+        could be converted, and not written.
     """
 
     program: str
@@ -63,8 +74,46 @@ class Outcome(Struct, frozen=True):
     copied: tuple[str, ...] = ()
     earlier: str = ""
     traceback: str = ""
+    staged: Staged | None = None
+    shared: tuple[str, ...] = ()
+    read: tuple[str, ...] = ()
+    keeps_earlier: bool = False
 
     @property
     def skipped(self) -> bool:
         """Whether nothing was to be written: a subprogram, which is converted with the programs that call it."""
         return self.summary is None and self.code == GOOD
+
+
+def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
+    """Read the cell and its robot.
+
+    :raises CellError: the cell is unusable.
+    :raises ModelError: its robot is.
+    """
+    cell = as_stated(cells.load(settings.cell), settings)
+    return cell, load_robot(cell.robot, cell.folder)
+
+
+def as_stated(cell: Cell, settings: Settings) -> Cell:
+    """Return a cell with what settings replace."""
+    stated = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
+    stated = {name: value for name, value in stated.items() if value is not None}
+    if stated:
+        cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **stated))
+    if settings.part_tolerance_mm is not None:
+        part = msgspec.structs.replace(cell.part, tolerance_mm=settings.part_tolerance_mm)
+        cell = msgspec.structs.replace(cell, part=part)
+    if settings.keep_unresolved:
+        cell = msgspec.structs.replace(cell, krl=msgspec.structs.replace(cell.krl, keep_unresolved=True))
+    return cell
+
+
+def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
+    """Read a robot model.
+
+    :param name: of a shipped robot (`postproc robots` lists them), or the path of a model folder.
+    :param relative_to: folder that the path starts from: for the robot of a cell, `cell.folder`.
+    :raises ModelError: there is none, or it is unusable.
+    """
+    return robots.load(robots.find(name, Path(relative_to)))

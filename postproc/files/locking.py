@@ -1,0 +1,103 @@
+"""One process at a time writes into a folder."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+_NAME = ".postproc.lock"
+_POSIX = os.name == "posix"
+_POLL = 0.1
+"""Seconds between two attempts to take a lock that another process has."""
+_SILENT = 3
+"""Attempts before the user is told."""
+_held: set[Path] = set()
+"""Folders that this process has locked, resolved."""
+
+
+@contextlib.contextmanager
+def locked(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Keep other processes of postproc from writing into some folders; they wait until this one is done.
+
+    A folder is made if needed, and removed if it is still empty at the end. The lock is the operating system's
+    (`flock`, `LockFileEx`), so that a process that was killed blocks nobody. Where a network drive has no such locks,
+    `filelock` uses the existence of the file with the process in it. A folder that this process has locked already is
+    not locked again. Where no file can be made, none is locked: nothing can be written there.
+
+    :param waiting: is called once with a sentence when another process has a lock.
+    """
+    with contextlib.ExitStack() as held:
+        for folder in sorted({folder.resolve() for folder in folders} - _held):  # the same order in each process
+            held.enter_context(_locked(folder, waiting))
+        yield
+
+
+@contextlib.contextmanager
+def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[None]:
+    from filelock import FileLock, Timeout  # takes 15 ms, where files are written only
+
+    made = _missing(folder)
+    lock = FileLock(folder / _NAME)
+    attempts = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a drive without locks
+        while True:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                lock.acquire(timeout=0)
+                break
+            except Timeout:
+                attempts += 1
+                if attempts == _SILENT and waiting is not None:
+                    waiting(f"{folder}: waiting for {_holder(folder)}, which writes into this folder.")
+                time.sleep(_POLL)
+            except FileNotFoundError:
+                continue  # another process has just removed the empty folder
+            except OSError:
+                break
+    _held.add(folder)
+    try:
+        if lock.is_locked and lock.__class__ is FileLock:  # else the file has the content that makes it a lock
+            with contextlib.suppress(OSError):
+                (folder / _NAME).write_text(_this_process(), encoding="utf-8")
+        yield
+    finally:
+        _held.discard(folder)
+        if lock.is_locked:
+            if _POSIX:  # while it is locked: who has opened it sees that it is gone, and makes another
+                with contextlib.suppress(OSError):
+                    (folder / _NAME).unlink()
+            lock.release()
+        if not _POSIX:
+            with contextlib.suppress(OSError):
+                (folder / _NAME).unlink()
+        for path in made:
+            with contextlib.suppress(OSError):
+                path.rmdir()  # where nothing was written
+
+
+def _missing(folder: Path) -> list[Path]:
+    """Return a folder and those above it that are not there, the innermost first."""
+    return [path for path in (folder, *folder.parents) if not path.exists()]
+
+
+def _this_process() -> str:
+    command = " ".join(sys.argv[1:2])
+    return f"process {os.getpid()} on {socket.gethostname()} (postproc {command}, since {time.strftime('%H:%M:%S')})"
+
+
+def _holder(folder: Path) -> str:
+    """Return which process has the lock of a folder, as it says itself."""
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        said = (folder / _NAME).read_text(encoding="utf-8").strip()
+        if said.startswith("process "):
+            return said
+        if said.split()[:1] and said.split()[0].isdecimal():  # as filelock writes it where there are no locks
+            return f"process {said.split()[0]} on {' '.join(said.split()[1:2])}"
+    return "another process"

@@ -1,0 +1,204 @@
+"""Convert or predict programs: in this process, in several, or on a Dask cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Protocol
+
+from postproc import files, interrupts
+from postproc.cell import Cell
+from postproc.jobs.conversion import convert
+from postproc.jobs.output_plan import OVERVIEW, OutputPlan
+from postproc.jobs.programs import Job
+from postproc.jobs.settings import GOOD, Outcome, Settings, load_setup
+from postproc.jobs.shared_files import Task
+from postproc.report.index import Entry, index_page
+from postproc.report.summary import Summary
+from postproc.robot import RobotModel
+
+if TYPE_CHECKING:
+    from postproc.jobs.cluster import Cluster
+
+_POLL = 0.2
+"""Seconds between two looks at whether a signal came: on Windows none ends a wait."""
+_HEAD = b"<!-- Overview by postproc.\n-->\n"
+_REPORT = ".report.json"
+
+
+class Workers(Protocol):
+    """Processes that convert programs, here or elsewhere."""
+
+    def begin(self, task: Task) -> Any:
+        """Begin a task as soon as there is a free process; return its future."""
+        ...
+
+    def outcome(self, future: Any, task: Task) -> Outcome | None:
+        """Return what came of a task that is done; None if no process could be started for it."""
+        ...
+
+    def lost(self, task: Task) -> Outcome | None:
+        """Return the outcome of a task that will not be done because there are no processes any more; else None."""
+        ...
+
+    def end(self) -> None:
+        """End at once, with tasks that were begun."""
+        ...
+
+
+def convert_all(
+    jobs: Sequence[Job],
+    settings: Settings,
+    *,
+    workers: int = 1,
+    cluster: Cluster | None = None,
+    waiting: Callable[[str], None] | None = None,
+) -> Iterator[Outcome]:
+    """Convert or predict programs; yield each outcome as soon as it is known (not in the order of the jobs).
+
+    A program that fails does not stop the others. After an interrupt (Ctrl-C) what is being computed is dropped; what
+    is in its place is whole, and `KeyboardInterrupt` is raised when it has been yielded. Other runs into the same
+    folders wait until this one is done. At the end a folder of several programs gets an overview, `index.html`.
+
+    :param jobs: from `find_jobs`.
+    :param settings: for all of them.
+    :param workers: number of local processes; 1 = this one, which is also used if no process can be started.
+    :param cluster: cluster that is used instead.
+    :param waiting: is called with a sentence if another run has to be waited for.
+    :raises PostprocError: the cell or the robot is unusable, an output must not be written, or there is no cluster.
+    """
+    with interrupts.held_back(), contextlib.ExitStack() as lock:
+        with interrupts.heard():
+            lock.enter_context(files.locked({job.output for job in jobs}, waiting))
+            plan = OutputPlan(jobs, settings)
+            cell, robot = load_setup(settings)
+        for folder in {job.output for job in plan.jobs}:
+            files.remove_leftovers(folder)
+        done: list[Outcome] = []
+        try:
+            for outcome in _outcomes(plan, settings, cell, robot, workers, cluster):
+                done.append(outcome)
+                yield outcome
+        finally:
+            for folder in {job.output for job in plan.jobs}:
+                files.remove_leftovers(folder)
+        if len(done) == len(plan.jobs):
+            called = [_with_callers(job, done, settings) for job in jobs if job.callers]
+            done += called
+            yield from called
+            _write_overviews(plan.overviews, jobs, done)
+
+
+def _outcomes(
+    plan: OutputPlan, settings: Settings, cell: Cell, robot: RobotModel, count: int, cluster: Cluster | None
+) -> Iterator[Outcome]:
+    """Yield the outcomes of a plan until all is done or a signal asks for the end."""
+    if cluster is not None:
+        from postproc.jobs.cluster import ClusterWorkers  # imported where there is one, like processes
+
+        plan.divide(cell)
+        yield from _outcomes_of(plan, ClusterWorkers(cluster, settings), settings, cell, robot)
+    elif count > 1 and len(plan.jobs) > 1:
+        from postproc.jobs.workers import LocalWorkers
+
+        plan.divide(cell)
+        yield from _outcomes_of(plan, LocalWorkers(min(count, len(plan.jobs)), settings), settings, cell, robot)
+    else:
+        for task in plan.ready():
+            with interrupts.heard():
+                outcome = convert(task, settings, cell, robot)
+            yield from plan.finished(task, outcome)
+            if interrupts.came():
+                return
+
+
+def _outcomes_of(
+    plan: OutputPlan, workers: Workers, settings: Settings, cell: Cell, robot: RobotModel
+) -> Iterator[Outcome]:
+    """Yield the outcomes of a plan that workers execute."""
+    results: SimpleQueue[Any] = SimpleQueue()
+    running: dict[Any, Task] = {}
+
+    def begin() -> None:
+        for task in plan.ready():
+            future = workers.begin(task)
+            running[future] = task
+            future.add_done_callback(results.put)
+
+    try:
+        begin()
+        while running:
+            interrupted = interrupts.came()  # then what is converted already is put in its place, and no more
+            try:
+                future = results.get(not interrupted, _POLL)
+            except Empty:
+                if interrupted:
+                    return
+                for future, task in list(running.items()):
+                    if (gone := workers.lost(task)) is not None:
+                        del running[future]
+                        yield from plan.finished(task, gone)
+                continue
+            if (one := running.pop(future, None)) is None:
+                continue
+            outcome = workers.outcome(future, one)
+            if outcome is None:
+                with interrupts.heard():
+                    outcome = convert(one, settings, cell, robot)
+            yield from plan.finished(one, outcome)
+            if not interrupted:
+                begin()
+    finally:
+        workers.end()
+
+
+def _with_callers(job: Job, done: Sequence[Outcome], settings: Settings) -> Outcome:
+    """Return the outcome of a program that others call: it is corrected with those that it is written with."""
+    callers = ", ".join(path.name for path in job.callers)
+    file = str(job.output / job.program.name)
+    by = ", ".join(sorted(Path(outcome.program).name for outcome in done if file in outcome.written))
+    unchanged = any(file in outcome.copied for outcome in done)
+    what = f"written with {by}, unchanged" if unchanged else f"corrected with {by}" if by else "not written with them"
+    if by == callers:
+        what = "written with it, unchanged" if unchanged else "corrected with it"
+    if settings.mode == "predict":
+        what = "read with them"
+    message = f"{job.program}: called by {callers}: {what}. Name the file to convert it alone."
+    return Outcome(str(job.program), GOOD, message=message)
+
+
+def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> None:
+    """Write an overview into each of some folders: programs of this run and of earlier ones.
+
+    :param outcomes: outcomes of the jobs, in any order.
+    :raises InputError: one cannot be written.
+    """
+    known = {outcome.program: outcome for outcome in outcomes}
+    for folder in folders:
+        here = [known[str(job.program)] for job in jobs if job.output == folder]
+        entries = [
+            Entry(Path(outcome.program).name, "", None, _reason(outcome), called=outcome.skipped)
+            for outcome in here
+            if outcome.summary is None
+        ]
+        entries += [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
+        content = files.sealed(_HEAD + index_page(entries, folder.resolve().name))
+        files.write_whole(folder, {OVERVIEW: content})
+
+
+def _reason(outcome: Outcome) -> str:
+    return outcome.message or "; ".join(issue.message for issue in outcome.issues if issue.level == "error")
+
+
+def _entry(path: Path) -> Entry | None:
+    """Return what a report states; None if it is not that of a program that was written."""
+    try:
+        content: Summary = json.loads(path.read_bytes())
+        if content["mode"] == "predict" or content["verdict"]["state"] not in ("ok", "warning", "failed"):
+            return None
+        return Entry(content["program"], path.name.removesuffix(_REPORT) + ".report.html", content)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
