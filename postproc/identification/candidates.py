@@ -14,7 +14,7 @@ import numpy as np
 
 from postproc.frames import Array
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import joint_torques, levels_of
+from postproc.identification.observability import joint_torques, levels_of, unloaded
 from postproc.identification.structure import Structure
 from postproc.robot import (
     BASE,
@@ -93,11 +93,12 @@ def everything(
     :param in_gears: the gears carry weights and compensator at rest.
     :param compensator: K_c and s₀ are free.
     """
-    joints = JOINT_COMPLIANCES
+    bare = unloaded(robot, data)
+    joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     links, ends = link_springs(robot, rich=False), link_springs(robot, rich=True)
     of_kind: dict[str, Iterable[Parameter]] = {
-        JOINT: joints,
+        JOINT: JOINT_COMPLIANCES,
         COMPENSATOR_SPRING: COMPENSATOR if compensator else (),
         LINK: links,
         END: (spring for spring in ends if spring not in links),

@@ -18,7 +18,7 @@ from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.observability import joint_torques
 from postproc.identification.procedure import Identification
 from postproc.identification.structure import LEAST
-from postproc.robot import JOINT_COMPLIANCES, WITH_LINKS
+from postproc.robot import JOINT_COMPLIANCES, WITH_LINKS, JointCompliance
 from postproc.robot.model_file import (
     CompensatorEntry,
     CovarianceTable,
@@ -59,6 +59,12 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
                 compliance_urad_per_Nm=old.compliance_urad_per_Nm,
                 sigma_percent=old.sigma_percent,
             )
+    # a joint that keeps the prior's value keeps its sigma_percent too; without one its variance is in the table
+    kept = [
+        index
+        for index, parameter in enumerate(parameters)
+        if not (isinstance(parameter, JointCompliance) and joints[parameter.joint].sigma_percent is not None)
+    ]
     return ModelFile(
         name=prior.name,
         date=prior.date,
@@ -71,7 +77,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
-        covariance=CovarianceTable([parameter.name for parameter in parameters], covariance.tolist()),
+        covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
         discrepancy=DiscrepancyEntry(
             source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
         ),

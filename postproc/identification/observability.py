@@ -26,8 +26,8 @@ _NO_TORQUE = 0.02
 """Largest torque on a joint over the largest on any, below which the loads do not reach it."""
 _SAME_LEVEL = 2.0 * RAD_PER_DEG
 _PUBLISHED = 0.5
-"""Standard deviation of a compliance that no reading shows, over its prior value: published sets for one class of arm
-differ by 20 to 50 %."""
+"""Standard deviation of a prior compliance over its value, where the prior states none: published sets for one class
+of arm differ by 20 to 50 %."""
 _LONGEST_SPRING = 3.0
 """Free length [m] that no compensator has."""
 
@@ -169,8 +169,14 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(np.nan_to_num(correlation))
 
 
+def unloaded(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
+    """Return the compliances of joints on which the loads put next to no torque."""
+    largest = np.abs(joint_torques(robot, data)).max(axis=0)
+    return tuple(p for p, value in zip(JOINT_COMPLIANCES, largest, strict=True) if value < _NO_TORQUE * largest.max())
+
+
 def held_by_prior(fit: Fit, missing: list[NotObservable]) -> Fit:
-    """Return the fit with the compliances of missing joints at the prior's values, as uncertain as such values are."""
+    """Return the fit with the compliances of missing joints at the prior's values, as uncertain as the prior states."""
     robot, parameters = fit.structure.prior, fit.structure.parameters
     joints = [entry.parameter for entry in missing if isinstance(entry.parameter, JointCompliance)]
     order = (*parameters, *(joint for joint in joints if joint not in parameters))
@@ -183,6 +189,15 @@ def held_by_prior(fit: Fit, missing: list[NotObservable]) -> Fit:
         index = order.index(joint)
         values[index] = joint.of(robot)
         covariance[index] = covariance[:, index] = 0.0
-        covariance[index, index] = (_PUBLISHED * values[index]) ** 2
+        covariance[index, index] = _stated(robot, joint) ** 2
     structure = replace(fit.structure, parameters=order)
     return replace(fit, structure=structure, values=values, covariance=covariance, design=design)
+
+
+def _stated(robot: RobotModel, joint: Parameter) -> float:
+    """Return the standard deviation of a joint compliance of the prior [rad/(N·m)]."""
+    known = robot.covariance
+    if known is not None and joint in known.parameters:
+        index = known.parameters.index(joint)
+        return float(np.sqrt(known.matrix[index, index])) / joint.per_si
+    return _PUBLISHED * joint.of(robot)

@@ -25,7 +25,7 @@ from postproc.identification.enhanced import (
 from postproc.identification.fit import Fit, to_file_units
 from postproc.identification.hysteresis import loops
 from postproc.identification.measurements import Measurements
-from postproc.identification.observability import NotObservable, held_by_prior, not_observable
+from postproc.identification.observability import NotObservable, held_by_prior, not_observable, unloaded
 from postproc.identification.placement import Placement, locate
 from postproc.identification.plausibility import check_frames, check_loads, check_points
 from postproc.identification.serial import fit_serial
@@ -33,7 +33,6 @@ from postproc.identification.stated_errors import with_stated_errors
 from postproc.identification.trust import judge
 from postproc.identification.workspace import Workspace, over_workspace
 from postproc.robot import (
-    JOINT_COMPLIANCES,
     CompensatorPreload,
     CompensatorSize,
     CompensatorStiffness,
@@ -137,7 +136,7 @@ def identify(
             data, choice, fit, left_out = cleaned, richer, richer.fit, left_out + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
-            missing = _still_missing(choice, missing)
+            missing = _still_missing(choice, data, missing)
     if choice is None:
         fit = held_by_prior(fit, missing)
     warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
@@ -184,16 +183,15 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
     return data, choice, left_out
 
 
-def _still_missing(choice: Choice, missing: list[NotObservable]) -> list[NotObservable]:
-    """Return what the mean of structures leaves open: joints that their prior holds, and the compensator's spring.
+def _still_missing(choice: Choice, data: Measurements, missing: list[NotObservable]) -> list[NotObservable]:
+    """Return what the mean of structures leaves open: joints without load, and the compensator's spring.
 
     What the fit of joint springs alone said of other parameters applies to a model that was given up.
     """
     fit, known = choice.fit, {entry.parameter: entry for entry in missing}
     joints = [
-        known.get(joint) or NotObservable(joint, "the readings do not narrow it", f"Load {joint.joint} more.")
-        for joint in JOINT_COMPLIANCES
-        if joint in choice.held_by_prior
+        known.get(joint) or NotObservable(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
+        for joint in unloaded(fit.structure.prior, data)
     ]
     if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.given:
         return joints

@@ -33,6 +33,7 @@ _SPARE = 2.0
 _PLAY = 1e-5
 """Smallest backlash [rad] that is reported."""
 _KINDS: tuple[tuple[type[Parameter], str], ...] = (
+    (JointCompliance, "joints"),
     (LinkSpring, "link springs"),
     (Knee, "breakpoints"),
     (FadingPart, "fading parts of gears"),
@@ -107,8 +108,6 @@ def _held(choice: Choice) -> list[str]:
     """Return one sentence on the parameters that the readings do not narrow, by kind."""
     kinds: dict[str, list[str]] = {}
     for parameter in choice.held_by_prior:
-        if isinstance(parameter, JointCompliance):
-            continue  # has a warning of its own
         kind = next((name for of_kind, name in _KINDS if isinstance(parameter, of_kind)), "other parameters")
         kinds.setdefault(kind, []).append(parameter.name)
     if not kinds:

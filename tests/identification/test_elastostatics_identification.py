@@ -123,6 +123,10 @@ def test_vertical_loads_leave_k1_open_and_the_prior_is_kept(tmp_path):
     _, _, data, _ = paper_experiment(tmp_path, vertical=True)
     result = identify(harness.PRIOR, data)
     assert [entry.name for entry in result.missing if entry.name[0] == "k"] == ["k1"]
+    # it counts in the bound with the spread that the prior states
+    index = result.fit.structure.parameters.index(robot.JointCompliance("A1"))
+    assert np.sqrt(result.fit.covariance[index, index]) == pytest.approx(0.4 * harness.PRIOR.compliance[0])
+    assert 0.3 < result.workspace.worst.worst < 1.0
     entry = next(entry for entry in result.missing if entry.name == "k1")
     assert "vertical" in entry.reason
     assert "sideways" in entry.advice
