@@ -227,3 +227,14 @@ def test_a_bias_as_large_as_the_noise_widens_the_intervals():
     grown = np.diag(result.covariance) - np.diag(noise)
     np.testing.assert_allclose(grown, result.markers.bias**2, rtol=1e-6, atol=1e-16)
     assert result.markers.bias[1] ** 2 > 0.01 * noise[1, 1]
+
+
+def test_the_bias_holds_every_term_on_a_wide_arc_of_few_points():
+    """One marker at four angles: the leverage of each point is a half, so no term of the bias is small."""
+    angle, sigma, runs = np.radians([0.0, 40.0, 75.0, 120.0]), 1e-3, 80_000
+    exact = 0.15 * np.c_[np.cos(angle), np.sin(angle), 0 * angle][None]
+    noise = np.random.default_rng(8).normal(0.0, sigma, (runs, *exact.shape)) * [1.0, 1.0, 0.0]
+    found = 0.5 * (cg.swivel_axis(exact + noise)[0] + cg.swivel_axis(exact - noise)[0])  # without the first order
+    bias = cg.pivot_bias(exact, np.full((1, 4), sigma**2))
+    assert np.linalg.norm(found.std(axis=0)) / np.sqrt(runs) < 0.025 * np.linalg.norm(bias)
+    assert np.linalg.norm(found.mean(axis=0) - bias) < 0.08 * np.linalg.norm(bias)
