@@ -254,6 +254,8 @@ def prove(seed, folder):
         if issue.kind == "unresolved":
             file, _, line = issue.subject.rpartition("line ")
             kept.add((file.rstrip(", ") or "part.src", int(line)))
+        elif issue.kind == "motions-elsewhere":
+            kept.add(("part.src", issue.source_line))
     main = "PARTMAIN" if "partMain.src" in new else "PART"
     texts = statements(job.files), statements(new)
     for nominal, decided in runs:

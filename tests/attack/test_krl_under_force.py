@@ -26,6 +26,8 @@ def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
 def test_jumps_over_statements_and_routines_left_early_do_what_the_job_said():
     outcomes = Counter(attack(seed).partition(":")[0] for seed in range(1_000_000, 1_000_030))
     assert sum(number for name, number in outcomes.items() if name != "refused") > 15
+    assert attack(4_000_071) == "branches, in files"  # a force behind branches that meet where a routine ends
+    assert attack(4_000_130) == "kept"  # a function of another file that moves
 
 
 def test_branches_that_stay_in_some_rounds_of_a_loop_only_are_read_back_as_they_were_read():

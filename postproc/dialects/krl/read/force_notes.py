@@ -137,6 +137,9 @@ class _Held:
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
             raise self.course.source.line_error(problem, line, _MEETING_ADVICE)
         alike = all(force == held[0] for force in held)
+        row = int(np.searchsorted(self.motions, line))
+        if alike and row < len(self.motions) and self.motions[row] == line:
+            return  # what holds is not stated on the line of a motion, behind which a routine ends
         self._state(line, ends[0][0] if alike else "branches that meet before it leave different ones")
 
     def _state(self, line: int, held: _Force) -> None:
