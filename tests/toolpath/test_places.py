@@ -171,7 +171,7 @@ def test_arcs_are_divided_where_the_force_bends_if_it_changes_enough(seed):
     rng, few = np.random.default_rng(seed), 0
     arcs = arc((40, 10, 5), (0.0, 0.0, 1.0), (10, -20, 5), 250.0), ("LIN", 80, 60, 0)
     made = program([("PTP", 40, 10, 5), *arcs, arc((80, 60, 0), (0.0, 1.0, 0.0), (30, 60, 0), 100.0)])
-    count = len(made.motions)
+    count, path = len(made.motions), toolpath.segments(made, START)
     for _ in range(20):
         motion, t, change, bent = random_estimate(rng, count)
         found = pieces(made, estimate(made, motion, t, change, bent, turning=1e-9))
@@ -192,6 +192,9 @@ def test_arcs_are_divided_where_the_force_bends_if_it_changes_enough(seed):
         np.testing.assert_allclose(found.begin, [row[1] for row in expected])
         np.testing.assert_allclose(found.end, [row[2] for row in expected])
         np.testing.assert_array_equal(found.uncertain, [row[3] for row in expected])
+        # an arc that is longer than 20 mm at 3° a sample has its share of them
+        whole = path.length[found.motion] / 0.02
+        np.testing.assert_allclose(found.samples, (found.end - found.begin) * whole)
     assert few > 0
 
 
