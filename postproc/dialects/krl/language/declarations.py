@@ -10,15 +10,8 @@ from msgspec import Struct
 from postproc.dialects.krl.language.brackets import split
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import DECLARATION, NAME, NEXT_DECLARED, key_word
 from postproc.errors import ProgramError
-
-DECLARATION = re.compile(
-    r"(?:(?:DECL|GLOBAL|CONST|PUBLIC)[ \t]+)*(?:([A-Za-z_]\w*)[ \t]+)?([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)",
-    re.ASCII | re.IGNORECASE,
-)
-_NEXT = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
-_GLOBAL = re.compile(r"\bGLOBAL\b", re.IGNORECASE)
 
 
 class Declared(Struct, frozen=True):
@@ -51,7 +44,7 @@ def declared(source: Source, start: int, stop: int) -> Iterator[Declared]:
     while True:
         if source.text[end - 1] == "=":
             end = _value_stop(source, end, stop)
-        following = _NEXT.match(source.text, end, stop)
+        following = NEXT_DECLARED.match(source.text, end, stop)
         if not following:
             return
         end = following.end()
@@ -60,7 +53,7 @@ def declared(source: Source, start: int, stop: int) -> Iterator[Declared]:
 
 
 def _first(source: Source, match: re.Match[str]) -> Declared:
-    public = _GLOBAL.search(source.text, match.start(), match.start(2)) is not None
+    public = key_word(source.text, match.start(), match.start(2), "GLOBAL") is not None
     kind, value = (match[1] or "").upper(), match.end() if match[4] else -1
     return Declared(match[2].upper(), match.start(2), match[3], kind, public, value)
 

@@ -11,7 +11,18 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.brackets import beyond, matching, skip_blanks, split
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import (
+    COMPONENT,
+    ENUM,
+    FIELD,
+    INTEGER_LITERAL,
+    ITEM_NAME,
+    LOGIC,
+    NAME,
+    NUMBER,
+    STRING,
+    TAG,
+)
 from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,
@@ -24,22 +35,10 @@ from postproc.dialects.krl.language.values import (
     Word,
 )
 
-NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_NUMBER = re.compile(NUMBER_PATTERN)
-_COMPONENT = re.compile(
-    rf"[ \t]*([A-Za-z_]\w*)[ \t]*(?:(?<=[ \t])|(?=[-+]))({NUMBER_PATTERN})[ \t]*(?:(,)|(?=\}}))", re.ASCII
-)
-_ITEM_NAME = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
-_TAG = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:", re.ASCII)
-_INTEGER_LITERAL = re.compile(r"'(?:[Bb]([01]+)|[Hh]([0-9A-Fa-f]+))'")
-_STRING = re.compile(r'"[^"]*"')
-_ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
 _MOST_TERMS = 200
 _LONGEST = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
-_FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
 _ENDS = ",)]}cC"
-_LOGIC = re.compile(r"[<>=&|]|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 
 
 def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
@@ -57,7 +56,7 @@ def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
             return value, end  # nothing is joined to it: so common that looking first is faster
     value, end = arithmetic(source, start, stop)
     after = skip_blanks(source.text, end, stop)
-    if after < stop and _LOGIC.match(source.text, after, stop):
+    if after < stop and LOGIC.match(source.text, after, stop):
         end = beyond(source, after, stop)
         return Opaque(value.start, end), end
     return value, end
@@ -100,7 +99,7 @@ def _factor(source: Source, start: int, stop: int) -> tuple[Value, int]:
     """Return a value with its sign, or frames joined by ``:``."""
     text = source.text
     start = skip_blanks(text, start, stop)
-    if text[start:stop][:1] in ("+", "-") and not _NUMBER.match(text, start, stop):
+    if text[start:stop][:1] in ("+", "-") and not NUMBER.match(text, start, stop):
         if text[skip_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
             raise source.error("two signs in a row", start)
         value, end = _factor(source, start + 1, stop)
@@ -131,16 +130,16 @@ def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
         return _variable(source, match, stop)
     if first == "(":
         return _in_brackets(source, start, stop)
-    if match := _NUMBER.match(text, start, stop):
+    if match := NUMBER.match(text, start, stop):
         return Number(_finite(source, match), start, match.end(), match[0].lstrip("+-").isdigit()), match.end()
-    if match := _INTEGER_LITERAL.match(text, start, stop):
+    if match := INTEGER_LITERAL.match(text, start, stop):
         if match.end() - start > _LONGEST:
             raise source.error(f"{match[0][:20]}… is not an INT", start)
         value = float(int(match[1], 2) if match[1] else int(match[2], 16))
         return Number(value, start, match.end(), True), match.end()
-    if match := _STRING.match(text, start, stop):
+    if match := STRING.match(text, start, stop):
         return Word(match[0], start, match.end()), match.end()
-    if match := _ENUM.match(text, start, stop):
+    if match := ENUM.match(text, start, stop):
         return Word(match[0].upper(), start, match.end()), match.end()
     end = beyond(source, start, stop)
     return Opaque(start, end), end
@@ -176,7 +175,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, in
             else:
                 break
             end = close + 1
-        elif match := _FIELD.match(text, end, stop):
+        elif match := FIELD.match(text, end, stop):
             path.append(match[1].upper())
             end = match.end()
         else:
@@ -193,11 +192,11 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     text = source.text
     position = start + 1
     tag = ""
-    if match := _TAG.match(text, position, stop):
+    if match := TAG.match(text, position, stop):
         tag, position = match[1].upper(), match.end()
     items: dict[str, Value] = {}
     while True:
-        match = _COMPONENT.match(text, position, stop)
+        match = COMPONENT.match(text, position, stop)
         if match:
             name, more, position = match[1].upper(), match[3] is not None, match.end()
             value: Value = Number(
@@ -217,7 +216,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
 def _component(source: Source, opening: int, position: int, stop: int) -> tuple[str, Value, bool, int]:
     """Return name and value of a component that is not a plain number, whether another follows, and where it ends."""
     text = source.text
-    match = _ITEM_NAME.match(text, position, stop)
+    match = ITEM_NAME.match(text, position, stop)
     if not match:
         _not_closed_or(source, opening, position, stop, "a component such as 'X 12.5' is expected")
     name = match[1].upper()

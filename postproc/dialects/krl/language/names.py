@@ -22,6 +22,11 @@ def words(text: str) -> frozenset[str]:
 MOTIONS = words("LIN PTP CIRC SLIN SPTP SCIRC SPL")
 """Motion instructions that are read; each may carry ``_REL``."""
 
+MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
+
+SPLINES = {"SPLINE": ("SPL", "SLIN", "SCIRC"), "PTP_SPLINE": ("SPTP",)}
+"""Spline blocks, and the instructions that may be in them; ENDSPLINE closes both."""
+
 OPENING = {"FOR": "ENDFOR", "WHILE": "ENDWHILE", "LOOP": "ENDLOOP", "IF": "ENDIF", "SWITCH": "ENDSWITCH"}
 """Control structures and the word that closes them; REPEAT … UNTIL besides."""
 

@@ -10,9 +10,16 @@ from collections.abc import Callable
 from postproc.dialects.krl.language.brackets import matching, split
 from postproc.dialects.krl.language.declarations import declared, structure
 from postproc.dialects.krl.language.expressions import arithmetic, operand, parse
-from postproc.dialects.krl.language.names import DECLARING, OPENING, RESERVED, TYPES
+from postproc.dialects.krl.language.names import (
+    DECLARING,
+    MOTION_WORDS,
+    OPENING,
+    PURE,
+    RESERVED,
+    SPLINES,
+    TYPES,
+)
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, SPLINES, assignment, declares
 from postproc.dialects.krl.language.tokens import (
     NAME,
     Span,
@@ -23,6 +30,7 @@ from postproc.dialects.krl.language.tokens import (
     key_word,
     operator_at,
     word_at,
+    words_in,
 )
 from postproc.dialects.krl.language.tree import (
     Assignment,
@@ -85,18 +93,59 @@ def _other(source: Source, word: str, start: int, first: int, stop: int) -> Stat
         return Statement(word, start, stop)
     if word in TYPES:
         return _declaration(source, word, start, first, stop)
-    found = assignment(source, first, stop)
-    if found is not None:
-        return Assignment(word, start, stop, found[0], Span(found[1], stop))
     target, end = operand(source, first, stop)
+    equals = after_sign(text, end, stop, "=")
+    if isinstance(target, Reference) and equals >= 0 and text[equals : equals + 1] != "=":
+        return Assignment(word, start, stop, target, Span(equals, stop))
     if isinstance(target, Call) and end == stop:
         return CallStatement(word, start, stop, target)
     colon = after_sign(text, end, stop, ":")
     if isinstance(target, Reference) and colon >= 0 and after_blanks(text, colon, stop) == stop:
         return Label(word, start, stop, target.name)
-    if declares(text, first, stop):
+    if _is_declaration(text, first, stop):
         return _declaration(source, word, start, first, stop)
     return Statement(word, start, stop)
+
+
+def calls(source: Source, start: int, stop: int) -> list[Call]:
+    """Return the calls of routines and functions in a piece of code, from left to right, also those inside others.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    text, found = source.text, []
+    if "(" not in text[start:stop]:
+        return []
+    for word, at in words_in(text, start, stop):
+        if "$" in word or word in RESERVED or word in PURE or after_sign(text, at.stop, stop, "(") < 0:
+            continue
+        value, _ = operand(source, at.start, stop)
+        if isinstance(value, Call):
+            found.append(value)
+    return found
+
+
+def sole_call(source: Source, start: int, stop: int) -> Call | None:
+    """Return the call that a piece of code consists of; None if it is something else."""
+    value = _sole_operand(source, start, stop)
+    return value if isinstance(value, Call) else None
+
+
+def reference_of(source: Source, span: tuple[int, int]) -> Reference | None:
+    """Return the variable that an argument consists of; None if it is something else.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    value = _sole_operand(source, *span)
+    return value if isinstance(value, Reference) else None
+
+
+def _sole_operand(source: Source, start: int, stop: int) -> Value | None:
+    """Return the named operand that a piece of code consists of; None if it is something else."""
+    start = after_blanks(source.text, start, stop)
+    if not word_at(source.text, start, stop):
+        return None
+    value, end = operand(source, start, stop)
+    return value if not source.text[end:stop].strip() else None
 
 
 # --- what declares ---------------------------------------------------------------------------------------------------
@@ -134,6 +183,21 @@ def _parameter(text: str) -> Parameter | None:
     end = text.find("]", end) + 1 if end >= 0 else begin + len(name)
     colon = after_sign(text, end, stop, ":")
     return Parameter(name, colon >= 0 and after_word(text, colon, stop, "IN") >= 0)
+
+
+def _is_declaration(text: str, start: int, stop: int) -> bool:
+    """Return whether a statement is a type and a name, without DECL."""
+    kind = NAME.match(text, start, stop)
+    if kind is None or "$" in kind[0]:
+        return False
+    begin = after_blanks(text, kind.end(), stop)
+    end = begin + len(word_at(text, begin, stop))
+    if begin == kind.end() or end == begin:
+        return False
+    opened = after_sign(text, end, stop, "[")
+    end = end if opened < 0 else text.find("]", opened, stop) + 1
+    after = after_blanks(text, end, stop)
+    return end > 0 and (after == stop or text[after] in ",=")
 
 
 def _declaration(source: Source, word: str, start: int, first: int, stop: int) -> Statement:

@@ -8,10 +8,9 @@ from itertools import islice
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.language.names import OPENING
+from postproc.dialects.krl.language.names import MOTION_WORDS, OPENING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS
 from postproc.dialects.krl.language.tokens import word_at, words_in
 from postproc.dialects.krl.language.tree import Bare, If
 from postproc.errors import MOST, ProgramError, together

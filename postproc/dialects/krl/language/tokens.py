@@ -16,8 +16,24 @@ _OCCURRENCE = re.compile(
     r"\"[^\"]*\"|'[BbHh][0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII
 )
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_NUMBER = re.compile(NUMBER_PATTERN)
-_TAG = re.compile(r"[ \t]*:")
+NUMBER = re.compile(NUMBER_PATTERN)
+COMPONENT = re.compile(
+    rf"[ \t]*([A-Za-z_]\w*)[ \t]*(?:(?<=[ \t])|(?=[-+]))({NUMBER_PATTERN})[ \t]*(?:(,)|(?=\}}))", re.ASCII
+)
+"""A component of an aggregate that is a number, with the comma behind it."""
+ITEM_NAME = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
+TAG = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:", re.ASCII)
+INTEGER_LITERAL = re.compile(r"'(?:[Bb]([01]+)|[Hh]([0-9A-Fa-f]+))'")
+STRING = re.compile(r'"[^"]*"')
+ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
+FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
+LOGIC = re.compile(r"[<>=&|]|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
+DECLARATION = re.compile(
+    r"(?:(?:DECL|GLOBAL|CONST|PUBLIC)[ \t]+)*(?:([A-Za-z_]\w*)[ \t]+)?([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)",
+    re.ASCII | re.IGNORECASE,
+)
+NEXT_DECLARED = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
+_COLON = re.compile(r"[ \t]*:")
 _OPEN = re.compile(r"[ \t]*\(")
 _FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
 
@@ -89,7 +105,7 @@ def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
 
 def number(text: str) -> float:
     """Return the number that a text is; NaN if it is something else."""
-    return float(text) if _NUMBER.fullmatch(text) else float("nan")
+    return float(text) if NUMBER.fullmatch(text) else float("nan")
 
 
 def fold_at(text: str, start: int, stop: int) -> str:
@@ -132,7 +148,7 @@ def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
             component = bool(open_) and open_[-1] == "{"
         elif first.isalpha() or first in "_$":
             if component:
-                component = _TAG.match(text, match.end(), stop) is not None
+                component = _COLON.match(text, match.end(), stop) is not None
                 continue
             called = _OPEN.match(text, match.end(), stop) is not None
             yield Occurrence(match.start(), match.end(), match[0].upper(), called)

@@ -10,9 +10,9 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import PURE, STANDARD
+from postproc.dialects.krl.language.parser import calls, reference_of, sole_call
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.statements import calls, reference_of, sole_call
 from postproc.dialects.krl.language.values import Aggregate, Call, Reference
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.inexact import inexact

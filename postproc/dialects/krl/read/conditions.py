@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from postproc.dialects.krl.language.parser import calls
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import calls
 from postproc.dialects.krl.language.tokens import Span
 from postproc.dialects.krl.language.tree import Condition
 from postproc.dialects.krl.language.values import Number, Value, Word

@@ -7,8 +7,9 @@ from collections.abc import Set
 
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.declarations import DECLARATION, Declared, declared, structure
+from postproc.dialects.krl.language.declarations import Declared, declared, structure
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import DECLARATION
 from postproc.dialects.krl.language.tree import Declaration
 from postproc.dialects.krl.read.known import Unread
 from postproc.dialects.krl.read.variables import Variables

@@ -14,10 +14,9 @@ from msgspec import Struct, field
 
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import STANDARD
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.parser import calls, reference_of, statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import calls, reference_of
 from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.language.tree import (
     Assignment,

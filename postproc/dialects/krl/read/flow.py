@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.course import Branch, Fork, Join, Occasion
 from postproc.dialects.krl.language import tree
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.parser import calls, statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import calls
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Value
 from postproc.dialects.krl.read.conditions import chosen, truth

@@ -12,9 +12,8 @@ from collections.abc import Callable
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.parser import calls, statement
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.statements import calls
 from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.values import Call, Reference, Value, Word

@@ -9,11 +9,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines, Occasion
-from postproc.dialects.krl.language.names import RESERVED, fault_of
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.names import MOTION_WORDS, RESERVED, fault_of
+from postproc.dialects.krl.language.parser import calls, statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS, calls
 from postproc.dialects.krl.language.structures import Block, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
+from postproc.dialects.krl.language.names import SPLINES
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.statements import SPLINES
 from postproc.dialects.krl.language.tokens import word_at
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader

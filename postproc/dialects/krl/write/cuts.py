@@ -8,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.language.names import OPENING
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.names import OPENING, SPLINES
+from postproc.dialects.krl.language.parser import calls, statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import SPLINES, calls
 from postproc.dialects.krl.language.tokens import fold_at
 from postproc.dialects.krl.language.tree import (
     Cyclic,

@@ -14,11 +14,10 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language.data_files import DataLine, data_lines
 from postproc.dialects.krl.language.declarations import Declared, declared
 from postproc.dialects.krl.language.names import DECLARING, MAX_LENGTH, unused
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.parser import calls, statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import calls
 from postproc.dialects.krl.language.tokens import NAME, after_blanks, after_word, key_word, occurrences, word_at
 from postproc.dialects.krl.language.tree import Assignment, Cyclic, Declaration, Definition, Event, For
 from postproc.dialects.krl.write.cuts import ADVICE, undivided

@@ -23,12 +23,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of
+from postproc.dialects.krl.language.names import MAX_LENGTH, MOTION_WORDS, fault_of
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN, joined, taken_apart
 from postproc.dialects.krl.language.routines import Module, routines
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.statements import MOTION_WORDS
 from postproc.dialects.krl.language.tokens import NAME, word_at
 from postproc.dialects.krl.write.cuts import bounds, places, undivided
 from postproc.dialects.krl.write.file_data import with_data
