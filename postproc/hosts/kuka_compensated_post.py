@@ -56,6 +56,8 @@ TOOLTIP_ARGS = _parser.format_help()
 UNITS = "G21"
 MACHINE_NAME = "KUKA robot"
 
+_ROUNDING_MM = 1e-4
+"""What rounding the numbers of the written program may leave."""
 _WORDS = "XYZABCUVWIJKRQPLFSTHD"
 _names: list[str] = []
 """Of the programs that were asked for without a file name. FreeCAD from 1.0 on loads the post anew for each run, and
@@ -100,11 +102,19 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
         FreeCAD.Console.PrintWarning(f"{warning}\n")
     program = done.files[0]
     text: str = program.read_bytes().decode("utf-8")
-    FreeCAD.Console.PrintMessage(
-        f"{program}: largest deviation {done.summary['before']['max_mm']:.3f} mm before and "
-        f"{done.summary['after']['max_mm']:.4f} mm after correction; report: {program.with_suffix('.report.html')}\n"
-    )
+    message = f"{program}: {_result(done.summary)}; report: {program.with_suffix('.report.html')}\n"
+    FreeCAD.Console.PrintMessage(message)
     return text
+
+
+def _result(summary: dict[str, Any]) -> str:
+    """Return in a sentence what the correction did, from report.json."""
+    before, after = (summary[when]["max_mm"] for when in ("before", "after"))
+    if before < _ROUNDING_MM:
+        why = "no cutting move carries a force" if summary["max_force_N"] == 0.0 else "the forces do not move the tool"
+        return f"nothing was corrected: {why} (forces: --material, --process, --forces or comments)"
+    left = f"less than {_ROUNDING_MM:g}" if after < _ROUNDING_MM else f"{after:.2g}"
+    return f"largest deviation {before:.2g} mm before and {left} mm after correction"
 
 
 def _show(FreeCAD: Any, message: str) -> None:

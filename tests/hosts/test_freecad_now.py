@@ -17,6 +17,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from postproc import hosts
 from postproc.hosts import install_post
 
 CELL = (Path(__file__).parents[2] / "samples" / "cell_kr270.toml").resolve()
@@ -188,3 +189,20 @@ def test_a_fault_names_operation_and_command(freecad, tmp_path):
         post(posts, f"--cell {CELL}", [section(operations[1], tools[1], wrapped=True)])
     assert any("operation Profile, command 9 (G1 X9000)" in line for line in said)
     assert list((tmp_path / "corrected").glob("*")) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "force", "sentence"),
+    [
+        (0.0, 0.00006, 0.0, "nothing was corrected: no cutting move carries a force"),
+        (0.5218, 0.00006, 250.0, "largest deviation 0.52 mm before and less than 0.0001 mm after correction"),
+        (0.5218, 0.5218, 250.0, "largest deviation 0.52 mm before and 0.52 mm after correction"),
+    ],
+)
+def test_the_post_says_what_was_corrected(before, after, force, sentence):
+    path = Path(hosts.__file__).parent / "kuka_compensated_post.py"
+    spec = importlib.util.spec_from_file_location("kuka_post_under_test", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    summary = {"before": {"max_mm": before}, "after": {"max_mm": after}, "max_force_N": force}
+    assert module._result(summary).startswith(sentence)
