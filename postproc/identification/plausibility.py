@@ -22,6 +22,8 @@ _FAR = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains."""
 _MOST_DEFLECTION = 0.1
 _SAME_UNIT = (0.2, 5.0)
+_OPPOSITE = -0.7
+"""Cosine between displacement and expectation below which a force has the wrong sign."""
 _KILOGRAMS = (6.0, 16.0)
 
 
@@ -136,7 +138,8 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
         )
     # along what is expected and by size: where links give way otherwise than the joints, one of the two is far off
     far = np.sqrt(np.sum(seen**2, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2)))
-    far = np.where(ratio < 0.0, -far, far)
+    # against the force only if it is nearly opposite: links may deflect across what the joints would
+    far = np.where(ratio < _OPPOSITE * far, -far, far)
     for row in range(len(ratio)):
         relative = far[row] / usual
         if not any(_SAME_UNIT[0] < each < _SAME_UNIT[1] for each in (relative, ratio[row] / usual)):
