@@ -404,7 +404,7 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
 
 @STATES
 def test_the_bound_counts_the_flanks_of_gears_by_how_far_their_torque_is_from_turning_over(gravity):
-    model, arm, q, wrench = arms(0, gravity)
+    model, arm, q, wrench = arms(0, gravity, NO_PAYLOAD)
     wrench *= 0.05  # torques that are near to turning gears over
     turning = np.zeros((3, 6), dtype=bool)
     turning[1, [0, 4]] = True
