@@ -224,7 +224,7 @@ def test_rapid_is_not_divided():
     abb = CELL.with_name("cell_irb6700.toml").read_text()
     Path("cell.toml").write_text(abb.replace("[output]", "[output]\nlines_per_file = 20"))
     done = run("convert", "part.nc", "-o", "out", "--to", "rapid")
-    assert "lines_per_file divides KRL" in done.output
+    assert "lines_per_file divides only KRL" in done.output
     assert {path.suffix for path in Path("out").iterdir()} == {".mod", ".csv", ".html", ".json"}
 
 
