@@ -18,6 +18,20 @@ MOST = 20
 """So many errors of one input are shown in one run; a reader may stop when it has found more."""
 
 
+def did_you_mean(name: str, valid: Iterable[str]) -> str:
+    """Return a question with the valid name that is nearest to an unknown one; empty if none is near.
+
+    >>> did_you_mean("tolerence_mm", ["tolerance_mm", "lines_per_file"])
+    'Did you mean `tolerance_mm`?'
+    """
+    from difflib import get_close_matches  # needed where something is wrong
+
+    known = {other.lower(): other for other in valid}
+    near = get_close_matches(name.lower(), known, n=1, cutoff=0.7)
+    near = near or [other for other in known if len(name) > 3 and name.lower() in other][:1]
+    return f"Did you mean `{known[near[0]]}`?" if near else ""
+
+
 class PostprocError(Exception):
     """Root of all exceptions of this package; each passes from one process to another with all it carries."""
 

@@ -2,7 +2,9 @@
 
 import pickle
 
-from postproc.errors import MOST, Issue, ProgramError, group_issues, together
+import pytest
+
+from postproc.errors import MOST, Issue, ProgramError, did_you_mean, group_issues, together
 
 
 def _error(line: int, file: str = "part.nc") -> ProgramError:
@@ -59,3 +61,17 @@ def test_a_grouped_issue_has_the_lines_of_all() -> None:
     issues = [Issue("info", "a", "m", 9, lines=(9, 12)), Issue("info", "a", "m", 4), Issue("info", "a", "m", 12)]
     (one,) = group_issues(issues)
     assert (one.source_line, one.count, one.lines) == (9, 3, (4, 9, 12))
+
+
+@pytest.mark.parametrize(
+    ("name", "valid", "question"),
+    [
+        ("kr270", ["kuka_kr16_2", "kuka_kr270"], "Did you mean `kuka_kr270`?"),
+        ("KUKA_KR720", ["kuka_kr16_2", "kuka_kr270"], "Did you mean `kuka_kr270`?"),
+        ("tolerence_mm", ["lines_per_file", "tolerance_mm"], "Did you mean `tolerance_mm`?"),
+        ("fanuc", ["gcode", "krl", "rapid"], ""),
+        ("x", ["axis"], ""),
+    ],
+)
+def test_the_nearest_valid_name_is_offered(name, valid, question):
+    assert did_you_mean(name, valid) == question

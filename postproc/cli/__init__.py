@@ -53,6 +53,18 @@ class LazyGroup(click.Group):
         command: click.Command = getattr(import_module(module), attribute)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is named; an unknown one is an error that offers the nearest."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as cause:
+            from postproc.errors import did_you_mean
+
+            near = did_you_mean(args[0], self.list_commands(ctx))
+            raise click.UsageError(f"No such command {args[0]!r}. {near}".rstrip(), ctx) from cause
+
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Take ``--debug`` wherever it stands."""
         others = [arg for arg in args if arg != _DEBUG]

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc.dialects.dialect import Dialect, Writer
-from postproc.errors import InputError, ProgramError
+from postproc.errors import InputError, ProgramError, did_you_mean
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -58,7 +58,10 @@ def by_name(name: str) -> Dialect:
         return _ours(name)
     found = _others().get(name)
     if found is None:
-        raise InputError(f"unknown dialect {name!r}", advice=f"There are {', '.join(names())}.")
+        raise InputError(
+            f"unknown dialect {name!r}",
+            advice=f"{did_you_mean(name, names())} There are {', '.join(names())}.".lstrip(),
+        )
     if isinstance(found, str):
         raise InputError(f"the dialect {name!r} cannot be used: {found}", advice="Mend or remove its package.")
     return found

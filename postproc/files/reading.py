@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.errors import MOST, InputError, together
+from postproc.errors import MOST, InputError, did_you_mean, together
 from postproc.frames import Array
 
 T = TypeVar("T")
@@ -102,7 +102,8 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
         where = f" in [{at}]" if at else ""
         for name in data:
             if name not in fields and kind.forbid_unknown_fields:
-                yield f"unknown key {name!r}{where}", f"Valid keys: {', '.join(fields)}."
+                near = did_you_mean(str(name), fields)
+                yield f"unknown key {name!r}{where}", f"{near} Valid keys: {', '.join(fields)}.".lstrip()
         missing = [name for name, field in fields.items() if field.required and name not in data]
         if missing:
             yield f"missing {'key' if len(missing) == 1 else 'keys'}{where}: {', '.join(missing)}", None

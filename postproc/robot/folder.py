@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc import files
-from postproc.errors import ModelError
+from postproc.errors import ModelError, did_you_mean
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
 from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
@@ -49,7 +49,8 @@ def find(name: str, relative_to: Path | None = None) -> Path:
     if not (folder / "model.toml").is_file():
         raise ModelError(
             f"no robot {name!r}",
-            advice=f"Give the path of a folder with robot.urdf and model.toml, or one of: {', '.join(known)}.",
+            advice=f"{did_you_mean(name, known)} Give the path of a folder with robot.urdf and model.toml, or one of: "
+            f"{', '.join(known)}.".lstrip(),
         )
     return folder
 
