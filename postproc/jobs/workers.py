@@ -17,7 +17,7 @@ import threading
 import traceback
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from postproc.cell import Cell
@@ -78,8 +78,8 @@ class LocalWorkers:
         return outcome
 
     def _process(self) -> _Process:
-        if not self._free.empty():  # each thread puts back the one that it took: no other can take it in between
-            return self._free.get()
+        with contextlib.suppress(Empty):
+            return self._free.get_nowait()
         with self._lock:
             if self._ending:
                 raise OSError
