@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -14,14 +15,14 @@ from postproc import correction, files, forces, report
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
-from postproc.errors import InputError, Issue, PostprocError, SubprogramError
+from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.frames import M_PER_MM
 from postproc.jobs import shared_files
 from postproc.jobs.marking import marked, subprograms
 from postproc.jobs.programs import Job, read_documents
 from postproc.jobs.settings import EXCEEDED, FAILED, GOOD, Outcome, Settings
 from postproc.jobs.shared_files import Task
-from postproc.program import Program
+from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
 
@@ -44,7 +45,7 @@ def convert(task: Task, settings: Settings, cell: Cell, robot: RobotModel) -> Ou
         result, process = _result(job, settings, cell, robot, program)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
-        made = _made(task, settings, cell, result, process)
+        made = _made(task, settings, cell, robot, result, process)
         computed = True
         staged = files.stage(job.output, made.contents)
     except Exception as cause:
@@ -138,7 +139,9 @@ class _Made(Struct, frozen=True, eq=False):
     read: tuple[str, ...]
 
 
-def _made(task: Task, settings: Settings, cell: Cell, result: Result, process: ProcessForces | None) -> _Made:
+def _made(
+    task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result, process: ProcessForces | None
+) -> _Made:
     """Return what is to be written.
 
     :raises InputError: files of subprograms would replace those of another program.
@@ -146,7 +149,7 @@ def _made(task: Task, settings: Settings, cell: Cell, result: Result, process: P
     job, mode, needed = task.job, settings.mode, result.program.needed
     stated = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
-    result, called, copies = _with_subprograms(task, settings, cell, result)
+    result, called, copies = _with_subprograms(task, settings, cell, robot, result)
     content = report.summary(result, tolerance, cell.part_tolerance)
     name = job.report(mode)
     stem = name.removesuffix("report.json")
@@ -189,7 +192,7 @@ def _made(task: Task, settings: Settings, cell: Cell, result: Result, process: P
 
 
 def _with_subprograms(
-    task: Task, settings: Settings, cell: Cell, result: Result
+    task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result
 ) -> tuple[Result, list[str], dict[str, bytes]]:
     """Return a result whose program states where it comes from, with subprograms that are no other program's.
 
@@ -209,6 +212,7 @@ def _with_subprograms(
         if not others:
             return written, called, copies
         documents, more = shared_files.with_own_names(task, result.documents, others, called, copies)
+        _check_same_motions(result, documents, robot, cell)
         own_names |= {new: own_names.get(old, old) for new, old in more.items()}
         issues = [each for each in result.issues if each.kind != "shared-file" or each.subject not in more.values()]
         for new, old in sorted(more.items()):
@@ -216,6 +220,28 @@ def _with_subprograms(
                 note = f"{old} is written as {new}: it differs from the one written for {others[old]}."
                 issues.append(Issue("info", "own-copy", note))
         result = replace(result, documents=documents, issues=tuple(issues))
+
+
+def _check_same_motions(result: Result, renamed: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
+    """Read a released program again after subprograms were renamed in it: its motions must be the same.
+
+    :raises InputError: they are not, or the renamed program cannot be read.
+    """
+    name, dialect = result.program.name, result.program.dialect
+    try:
+        before, after = (correction.read(files, robot, cell, name, dialect) for files in (result.documents, renamed))
+        pairs = [(getattr(before.motions, each), getattr(after.motions, each)) for each in Motions.__struct_fields__]
+        pairs.append((before.numbers_as_written(), after.numbers_as_written()))
+        same = all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
+    except ProgramError:
+        same = False
+    if not same:
+        names = ", ".join(sorted({each.name for each in renamed} - {each.name for each in result.documents}))
+        raise InputError(
+            f"with subprograms under names of their own ({names}) the program would move differently",
+            file=result.documents[0].name,
+            advice="Write this program into another folder with -o, and report this fault of postproc, please.",
+        )
 
 
 def failure(job: Job, cause: Exception) -> Outcome:

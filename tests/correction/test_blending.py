@@ -121,7 +121,7 @@ def test_rounding_is_that_of_the_written_text_and_small_where_only_the_force_cha
     content = report.summary(result, 1e-5)
     assert content["blending"]["max_mm"] == pytest.approx(1e3 * max(seen), rel=1e-3)
     assert content["tolerance_held"] is None
-    assert "held but for approximation" in report.of_one(content)
+    assert "between targets too, but for rounded corners" in report.of_one(content)
     assert "rounds corners by up to 0.0" in report.of_one(content)
 
 
@@ -146,7 +146,7 @@ def test_krl_keeps_its_corners_and_stops_at_inserted_targets_only_where_it_stops
     if tail:
         corner = 0.25 * 2.0 * np.sqrt(2.0)
         assert content["blending"]["programmed_max_mm"] == pytest.approx(corner, rel=1e-6)
-        assert "the program itself by 0.707 mm" in report.of_one(content)
+        assert "the program itself by 0.71 mm" in report.of_one(content)
         assert re.search("approximation .* rounds the path", " ".join(issue.message for issue in result.issues))
     else:
         assert "stop-inserted" in {issue.kind for issue in result.issues}
