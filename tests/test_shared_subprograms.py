@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 from postproc import cell
 from postproc.cli import main
@@ -418,3 +419,21 @@ def test_a_called_file_that_is_missing_beside_one_of_two_programs_is_told():
     Path("one.src").write_text(text.replace("frames()", ";frames()"))
     told = " ".join(run("compare", "one.src", "jobs/one.src", "-o", "told", code=3).stdout.split())
     assert "called by this program alone" in told
+
+
+@pytest.mark.parametrize(("old", "new"), [("sub_two()", "sub()"), ("LIN {X 5", "LIN {X 6")])
+def test_a_copy_by_which_the_program_would_move_differently_is_refused(monkeypatch, old, new):
+    run("convert", "one.src", "-o", "out")
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    rename = shared_files.with_own_names
+
+    def wrong(*arguments):
+        documents, names = rename(*arguments)
+        main, *others = documents
+        assert old in main.text
+        return (replace(main, text=main.text.replace(old, new)), *others), names
+
+    monkeypatch.setattr(shared_files, "with_own_names", wrong)
+    done = run("convert", "two.src", "-o", "out", code=1)
+    assert "would move differently" in done.output
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
