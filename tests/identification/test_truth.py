@@ -170,8 +170,11 @@ def test_no_spring_of_a_link_stands_for_a_joint_on_the_same_line():
     assert {"A5.RZ", "A4.RY", "base.RX"} <= springs
 
 
-def test_a_pose_in_which_links_give_way_more_than_joints_is_no_other_force(tmp_path):
-    truth.experiment(row("the model fits: springs of links"), 17, tmp_path)
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("the model fits: springs of links", 17), ("two loads", 5000), ("two loads", 5010)]
+)
+def test_a_pose_in_which_links_deflect_more_than_joints_is_no_other_force(tmp_path, kind, seed):
+    truth.experiment(row(kind), seed, tmp_path)
     data = harness.load(tmp_path)
     placement = check_frames(harness.PRIOR, data)
     check_loads(harness.PRIOR, data, placement)
