@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc.errors import MeasurementError
+from postproc.errors import MeasurementError, NotConvergedError
 from postproc.frames import Array
 from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
 from postproc.identification.measurements import Measurements
@@ -85,9 +85,14 @@ def gauss_newton(
     size = len(structure.parameters)
     previous, smallest = values, np.inf
     for _ in range(iterations):
-        moved, slopes = predict(structure, values, data, placement)
-        cost = float(np.sum(whiten(w, displacement - moved) ** 2))
-        if cost > _WORSE * smallest and ridge is None:  # a step too far: halve it
+        try:
+            moved, slopes = predict(structure, values, data, placement)
+            cost = float(np.sum(whiten(w, displacement - moved) ** 2))
+        except NotConvergedError:
+            if values is previous or ridge is not None:
+                raise
+            cost = np.inf
+        if cost > _WORSE * smallest and ridge is None:  # a step too far, perhaps without equilibrium: halve it
             values = 0.5 * (previous + values)
             continue
         previous, smallest = values, min(cost, smallest)
