@@ -187,3 +187,12 @@ def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_living_one_are
         assert f"{folder}: waiting for process {process.pid} on " in said[0]
         assert len(said) == 1
     assert not folder.exists() or list(folder.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_and_no_endless_wait(tmp_path, monkeypatch):
+    def missing(self, *_, **__):
+        raise FileNotFoundError(2, "no such drive", str(self))
+
+    monkeypatch.setattr(Path, "mkdir", missing)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_whole(tmp_path / "drive" / "out", {"part.src": b"x"})

@@ -17,6 +17,8 @@ _POLL = 0.1
 """Seconds between two attempts to take a lock that another process has."""
 _SILENT = 3
 """Attempts before the user is told."""
+_VANISHED = 100
+"""Attempts to lock a folder that is not there: on a drive that does not exist it cannot be made."""
 _held: set[Path] = set()
 """Folders that this process has locked, resolved."""
 
@@ -44,7 +46,7 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
 
     made = _missing(folder)
     lock = FileLock(folder / _NAME)
-    attempts = 0
+    attempts = vanished = 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a drive without locks
         while True:
@@ -57,8 +59,10 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
                 if attempts == _SILENT and waiting is not None:
                     waiting(f"{folder}: waiting for {_holder(folder)}, which writes into this folder.")
                 time.sleep(_POLL)
-            except FileNotFoundError:
-                continue  # another process has just removed the empty folder
+            except FileNotFoundError:  # another process has just removed the empty folder, or it cannot be made
+                vanished += 1
+                if vanished > _VANISHED:
+                    break
             except OSError:
                 break
     _held.add(folder)

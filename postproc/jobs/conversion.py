@@ -229,7 +229,7 @@ def _check_same_motions(result: Result, renamed: Sequence[Document], robot: Robo
     """
     name, dialect = result.program.name, result.program.dialect
     try:
-        before, after = (correction.read(files, robot, cell, name, dialect) for files in (result.documents, renamed))
+        before, after = (correction.read(each, robot, cell, name, dialect) for each in (result.documents, renamed))
         pairs = [(getattr(before.motions, each), getattr(after.motions, each)) for each in Motions.__struct_fields__]
         pairs.append((before.numbers_as_written(), after.numbers_as_written()))
         same = all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
