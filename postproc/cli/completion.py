@@ -1,6 +1,9 @@
-"""What the shell offers behind an option or a command: robots, and files where a word may be a pattern too."""
+"""Robots and files as options: what the shell completes, and programs of which an option takes several."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -17,3 +20,19 @@ def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incompl
 def complete_files(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Let the shell look for files."""
     return [CompletionItem(incomplete, type="file")]
+
+
+def several_programs(text: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator for ``--program A B …``: the first is in `programs`, the others are in `more`.
+
+    :param text: help of the option.
+    """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        others = click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
+        option = click.option(
+            "--program", "programs", multiple=True, metavar="PROGRAM...", shell_complete=complete_files, help=text
+        )
+        return option(others(command))
+
+    return decorate

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.completion import complete_files
+from postproc.cli.completion import several_programs
 
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
@@ -136,15 +136,7 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 @click.argument("measurements", type=_FILE)
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
 @click.option("--cell", type=_FILE, help="Cell file of a job: its share that the readings cover is stated.")
-@click.option(
-    "--program",
-    "programs",
-    multiple=True,
-    metavar="PROGRAM...",
-    shell_complete=complete_files,
-    help="Programs of the job: files, folders, patterns.",
-)
-@click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
+@several_programs("Programs of the job: files, folders, patterns.")
 @click.option("--forces", type=_FILE, help="Cutting forces of the job: a file, or a folder with NAME.csv … for each.")
 @click.option("--process", type=_FILE, help="Material, tools and stock, from which the forces are computed.")
 @click.pass_context

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.completion import complete_files
+from postproc.cli.completion import several_programs
 
 if TYPE_CHECKING:
     from postproc.plan.planning import Progress
@@ -82,15 +82,7 @@ def compensator(as_json: bool, **request: Any) -> None:
 @plan.command()
 @click.option("--experiment", type=_PATH, required=True, help="How it is measured: experiment.toml with [rig].")
 @click.option("--cell", type=_PATH, required=True, help="Cell file of the programs.")
-@click.option(
-    "--program",
-    "programs",
-    multiple=True,
-    metavar="PROGRAM...",
-    shell_complete=complete_files,
-    help="What will be milled: files, folders, patterns.",
-)
-@click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
+@several_programs("What will be milled: files, folders, patterns.")
 @click.option(
     "--forces",
     type=_PATH,

@@ -54,7 +54,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
                 },
             }
             for joint, low, high, count, work in zip(
-                JOINTS, *_extremes(result), poses_by_side(result), result.directions.work, strict=True
+                JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True
             )
         ],
         "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": own},
@@ -107,7 +107,7 @@ def poses_by_side(result: PlanResult) -> Ints:
     return np.asarray(result.directions.counted(result.torque).sum(axis=0))
 
 
-def _extremes(result: PlanResult) -> tuple[Array, Array]:
+def extremes(result: PlanResult) -> tuple[Array, Array]:
     """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
     return np.minimum(result.torque.min(axis=0), 0.0) + 0.0, np.maximum(result.torque.max(axis=0), 0.0)
 
@@ -133,7 +133,7 @@ def plan_lines(result: PlanResult) -> list[str]:
         f"{result.second_load * result.site.rig.force:.0f} N, in the same direction: as near to the work "
         "as readings tell",
         "torques of the loads: "
-        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *_extremes(result), strict=True))
+        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *extremes(result), strict=True))
         + " N·m",
         f"expected error after compensation: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",

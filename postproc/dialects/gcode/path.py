@@ -309,7 +309,6 @@ CHORD = 0.1
 """Share of the tolerance that chords of arcs may use."""
 _STILL = 1e-9
 """Rotations of the tool below this [rad] are ignored."""
-_S_PER_MIN = 60.0
 
 
 class Speeds(Struct, frozen=True):

@@ -22,7 +22,7 @@ from postproc.report.kit import (
     Tile,
     Tiles,
 )
-from postproc.report.plan_data import poses_by_side
+from postproc.report.plan_data import extremes, poses_by_side
 from postproc.robot import JOINTS, WITH_LINKS
 
 _GOOD = 0.1
@@ -156,13 +156,13 @@ def parameters(result: PlanResult) -> Section:
 
 def torques(result: PlanResult) -> Section:
     """Return the torques of the loads on the joints, by sign, and those of the work."""
-    low, high = np.minimum(result.torque.min(axis=0), 0.0), np.maximum(result.torque.max(axis=0), 0.0)
+    low, high = extremes(result)
     work, count = result.directions.work, poses_by_side(result)
     rows = tuple(
         Row(
             (
                 joint,
-                Cell(f"{low[row] + 0.0:.0f} ({count[row, 0]})", "good" if count[row, 0] else "warning"),
+                Cell(f"{low[row]:.0f} ({count[row, 0]})", "good" if count[row, 0] else "warning"),
                 Cell(f"{high[row]:.0f} ({count[row, 1]})", "good" if count[row, 1] else "warning"),
                 f"{-work[row, 0] + 0.0:.0f} … {work[row, 1]:.0f}",
             )
