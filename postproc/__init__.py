@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from postproc.forces import read_force_csv
     from postproc.jobs import load_robot, read_program
     from postproc.program import Program
+    from postproc.report.csv_files import targets_csv
     from postproc.report.deviation import page
     from postproc.report.summary import summary
-    from postproc.report.targets import targets_csv
     from postproc.robot import RobotModel
 
 __all__ = [

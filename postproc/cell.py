@@ -1,6 +1,6 @@
 """The cell: which robot, where `$BASE` and `$TOOL` are, where the program starts, how strict to be.
 
-`cell.toml` is described in FORMATS.md; `Cell` is its content in SI units, checked.
+docs/reference/cell.md describes `cell.toml`; `Cell` is its content in SI units, checked.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ToolAxis = Literal["+Z", "-Z", "+X", "-X"]
 
 
 class Frame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A KUKA frame as it stands in a file: mm and degrees."""
+    """A KUKA frame as written in a file: mm and degrees."""
 
     X: Length = 0.0
     Y: Length = 0.0
@@ -45,7 +45,7 @@ class Tool(Frame, frozen=True):
 
 
 class Part(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What the part may be off (95 %), and the frame of its mesh in the robot root: mm and degrees."""
+    """Tolerance of the part (95 %), and the frame of its mesh in the robot root: mm and degrees."""
 
     tolerance_mm: Positive | None = None
     X: Length | None = None
@@ -72,7 +72,7 @@ class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ToolCompliance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How holder, spindle and tool give way at the tip, in the axes of the tool frame."""
+    """Compliance of holder, spindle and tool at the tip, in the axes of the tool frame."""
 
     X_um_per_N: NotNegative = 0.0
     Y_um_per_N: NotNegative = 0.0
@@ -88,39 +88,49 @@ class ToolCompliance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How strict to be and how to write; mm. Programs of more lines than `lines_per_file` are divided; 0: never."""
+    """How strict to be and how to write; mm. Programs of more lines than `lines_per_file` are divided; 0: never.
+
+    :param program_memory_MB: memory of the controller for programs [MB]; a larger program gets a warning.
+    """
 
     tolerance_mm: Positive = 0.01
     max_correction_mm: Positive = 8.0
     force_ramp_mm: Positive = 1.0
     controller: Literal["KRC4", "KRC2"] = "KRC4"
     lines_per_file: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
+    program_memory_MB: Positive = 4.0  # noqa: N815 - key of the file
 
 
 class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How G-code becomes KRL. Each list holds KRL lines; {S} is the spindle speed in rpm, {T} the tool number."""
+    """Conversion of G-code to KRL. Each list holds KRL lines; {S} is the spindle speed in rpm, {T} the tool number.
+
+    :param tool_change: None: the cell does not say how a tool is changed, so a second tool is refused; []: it is
+        changed by hand, without lines in the program.
+    :param motions: path motions of new KRL: LIN and CIRC, or the spline motions SLIN and SCIRC of a KRC4.
+    """
 
     redundancy_deg: Angle = 0.0
     rapid_m_per_s: Positive = 0.5
     approximation_mm: NotNegative = 0.5
     corner_tolerance_mm: NotNegative = 0.05
+    motions: Literal["LIN", "SLIN"] = "LIN"
     spindle_on: list[str] = []
     spindle_ccw: list[str] = []
     spindle_off: list[str] = []
     coolant_on: list[str] = []
     coolant_off: list[str] = []
-    tool_change: list[str] = []
+    tool_change: list[str] | None = None
 
 
 class Machine(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What G28, G30 and G53 mean on this robot.
+    """Meaning of G28, G30 and G53 on this robot.
 
     :param home: A1…A6 [deg] where G28 and G30 go; None: nowhere.
     :param clearance_Z: Z of `$BASE` [mm] to which G53 Z… retracts, and G28 Z… where there is no `home`.
     """
 
     home: tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None = None
-    clearance_Z: Length | None = None  # noqa: N815 - as it stands in the file
+    clearance_Z: Length | None = None  # noqa: N815 - key of the file
 
 
 class Rotary(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -188,7 +198,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Cell(CellFile, frozen=True):
-    """A cell; `folder` is where its file stands."""
+    """A cell; `folder` is the folder of its file."""
 
     folder: str = "."
 
@@ -205,7 +215,7 @@ class Cell(CellFile, frozen=True):
 
     @property
     def tolerance(self) -> float:
-        """What the predicted path may leave the nominal one by [m]."""
+        """Largest allowed distance of the predicted path from the nominal one [m]."""
         return self.output.tolerance_mm * M_PER_MM
 
     def part_in_root(self) -> Array | None:
@@ -215,7 +225,7 @@ class Cell(CellFile, frozen=True):
 
     @property
     def part_tolerance(self) -> float | None:
-        """What the part may be off [m], 95 %; None: not stated."""
+        """Tolerance of the part [m], 95 %; None: not stated."""
         return None if self.part.tolerance_mm is None else self.part.tolerance_mm * M_PER_MM
 
     def tool_pose_in_program(self) -> Array:
@@ -255,7 +265,8 @@ def load(path: str | Path) -> Cell:
         names the key and what is valid.
     """
     path = Path(path)
-    cell = files.read_toml(path, CellFile, CellError, _EXAMPLE)
+    absent = f"Write one with: postproc init {path}"
+    cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, absent)
     for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data"), (cell.tools, "tools")):
         for key in table:
             if not (key.isascii() and key.isdecimal() and len(key) <= 4):
@@ -276,6 +287,9 @@ def load(path: str | Path) -> Cell:
         if not any(axis.direction):
             advice = "Give where the robot goes for positive values in the robot root, e.g. [0, 1, 0]."
             raise CellError(f"[external_axes.{key}] direction is zero", file=str(path), advice=advice)
+    if cell.gcode.motions == "SLIN" and cell.output.controller == "KRC2":
+        advice = 'Write motions = "LIN", or name a KRC4.'
+        raise CellError('[gcode] motions = "SLIN": a KRC2 has no spline motions', file=str(path), advice=advice)
     if cell.rotary is not None:
         _check_rotary(cell.rotary, str(path))
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}

@@ -1,4 +1,4 @@
-"""Gravity compensator: a spring between P0 (on link 1) and P1 (on link 2) beside joint 2.
+"""Gravity compensator: a spring between P0 (on link 1) and P1 (on link 2), acting about joint 2.
 
 Source: Klimchik et al., "Accuracy improvement of robot-based milling using an enhanced manipulator model",
 Eq. (3), (4). All angles are joint 2's, KUKA sign [rad]; lengths m, stiffness N/m.
@@ -14,7 +14,7 @@ from postproc.errors import ModelError
 from postproc.frames import Array, sine_and_cosine
 
 _NO_SPRING = 1e-12
-"""Stiffness [N/m] that stands for none where one is divided by it."""
+"""Stiffness [N/m] used instead of zero as a divisor."""
 
 
 class Compensator(Struct, frozen=True):
@@ -61,7 +61,7 @@ class Compensator(Struct, frozen=True):
         return self.stiffness * a_l * (1.0 - self.free_length / s) * sin
 
     def stiffness_about_joint(self, q2: Array) -> Array:
-        """Return U_c″ [N·m/rad]: what Eq. (4) adds to K⁰_θ2."""
+        """Return U_c″ [N·m/rad]: the term added to K⁰_θ2 in Eq. (4)."""
         a_l, sin, cos, s = self._parts(q2)
         return self.stiffness * a_l * (self.free_length / s * (a_l / s**2 * sin**2 + cos) - cos)
 
@@ -71,12 +71,12 @@ class Compensator(Struct, frozen=True):
         return np.stack([a_l * sin, -a_l / s * sin], axis=-1)
 
     def stiffness_columns(self, q2: Array) -> Array:
-        """Return U_c″ (…, 2) per unit of K_c and of K_c·s₀: the columns of the first Eq. (10) beside the ones."""
+        """Return U_c″ (…, 2) per unit of K_c and of K_c·s₀: columns of the first Eq. (10), without that of ones."""
         a_l, sin, cos, s = self._parts(q2)
         return np.stack([-a_l * cos, a_l / s * (a_l / s**2 * sin**2 + cos)], axis=-1)
 
     def with_spring(self, stiffness: float, preload: float) -> Compensator:
-        """Return the law with K_c [N/m] and K_c·s₀ [N], unchecked: on its way a fit may pass what no spring has."""
+        """Return the law with K_c [N/m] and K_c·s₀ [N], unchecked: a fit may pass through unphysical values."""
         made = Compensator(0.0, 0.0, self.L, self.ax, self.ay)
         stiffness = stiffness if abs(stiffness) > _NO_SPRING else _NO_SPRING
         force_setattr(made, "stiffness", stiffness)

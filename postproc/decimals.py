@@ -123,7 +123,7 @@ def numbers_in(text: Bytes) -> tuple[Ints, Ints]:
 
 
 def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
-    """Return the numbers (n,) that stand in a text, as `float` reads them; None if one of them is not plain.
+    """Return the numbers (n,) in a text, as `float` reads them; None if one of them is not plain.
 
     Plain are an optional sign and at most eight digits on either side of an optional point, together at most 15.
 
@@ -164,7 +164,7 @@ _POWER = np.array([10**k for k in range(9)], dtype=np.uint64)
 
 
 def _number(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return the numbers that eight digits (little-endian; 0 is the digit 0 too) stand for: pairs, fours, eight."""
+    """Return the values of eight digits (little-endian; 0 is the digit 0 too): pairs, fours, eight."""
     for mask, factor, shift in (
         (0x0F0F0F0F0F0F0F0F, 10 * 2**8 + 1, 8),
         (0x00FF00FF00FF00FF, 100 * 2**16 + 1, 16),
@@ -175,7 +175,7 @@ def _number(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 Part = Number | Bytes | bytes
-"""What stands side by side in lines: numbers, (n, w) bytes with 0 for "nothing", and constant texts."""
+"""Column of lines: numbers, (n, w) bytes with 0 for "nothing", or a constant text."""
 
 
 def rows_of_csv(columns: Sequence[Number | Bytes]) -> bytes:
@@ -206,6 +206,34 @@ def lines(parts: Sequence[Part]) -> bytes:
             out[:, at : at + width] = part
         at += width
     return bytes(text.translate(None, b"\0"))
+
+
+_AFTER_NUMBER = bytes(c in b",} \r\n" for c in range(256))
+_LONGEST = 9
+"""Decimals of a number in lines, at most."""
+
+
+def without_trailing_zeros(text: bytes) -> bytes:
+    """Return lines without zeros at the end of decimals, and without points that end a number.
+
+    >>> without_trailing_zeros(b"LIN {X 100.5000,A 0.00000} C_DIS")
+    b'LIN {X 100.5,A 0} C_DIS'
+    """
+    data = np.frombuffer(text, dtype=np.uint8)
+    point = np.flatnonzero(data == ord("."))
+    if not len(point):
+        return text
+    after = np.flatnonzero(np.frombuffer(text.translate(_AFTER_NUMBER), dtype=np.bool_))
+    last = after[np.searchsorted(after, point)] - 1
+    out = data.copy()
+    for _ in range(_LONGEST):
+        ends = (data[last] == ord("0")) & (last > point)
+        if not ends.any():
+            break
+        out[last[ends]] = 0
+        last = last - ends
+    out[point[last == point]] = 0
+    return out.tobytes().translate(None, b"\0")
 
 
 def _width(part: Part) -> int:

@@ -1,8 +1,8 @@
-"""Exceptions for unusable input, and `Issue` for what is wrong at one move.
+"""Exceptions for unusable input, and `Issue` for errors and warnings at one move.
 
 Everything the library raises on purpose derives from `PostprocError`. An exception carries its
-data (file, line, text, advice), so that a caller need not parse the message. What is wrong at single
-moves is collected as `Issue`s; one of level ``"error"`` means that no program is written.
+data (file, line, text, advice), so that a caller need not parse the message. Errors at single moves
+are collected as `Issue`s; one of level ``"error"`` means that no program is written.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 Level = Literal["error", "warning", "info"]
 MOST = 20
-"""So many errors of one input are shown in one run; a reader may stop when it has found more."""
+"""Largest number of errors shown for one input; a reader may stop after as many."""
 
 
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
@@ -33,7 +33,7 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
 
 
 class PostprocError(Exception):
-    """Root of all exceptions of this package; each passes from one process to another with all it carries."""
+    """Base of all exceptions of this package; pickling keeps all attributes."""
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle by message and attributes, whatever the constructor takes."""
@@ -49,10 +49,10 @@ def _rebuild(kind: type[PostprocError], args: tuple[object, ...], attributes: di
 class InputError(PostprocError):
     """A file, a line or a value cannot be used.
 
-    The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too. What else is wrong
-    with the same input (`others`, see `together`) follows, each on a line of its own.
+    The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too. Further
+    errors of the same input (`others`, see `together`) follow, each on its own line.
 
-    :param problem: what is wrong, without a full stop.
+    :param problem: description of the error, without a full stop.
     :param file: name of the file as the user knows it.
     :param line: 1-based line in that file.
     :param text: the text found there.
@@ -98,7 +98,7 @@ AnyInputError = TypeVar("AnyInputError", bound=InputError)
 
 
 def together(errors: Iterable[AnyInputError]) -> AnyInputError:
-    """Return all that is wrong with one input as one error: the first in order of lines, which carries the others.
+    """Return all errors of one input as one: the first in order of lines, with the others as `others`.
 
     :param errors: at least one, in any order and without others of their own; those of one file follow each other, in
         the order in which files are first named.
@@ -150,14 +150,14 @@ class NotConvergedError(PostprocError):
 
 
 class Issue(Struct, frozen=True):
-    """What is wrong, or worth knowing, at one move.
+    """An error, warning or piece of information about one move.
 
     :param level: ``"error"`` (no program is written), ``"warning"`` or ``"info"``.
     :param kind: short stable name, e.g. ``"joint-limit"``; issues of one kind and subject are grouped.
     :param message: one sentence for the user.
     :param source_line: 1-based line of the input program, if there is one.
     :param output_line: 1-based line of the written program, if there is one.
-    :param count: number of places this issue stands for after grouping.
+    :param count: number of places covered by this issue after grouping.
     :param subject: the name or value that the message is about (a program that is called, a code), where issues of one
         kind may be about several; empty where there is but one.
     :param lines: all lines of the input program that it is about, ascending; empty: none, or `source_line` alone.

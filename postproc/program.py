@@ -98,8 +98,8 @@ class Motions(Struct, frozen=True, eq=False):
 class Swivel(Struct, frozen=True, eq=False):
     """How motions turn the tool where its orientation is given by rotary axes, which turn evenly along a motion.
 
-    The direction d from the tip to the spindle is that of R₁(a)·R₂(b)·z. The tool is tilted from z to d by the shortest
-    way: it never spins about itself, so that nothing jumps where the axis next to the part stands along the tool.
+    The direction d from the tip to the spindle is that of R₁(a)·R₂(b)·z. The tool is tilted from z to d by the smallest
+    rotation. It never spins about its axis, so nothing jumps where the axis next to the part is parallel to the tool.
 
     :param begin: (M, k) angles of the axes at the start of each motion, k = 1 or 2 [rad]; `end` (M, k) at its end.
     :param axes: (k, 3) what they turn about, from the part outwards, in the program frame; sign included.
@@ -121,7 +121,7 @@ class Swivel(Struct, frozen=True, eq=False):
 
     @property
     def travel(self) -> Array:
-        """(M,) by how much the tool turns at most [rad]: not at all where it stands along the axis that turns."""
+        """(M,) largest rotation of the tool [rad]: 0 where it is parallel to the axis that turns."""
         return np.asarray(np.where(self.active, turning(self.axes, self.begin, self.end), 0.0))
 
     def at(self, motion: Ints, t: Array) -> Array:
@@ -148,7 +148,7 @@ def direction(axes: Array, angles: Array) -> Array:
 
 
 def turning(axes: Array, begin: Array, end: Array) -> Array:
-    """Return by how much a tool turns at most (n,) [rad], as rotary axes turn evenly from `begin` to `end` (n, k).
+    """Return the largest rotation of a tool (n,) [rad] while rotary axes turn evenly from `begin` to `end` (n, k).
 
     An axis at the angle β to the tool moves its direction by sin β times its own turn; tilted by the shortest way
     (`tilted`), the tool then turns by 1/cos(θ/2) times as much, where θ is how far it leans from z.
@@ -166,10 +166,10 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
 
 
 class Carriage(Struct, frozen=True, eq=False):
-    """Where the linear axis E1 that carries the robot stands along M motions: it moves evenly with them.
+    """Position of the linear axis E1 that carries the robot along M motions: it moves evenly with them.
 
     :param begin: (M,) E1 at the start of each motion [m]; `end` (M,) at its end.
-    :param direction: (3,) unit vector in the robot root: where the robot goes for positive E1.
+    :param direction: (3,) unit vector in the robot root: direction of travel of the robot for positive E1.
     """
 
     begin: Array
@@ -178,7 +178,7 @@ class Carriage(Struct, frozen=True, eq=False):
 
     @property
     def travel(self) -> Array:
-        """(M,) how far it moves along each motion [m]."""
+        """(M,) its travel along each motion [m]."""
         return np.asarray(np.abs(self.end - self.begin))
 
     def at(self, motion: Ints, t: Array | float = 1.0) -> Array:
@@ -187,7 +187,7 @@ class Carriage(Struct, frozen=True, eq=False):
         return np.asarray(begin + t * (self.end[motion] - begin))
 
     def offset(self, motion: Ints, t: Array | float = 1.0) -> Array:
-        """Return where the robot root stands (n, 3) [m] at places (motion, t), seen from where it stands at E1 = 0."""
+        """Return the position of the robot root (n, 3) [m] at places (motion, t), relative to that at E1 = 0."""
         return np.asarray(self.at(motion, t)[:, None] * self.direction)
 
 
@@ -207,11 +207,11 @@ def tilted(direction: Array) -> Array:
 
 
 class Starts(Struct, frozen=True, eq=False):
-    """Where M motions start: where the one before ends, seen in the `$BASE` and with the `$TOOL` of the motion itself.
+    """Start poses of M motions: the end of the motion before, in the `$BASE` and with the `$TOOL` of the motion itself.
 
     :param end: returns the tool frames (n, 4, 4) at the ends of motions (n,), `$BASE` of those motions [m].
-    :param changed: (S,) motions that start in other words than the one before ends: the first, and those with other
-        frames.
+    :param changed: (S,) motions whose start is expressed in other frames than the end of the one before: the first,
+        and those with another base or tool.
     :param pose: (S, 4, 4) tool frame at their start, in their `$BASE` [m].
     """
 
@@ -231,7 +231,7 @@ class Starts(Struct, frozen=True, eq=False):
 
         :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
             frame (nt, 4, 4).
-        :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+        :param start_flange_in_root: (4, 4) flange pose before the first motion [m].
         :param after: (M,) at the end of which motion each begins, see `Program.after`.
         """
         base, tool, bases, tools = frames
@@ -261,7 +261,7 @@ FORCE_FRAMES: tuple[ForceFrame, ...] = ("BASE", "TOOL", "FEED")
 WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 """Components of a wrench [N, N·m], as columns of files are called."""
 MOST_FORCE = 1e6
-"""A force or moment beyond this [N, N·m], a hundred times what any arm carries, is taken for a mistake."""
+"""A force or moment beyond this [N, N·m], a hundred times the load of any arm, is an input error."""
 
 
 class ForceNote(Struct, frozen=True):
@@ -364,10 +364,10 @@ class Event(Struct, frozen=True):
 
 
 class Places(Struct, frozen=True, eq=False):
-    """Where n motions stand in the files of a program.
+    """Files and lines of n motions of a program.
 
     :param files: names of files.
-    :param file: (n,) which of them.
+    :param file: (n,) index in `files`.
     :param line: (n,) 1-based line of that file.
     """
 
@@ -381,11 +381,11 @@ class Places(Struct, frozen=True, eq=False):
 
 
 class Unresolved(Struct, frozen=True):
-    """A motion that stays as it is, because only the running robot knows where it leads, or whether it runs.
+    """A motion that is left unchanged: its target, or whether it runs, is only known at run time.
 
-    :param file: in which it stands, and `line` on which of its lines.
+    :param file: name of its file; `line` its 1-based line there.
     :param text: the statement.
-    :param why: what is not known.
+    :param why: reason why it cannot be resolved.
     """
 
     file: str
@@ -395,10 +395,10 @@ class Unresolved(Struct, frozen=True):
 
 
 class Needed(Struct, frozen=True):
-    """A file beside a program that it needs to run, and that stays as it is.
+    """A file next to a program that it needs to run, and that is left unchanged.
 
     :param path: of the file.
-    :param moves: whether what the program calls there moves the robot.
+    :param moves: True if the routine called there moves the robot.
     """
 
     path: str
@@ -406,10 +406,10 @@ class Needed(Struct, frozen=True):
 
 
 class Unfollowed(Struct, frozen=True, eq=False):
-    """A call of a routine of another file that cuts, and whose motions are not known.
+    """A call of a routine in another file that cuts, and whose motions are unknown.
 
     :param line: of the main file.
-    :param error: to be raised where a force acts there; it is about what cannot be followed.
+    :param error: raised if a force acts there; names the statement that cannot be followed.
     """
 
     line: int
@@ -417,7 +417,7 @@ class Unfollowed(Struct, frozen=True, eq=False):
 
 
 class Layout(Protocol):
-    """Where the numbers of a program stand in its text: what a reader leaves for the writer of the same dialect."""
+    """Positions of the numbers in the text of a program: left by a reader for the writer of the same dialect."""
 
     @property
     def numbers(self) -> Array:
@@ -425,7 +425,11 @@ class Layout(Protocol):
         ...
 
     def places(self, rows: Ints) -> Places | None:
-        """Return where motions (n,) stand; None: all in the main file, on `Motions.line`."""
+        """Return files and lines of motions (n,); None: all in the main file, on `Motions.line`."""
+        ...
+
+    def orientation_types(self, rows: Ints) -> NDArray[np.str_] | None:
+        """Return how motions (n,) turn the tool, as the text sets it (`$ORI_TYPE`); None: it has no such setting."""
         ...
 
 
@@ -435,24 +439,26 @@ class Program(Struct, frozen=True, eq=False):
     :param name: name of the program (stem of its file); the written program gets the same.
     :param dialect: name of the format it was read from: ``"gcode"``, ``"krl"``, see `dialects.registry`.
     :param documents: the main file first (`.src`, `.nc`), then `.dat` where there is one.
-    :param motions: what moves, in order.
-    :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT`, where that stands at E1 = 0, row `motions.base[i]` for motion i [m].
+    :param motions: motions in execution order.
+    :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT` at E1 = 0, row `motions.base[i]` for motion i [m].
     :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
     :param notes: force comments in order of their lines.
-    :param events: what a program does besides moving, in order; of KRL comments alone (it keeps its text instead).
-    :param still: (s,) lines of moves that go nowhere: they have no row in `motions`, but a force may stand for them.
-    :param issues: what the reader wants to tell; none of level error (a reader raises instead).
-    :param after: (M,) row of the motion at whose end each begins, −1 for the start of the program; its own row where it
-        is not known where it begins: it is taken to begin at its end. None: each begins where the one before ends.
-    :param meetings: rows of motions (−1: the start) at whose ends branches meet; it is not known which of them runs.
-    :param swivel: how motions turn the tool, where rotary axes say so; None: LIN and CIRC turn it by one rotation.
+    :param events: instructions other than motions, in order; for KRL only comments (it keeps its text instead).
+    :param still: (s,) lines of moves of zero length: they have no row in `motions`, but may have a force.
+    :param issues: issues of the reader; none of level error (a reader raises instead).
+    :param after: (M,) row of the motion at whose end each begins, −1 for the start of the program; its own row if its
+        start is unknown: it is assumed to begin at its end. None: each begins where the one before ends.
+    :param meetings: control-flow joins: rows of motions (−1: the start) that end branches not known before run time, or
+        iterations of an endless loop.
+    :param swivel: orientation along motions given by rotary axes; None: LIN and CIRC turn it by one rotation.
     :param carriage: the linear axis that carries the robot; None: there is none.
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
         there is what changes by one rotation. None: there are none.
-    :param unresolved: motions that stay as they are: `motions` has no row for them.
+    :param unforced: rows of feed moves that come from `[start]` of the cell: an error if a force acts there.
+    :param unresolved: motions that are left unchanged: `motions` has no row for them.
     :param unfollowed: calls of routines that cut, and have no rows either: an error if a force acts there.
-    :param needed: files beside it that it needs to run, and that stay as they are.
-    :param layout: where its numbers stand in its text; None for G-code, which is not written again as it was.
+    :param needed: files next to it that it needs to run, and that are left unchanged.
+    :param layout: positions of its numbers in its text; None for G-code, whose text is not written again.
     """
 
     name: str
@@ -470,6 +476,7 @@ class Program(Struct, frozen=True, eq=False):
     swivel: Swivel | None = None
     carriage: Carriage | None = None
     with_path: Bools | None = None
+    unforced: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     unresolved: tuple[Unresolved, ...] = ()
     unfollowed: tuple[Unfollowed, ...] = ()
     needed: tuple[Needed, ...] = ()
@@ -477,11 +484,11 @@ class Program(Struct, frozen=True, eq=False):
 
     @property
     def keeps_text(self) -> bool:
-        """Whether it is commands for a robot already, and is written as it was but for the numbers of targets."""
+        """True if it is a robot program, written again with only the numbers of targets changed."""
         return self.layout is not None
 
     def places(self, rows: Ints) -> Places:
-        """Return in which file, and on which of its lines, motions (n,) stand."""
+        """Return files and lines of motions (n,)."""
         found = None if self.layout is None else self.layout.places(rows)
         if found is None:
             found = Places((self.documents[0].name,), np.zeros(len(rows), dtype=np.int64), self.motions.line[rows])
@@ -500,16 +507,16 @@ class Program(Struct, frozen=True, eq=False):
 class Targets(Struct, frozen=True, eq=False):
     """K Cartesian targets to be written, in order: at least the end of each motion, and inserted ones before it.
 
-    Motions with axis targets (`Motions.joints`) have no row: they are written as they stand.
+    Motions with axis targets (`Motions.joints`) have no row: they are written unchanged.
 
     :param motion: (K,) row of `Motions` that the target belongs to, never decreasing.
-    :param t: (K,) in (0, 1], where on that motion the target lies; the last one of each motion has 1.
+    :param t: (K,) place of the target on that motion, in (0, 1]; the last one of each motion has 1.
     :param kind: (K,) `LIN`, `CIRC`, `PTP` or `SPL`; a CIRC motion may be written as several CIRC or LIN targets.
     :param pose: (K, 4, 4) pose of the tool frame in `$BASE` to be commanded [m].
     :param via: (K, 3) auxiliary point of a CIRC target, `$BASE` [m]; NaN elsewhere.
     :param keep: (K,) True where the text of the motion already commands this pose: it is left to the byte.
-    :param status: (K,) KUKA S for PTP targets; −1 = as it stands (or none).
-    :param turn: (K,) KUKA T for PTP targets; −1 = as it stands (or none).
+    :param status: (K,) KUKA S for PTP targets; −1 = unchanged (or none).
+    :param turn: (K,) KUKA T for PTP targets; −1 = unchanged (or none).
     :param blend: (K,) approximation distance [m]; 0 = exact stop. In KRL the distance is that of the program, and only
         inserted targets of motions that stop look here whether they stop too.
     """
@@ -534,7 +541,7 @@ class Targets(Struct, frozen=True, eq=False):
 
 
 class TargetJoints(Struct, frozen=True, eq=False):
-    """Joint angles at K targets by the controller's nominal geometry: which branch of the inverse kinematics is meant.
+    """Joint angles at K targets by the controller's nominal geometry: they select the branch of the inverse kinematics.
 
     :param q: (K, 6) KUKA signs, turns counted [rad].
     :param status: (K,) KUKA S.
@@ -545,7 +552,7 @@ class TargetJoints(Struct, frozen=True, eq=False):
 
 
 class TargetForces(Struct, frozen=True, eq=False):
-    """The wrench at each of K targets, as a written program is to be given it.
+    """The wrench at each of K targets, in the form that a written program needs.
 
     :param wrench: (K, 6) Fx…Mz [N, N·m] in the axes that `frame` names.
     :param frame: (K,) place in `FORCE_FRAMES`.
@@ -559,10 +566,10 @@ class Written(Struct, frozen=True, eq=False):
     """A program as text, before it is released.
 
     :param documents: files to write, the main one (`NAME.src`) first.
-    :param output_line: (K,) 1-based line of the main document on which each row of `Targets` stands
-        (the motion statement; for a named point the statement that uses it).
-    :param dialect: what they are written in.
-    :param issues: what the writer wants to tell.
+    :param output_line: (K,) 1-based line of each row of `Targets` in the main document (the motion statement; for a
+        named point the statement that uses it).
+    :param dialect: name of their dialect.
+    :param issues: issues of the writer.
     """
 
     documents: tuple[Document, ...]
@@ -570,12 +577,17 @@ class Written(Struct, frozen=True, eq=False):
     dialect: str
     issues: tuple[Issue, ...] = ()
 
+    @property
+    def size(self) -> int:
+        """Size of all files [bytes]; characters take one byte in the code pages of controllers."""
+        return sum(len(document.text) for document in self.documents)
+
 
 Record = TypeVar("Record")
 
 
 def distinct(values: Ints) -> Ints:
-    """Return the different ones of whole numbers, ascending: `np.unique`, without the masked arrays that it imports.
+    """Return the sorted unique integers: `np.unique`, without the masked arrays that it imports.
 
     >>> distinct(np.array([7, 3, 7])).tolist()
     [3, 7]
@@ -585,9 +597,9 @@ def distinct(values: Ints) -> Ints:
 
 
 def read_only(record: Record) -> Record:
-    """Return a record with all its arrays, and those of the records in it, made read-only: it is handed on.
+    """Make all arrays of a record, and of the records in it, read-only; return the record.
 
-    :param record: a Struct; what else it holds is left alone.
+    :param record: a Struct; other fields are left unchanged.
     """
     for name in type(record).__match_args__:  # type: ignore[attr-defined]
         value = getattr(record, name)

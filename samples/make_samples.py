@@ -7,6 +7,7 @@ long_lin.src         KRL of a CAM post: thousands of LIN with numbers; long_lin.
 cell_kr270.toml      cell of pocket, freeform and inline
 cell_kr16.toml       cell of long_lin and pocket
 cell_irb6700.toml    cell of pocket with an ABB arm, for `convert --to rapid`
+gallery/             a drilled block, a dome in five axes, a long plate: programs of the gallery of the documentation
 """
 
 from __future__ import annotations
@@ -418,6 +419,103 @@ def plate() -> tuple[str, str]:
     return "\n".join(out) + "\n", _prism("plate", outline, -14.0, 0.0)
 
 
+DRILLING = """%
+(DRILLED BLOCK, 15 HOLES D8)
+G21 G90 G17 G94
+T1 M6
+S4000 M3
+G54
+G0 X15 Y15 Z20
+(CYCLE 1)
+G98 G83 X15 Y15 Z-24 R2 Q6 F400
+#1=1
+O100 WHILE [#1 LT 15]
+  X[15 + 20 * [#1 MOD 5]] Y[15 + 25 * FIX[#1 / 5]]
+  #1=[#1 + 1]
+O100 ENDWHILE
+G80
+G0 Z50
+M5
+M2
+%
+"""
+
+DRILLING_PROCESS = """# Forces of drilling.nc: a carbide drill in aluminium.
+[material]
+name = "al_7075_t6_carbide"
+
+[tools.1]
+shape = "drill"
+diameter_mm = 8
+flutes = 2
+
+[stock]
+box = { X = [0, 110], Y = [0, 80], Z = [-30, 0] }
+resolution_mm = 0.5
+"""
+
+LONG_PLATE_PROCESS = """# Forces of long_plate.nc: an end mill in an aluminium plate of 1.6 m.
+[material]
+name = "al_6082_t6_carbide"
+
+[tools.1]
+diameter_mm = 16
+flutes = 3
+
+[stock]
+box = { X = [0, 300], Y = [-600, 1000], Z = [-12, 0] }
+resolution_mm = 1.0
+"""
+
+
+def long_plate() -> str:
+    """Four long slots and the outline of a plate of 1.6 m."""
+    out = [
+        "%", "(LONG PLATE, SLOTS AND OUTLINE)", "G21 G90 G17 G94", "T1 M6", "S10000 M3", "G54", "G0 X0 Y-540 Z20",
+        "(SLOTS)",
+    ]  # fmt: skip
+    for column in range(4):
+        x = 60.0 + 60.0 * column
+        out += [f"G0 X{x:.0f} Y-540", "Z2", "G1 Z-4 F600", "Y940 F1800", "G0 Z20"]
+    out += ["(OUTLINE)", "G0 X-2 Y-620", "Z-6"]
+    out += ["G1 Y990 F1800", "G2 X10 Y1002 I12 J0", "G1 X290", "G2 X302 Y990 I0 J-12", "G1 Y-590"]
+    out += ["G2 X290 Y-602 I-12 J0", "G1 X-20", "G0 Z50", "M5", "M2", "%"]
+    return "\n".join(out) + "\n"
+
+
+def dome() -> str:
+    """A spherical cap, finished in rings by a tool that stays normal to it: five axes."""
+    radius = 120.0
+    out = ["%", "(DOME, FIVE AXES)", "G21 G90 G17 G94", "S14000 M3", "G0 X170 Y100 Z40 B0 C0", "G43.4 H1"]
+    for ring in range(8):
+        tilt = math.radians(34.0 - 3.5 * ring)
+        for step in range(25):
+            turn = 2.0 * math.pi * (ring + step / 24)  # C goes on, so that the tool does not whirl between two rings
+            x, y = radius * math.sin(tilt) * math.cos(turn), radius * math.sin(tilt) * math.sin(turn)
+            z = radius * (math.cos(tilt) - 1.0)
+            words = f"X{100 + x:.3f} Y{100 + y:.3f} Z{z:.3f} B{math.degrees(tilt):.3f} C{math.degrees(turn):.3f}"
+            if ring == step == 0:
+                above = words.replace(f"Z{z:.3f}", "Z20")
+                out += [f"G0 {above}", "(FORCE FX=0 FY=0 FZ=-60 FRAME=TOOL)"]
+                out += [f"G1 {words} F600"]
+                out += ["(FORCE FX=-35 FY=-60 FZ=90 FRAME=FEED)"]
+            else:
+                out.append(f"G1 {words} F1200" if step == 1 else words)
+    out += ["(FORCE OFF)", "G0 Z40", "G49", "M5", "M2", "%"]
+    return "\n".join(out) + "\n"
+
+
+CELL_FIVE_AXES = (
+    CELL_KR270
+    + """
+[rotary]                        # five axes: C carries B
+axes = ["C", "B"]
+tcp_on = ["G43.4"]
+tcp_off = ["G49"]
+"""
+)
+
+
 def _prism(name: str, outline: list[tuple[float, float]], bottom: float, top: float) -> str:
     """Return a convex prism as STL text."""
     faces = []
@@ -458,10 +556,17 @@ def make() -> dict[str, str]:
         "inline.dat": inline_dat,
         "long_lin.src": long_program,
         "long_lin.forces.csv": long_forces,
+        "gallery/drilling.nc": DRILLING,
+        "gallery/drilling.process.toml": DRILLING_PROCESS,
+        "gallery/dome.nc": dome(),
+        "gallery/cell_five_axes.toml": CELL_FIVE_AXES,
+        "gallery/long_plate.nc": long_plate(),
+        "gallery/long_plate.process.toml": LONG_PLATE_PROCESS,
     }
 
 
 def main(folder: Path) -> None:
+    (folder / "gallery").mkdir(parents=True, exist_ok=True)
     for name, text in make().items():
         (folder / name).write_bytes(text.encode())
         print(f"{name}: {text.count(chr(10))} lines")

@@ -77,7 +77,7 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         carried=None,
         deflection_by_tool=None,
         largest_correction=1.5e-3,
-        issues=(Issue("warning", "no-force", "cutting moves <without> a force: none is assumed", 12, count=311),),
+        issues=(Issue("warning", "no-force", "cutting moves <without> a force: zero force is assumed", 12, count=311),),
     )
 
 

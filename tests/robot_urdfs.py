@@ -17,18 +17,24 @@ INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 OUT = Rotation.from_euler("y", 90, degrees=True)
 
 
-def ros_urdf(robot: RobotModel, signs, rng: np.random.Generator | None = None, names=ROS, decimals=12) -> str:
+def ros_urdf(
+    robot: RobotModel, signs, rng: np.random.Generator | None = None, names=ROS, decimals=12, zero=None
+) -> str:
     """Write the arm with joints that turn by `signs` times KUKA's angles.
 
     With `rng` every joint frame is turned at random about its axis, slid along it, and its axis is its own z; the links
-    hang in these frames, and so do their masses.
+    hang in these frames, and so do their masses. With `zero` (6,) the file's zero is at these angles of KUKA's [rad].
     """
     base_link, base, joint, link, flange, tool0 = names
     chain = robot.nominal
+    zero = np.zeros(6) if zero is None else np.asarray(zero)
     frames = [np.eye(4)]
     here = np.eye(4)
+    turned_to = []
     for row in range(6):
         here = here @ chain.placement[row]
+        here[:3, :3] = here[:3, :3] @ Rotation.from_rotvec(zero[row] * chain.axis[row]).as_matrix()
+        turned_to.append(here)
         mine = here.copy()
         if rng is not None:
             z = signs[row] * chain.axis[row]
@@ -43,15 +49,14 @@ def ros_urdf(robot: RobotModel, signs, rng: np.random.Generator | None = None, n
     stands = np.eye(4)
     stands[:3, 3] = [2.0, 3.0, 1.0]
     lines += [f'  <link name="{base}"/>', _fixed("world", base_link, stands), _fixed(base_link, base, np.eye(4))]
-    root = np.eye(4)
     for row in range(6):
-        root = root @ chain.placement[row]
-        centre = np.linalg.inv(frames[row + 1]) @ root @ np.append(chain.centre[row], 1.0)
+        centre = np.linalg.inv(frames[row + 1]) @ turned_to[row] @ np.append(chain.centre[row], 1.0)
         numbers = " ".join(f"{value:.{decimals}f}" for value in centre[:3])
         inertial = f'<origin xyz="{numbers}"/><mass value="{chain.mass[row]}"/>{INERTIA}'
         lines.append(f'  <link name="{link.format(row + 1)}"><inertial>{inertial}</inertial></link>')
         axis = "0 0 1" if rng is not None else " ".join(str(signs[row] * value) for value in chain.axis[row])
-        low, high = sorted((signs[row] * chain.lower[row], signs[row] * chain.upper[row]))
+        limits = (chain.lower[row] - zero[row], chain.upper[row] - zero[row])
+        low, high = sorted(signs[row] * limit for limit in limits)
         lines += [
             f'  <joint name="{joint.format(row + 1)}" type="revolute">',
             f'    <parent link="{base_link if row == 0 else link.format(row)}"/><child link="{link.format(row + 1)}"/>',

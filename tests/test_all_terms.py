@@ -7,11 +7,15 @@ change sign; in each of the four states of [gravity].
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import compensation, elastostatics, files, frames, kinematics, robot
+from postproc import elastostatics, files, frames, kinematics, robot
+from postproc.elastostatics import balance, compensation, equilibrium
+from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import ModelError, NotConvergedError
 from postproc.robot import parameters, urdf
 from postproc.robot.model_file import (
@@ -111,7 +115,7 @@ def test_the_loaded_equilibrium_and_the_command_that_undoes_it_are_those_of_the_
     x = (elastostatics.coordinates(model, q) + state.theta).T
     there = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
-    springs = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, there))
+    springs = springs_at_target(model, x, load, balance.static_torque(model, x, there))
     for row in range(len(q)):
         theta, pose = arm.equilibrium(q[row], TOOL, wrench[row])
         assert np.linalg.norm(pose[:3, 3] - arm.given(q[row], TOOL, wrench[row])[1](0.0)[0][:3, 3]) > 5e-4
@@ -120,7 +124,7 @@ def test_the_loaded_equilibrium_and_the_command_that_undoes_it_are_those_of_the_
         np.testing.assert_allclose(state.twist[row], twist(state.rest[row], pose), rtol=0, atol=1e-8)
         np.testing.assert_allclose(springs[:, row], theta, rtol=0, atol=1e-8)
     target = np.array([arm.nominal(row, TOOL) for row in q])
-    found = compensation.compensate(model, target, q, TOOL, wrench)
+    found = elastostatics.compensate(model, target, q, TOOL, wrench)
     for row in range(len(q)):
         theta, pose = arm.equilibrium(found.q[row], TOOL, wrench[row])
         np.testing.assert_allclose(pose, target[row], rtol=0, atol=2e-8)
@@ -173,14 +177,14 @@ def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_o
     model, arm, q, wrench = arms(seed, gravity)
     q, wrench = q[:2], wrench[:2]
     x0 = elastostatics.coordinates(model, q).T
-    held = elastostatics.held(model, x0)
-    theta, _ = elastostatics.equilibrium.solve_equilibrium(model, x0, kinematics.components(TOOL), wrench.T)
-    state = elastostatics.Balance.at(model, x0 + theta, held, kinematics.components(TOOL), wrench.T)
+    held = balance.balanced_torque(model, x0)
+    theta, _ = equilibrium.solve_equilibrium(model, x0, kinematics.components(TOOL), wrench.T)
+    state = balance.Balance.at(model, x0 + theta, held, kinematics.components(TOOL), wrench.T)
     np.testing.assert_allclose(state.theta, theta, rtol=0, atol=2e-8)
-    reach = state.reach()
+    reach = state.spring_jacobian()
     for name in [*all_names(model), "size"]:
         parameter = robot.CompensatorSize() if name == "size" else parameters.named(name)
-        found = elastostatics.moved_by(state, reach, parameter, x0)
+        found = balance.twist_by_parameter(state, reach, parameter, x0)
         step = step_of(name)
         expected = np.array([arm.by_parameter(name, step, q[n], TOOL, wrench[n]) for n in range(len(q))])
         for rows in (slice(0, 3), slice(3, 6)):
@@ -229,7 +233,7 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(paylo
     small = wrench * 1e-6  # torques of some mN·m: what gears that stiffen add to them is below the tolerance
     found = elastostatics.sensitivity(model, q, TOOL, small)
     order = [parameters.named(name) for name in names]
-    found = found @ parameters.file_slopes(order, {each: each.of(model) for each in order})  # by linear values
+    found = found @ parameters.file_slopes(order, {each: model.value(each) for each in order})  # by linear values
     slope = np.zeros_like(found)
     for column, name in enumerate(names):
         step = step_of(name)
@@ -258,7 +262,7 @@ def test_softness_is_how_far_a_unit_of_force_or_moment_along_an_axis_moves_the_t
         loaded, rest = (arm.equilibrium(q, TOOL, wrench)[1][:3, 3] for wrench in (load, np.zeros(6)))
         return np.linalg.norm(loaded - rest)
 
-    by_force, by_moment = elastostatics.softness(model, q, TOOL)
+    by_force, by_moment = elastostatics.largest_compliance(model, q, TOOL)
     moved = [away(unit) for unit in np.eye(6)]
     assert by_force == pytest.approx(max(moved[:3]), rel=1e-3)
     assert by_moment == pytest.approx(max(moved[3:]), rel=1e-2)
@@ -266,11 +270,11 @@ def test_softness_is_how_far_a_unit_of_force_or_moment_along_an_axis_moves_the_t
 
 def test_the_tip_that_the_solver_returns_is_that_of_the_deflections_it_returns():
     model, _, q, wrench = arms(7, GRAVITIES[1])
-    x0, tool = elastostatics.spread(model, q.T), kinematics.components(TOOL)
-    theta, tip = elastostatics.solve_equilibrium(model, x0, tool, wrench.T)
+    x0, tool = balance.elastic_coordinates(model, q.T), kinematics.components(TOOL)
+    theta, tip = equilibrium.solve_equilibrium(model, x0, tool, wrench.T)
     reached = kinematics.posture(model.loaded, x0 + theta, tool).point
     np.testing.assert_allclose(tip, reached, rtol=0, atol=1e-13)
-    again, _ = elastostatics.solve_equilibrium(model, x0, tool, wrench.T, guess=theta)
+    again, _ = equilibrium.solve_equilibrium(model, x0, tool, wrench.T, guess=theta)
     np.testing.assert_allclose(again, theta, rtol=0, atol=1e-9)
     state = elastostatics.deflect(model, q, TOOL, wrench)
     np.testing.assert_allclose(state.pose[:, :3, 3].T, tip, rtol=0, atol=1e-12)
@@ -280,7 +284,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     model, _, q, wrench = arms(0, GRAVITIES[0])
     heavy = wrench.copy()
     heavy[1] *= 100.0
-    with pytest.raises(NotConvergedError, match="beyond what the springs hold") as found:
+    with pytest.raises(NotConvergedError, match="too large for the springs") as found:
         elastostatics.deflect(model, q, TOOL, heavy)
     assert found.value.rows == (1,)
     spoilt = wrench.copy()
@@ -288,11 +292,11 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     with pytest.raises(NotConvergedError, match="not found") as found:
         elastostatics.deflect(model, q, TOOL, spoilt)
     assert found.value.rows == (2,)
-    x = elastostatics.spread(model, q.T)
+    x = balance.elastic_coordinates(model, q.T)
     load = np.zeros_like(x)
     load[3, 1] = 1e6
-    with pytest.raises(NotConvergedError, match="beyond what the springs hold") as found:
-        elastostatics.springs_at(model, x, load, elastostatics.asked(model, x))
+    with pytest.raises(NotConvergedError, match="too large for the springs") as found:
+        springs_at_target(model, x, load, balance.static_torque(model, x))
     assert found.value.rows == (1,)
     monkeypatch.setattr(elastostatics.equilibrium, "_MAX_ITERATIONS", 1)
     still = wrench * [[1.0], [0.0], [1.0]]
@@ -303,7 +307,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     load = np.zeros_like(x)
     load[3, [0, 2]] = 500.0
     with pytest.raises(NotConvergedError, match="not found") as found:
-        elastostatics.springs_at(model, x, load, elastostatics.asked(model, x))
+        springs_at_target(model, x, load, balance.static_torque(model, x))
     assert found.value.rows == (0, 2)
 
 
@@ -311,8 +315,8 @@ def test_targets_out_of_reach_or_at_singular_poses_are_named():
     model, arm, q, wrench = arms(0, GRAVITIES[0])
     target = np.array([arm.nominal(row, TOOL) for row in q])
     target[1, :3, 3] += [0.0, 8.0, 0.0]
-    with pytest.raises(NotConvergedError, match="no command") as found:
-        compensation.compensate(model, target, q, TOOL, wrench)
+    with pytest.raises(NotConvergedError, match="no loaded equilibrium") as found:
+        elastostatics.compensate(model, target, q, TOOL, wrench)
     assert found.value.rows == (1,)
 
 
@@ -334,14 +338,26 @@ def test_a_command_is_not_done_while_any_component_of_the_pose_is_off(row):
     assert compensation._beyond(left).tolist() == [False, False, True]
 
 
+def test_links_that_hardly_deflect_do_not_end_the_search_before_the_tool_is_at_its_target():
+    file = content(0, GRAVITIES[0])
+    stiff = {"A2": LinkSprings(source="test", Y_um_per_N=1e-9), "A3": LinkSprings(source="test", RZ_urad_per_Nm=1e-9)}
+    file = replace(file, links=stiff)
+    model, arm = robot.assemble("stiff links", file, urdf.read(KUKA, "any.urdf")), WholeArm(KUKA, file)
+    _, _, q, wrench = arms(0, GRAVITIES[0])
+    target = np.array([arm.nominal(row, TOOL) for row in q])
+    found = elastostatics.compensate(model, target, q, TOOL, wrench)
+    for row in range(len(q)):
+        np.testing.assert_allclose(arm.equilibrium(found.q[row], TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8)
+
+
 @pytest.mark.parametrize(("seed", "most"), [(0, 4), (1, 4), (7, 4)])
 def test_commands_converge_in_a_few_steps_to_the_last_digits(seed, most, monkeypatch):
     model, arm, q, wrench = arms(seed, GRAVITIES[1])
     target, rounds, solve = np.array([arm.nominal(row, TOOL) for row in q]), [], compensation._newton
     monkeypatch.setattr(compensation, "_newton", lambda *given: (rounds.append(1), solve(*given))[1])
-    found = compensation.compensate(model, target, q, TOOL, wrench)
+    found = elastostatics.compensate(model, target, q, TOOL, wrench)
     assert len(rounds) <= most
-    x = elastostatics.spread(model, found.q.T) + found.theta.T
+    x = balance.elastic_coordinates(model, found.q.T) + found.theta.T
     reached = kinematics.tcp(model.loaded, x.T, TOOL)[0]
     np.testing.assert_allclose(reached, target, rtol=0, atol=2e-10)
 
@@ -402,6 +418,84 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
     np.testing.assert_allclose(found, [length_95(one) for one in whole], rtol=0.02)
 
 
+SOURCES = {
+    "A3": "the model of A3",
+    "compensator": "the model of the compensator at A2",
+    "forces": "the cutting forces",
+    "discrepancy": "the unmodelled error of the robot model",
+    "geometry": "the calibrated geometry",
+    "lost motion": "lost motion of the gears",
+}
+
+
+@pytest.mark.parametrize("series", [None, 3e-4], ids=["rigid tool", "compliant tool"])
+@pytest.mark.parametrize(("one", "other"), list(itertools.pairwise([*SOURCES, "A3"])))
+def test_the_largest_source_of_the_bound_is_that_of_the_larger_variance(one, other, series):
+    """Two sources at a time: the standard deviation of one is 1 % more or less than that of the other."""
+    model, _, q, wrench = arms(0, GRAVITIES[0])
+    q, wrench = q[:1], wrench[:1]
+    gears = [(term, value) for term, value in model.terms if isinstance(term, robot.LostMotion)]
+    spread = np.random.default_rng(8).normal(size=(1, 6, 4)) * 40.0
+    turning = np.ones((1, 6), dtype=bool)
+    own = None if series is None else np.diag([series, 2 * series, 3 * series, 4 * series, series, series])[None] * 1e-2
+
+    def given(size):
+        """The model and the spread of the forces, with the standard deviations of each source times a factor."""
+        about = np.diag([*[size["A3"]] * 2, size["compensator"]])
+        matrix = about @ np.array([[0.04, 3.0, 0.0], [3.0, 900.0, 0.0], [0.0, 0.0, 9e8]]) @ about
+        level = size["discrepancy"] * np.array([1e-4, 4e-4])
+        changed = replace(
+            model,
+            covariance=robot.Covariance.of(["k3", "A3.mass", "K_c"], matrix),
+            discrepancy=robot.model.Discrepancy(np.array([300.0, 1500.0]), level) if level.any() else None,
+            geometry_error=3e-4 * size["geometry"],
+            terms=tuple((term, value * size["lost motion"]) for term, value in gears),
+        )
+        return changed, spread * size["forces"]
+
+    def bound(size):
+        changed, forces = given(size)
+        return elastostatics.position_bound(changed, q, TOOL, wrench, forces, own, turning)[0]
+
+    nothing = dict.fromkeys(SOURCES, 0.0)
+    variance = {}
+    for name in (one, other):
+        changed, forces = given(nothing | {name: 1.0})
+        reach = kinematics.tcp(changed.loaded, elastostatics.coordinates(changed, q), TOOL)[1][0, :3]
+        flanks = np.array([value * reach[:, changed.row(term)] for term, value in changed.terms])
+        covariance = flanks.T @ flanks
+        if name in ("A3", "compensator"):
+            by_parameter = elastostatics.sensitivity(changed, q, TOOL, wrench)[0]
+            covariance = by_parameter @ changed.covariance.matrix @ by_parameter.T
+        if name == "forces":
+            compliance = elastostatics.tangent_compliance(changed, q, TOOL, wrench)[0] + (
+                0.0 if own is None else own[0]
+            )
+            covariance = compliance[:3] @ forces[0] @ forces[0].T @ compliance[:3].T
+        if name in ("discrepancy", "geometry"):
+            force = np.linalg.norm(wrench)
+            level = np.interp(force, [300.0, 1500.0], [1e-4, 4e-4]) * max(force / 1500.0, 1.0)
+            covariance = ((3e-4 if name == "geometry" else level) / 2.7954835) ** 2 * np.eye(3)
+        variance[name] = np.trace(covariance)
+        assert bound(nothing | {name: 1.0}) == pytest.approx(length_bound(covariance), rel=1e-9)
+    ratio = np.sqrt(variance[one] / variance[other])
+    for factor, largest in ((0.99, one), (1.01, other)):
+        changed, forces = given(nothing | {one: 1.0, other: factor * ratio})
+        found = elastostatics.largest_source(changed, q, TOOL, wrench, forces, own, turning=turning)
+        assert found == SOURCES[largest]
+
+
+def length_bound(covariance):
+    return elastostatics.uncertainty.length_bound(covariance[None])[0]
+
+
+def test_without_a_spread_of_the_forces_they_are_no_source():
+    model, _, q, wrench = arms(0, GRAVITIES[0])
+    model = replace(model, covariance=robot.Covariance.of(["k3"], [[1e-6]]), terms=())
+    turning = np.zeros((1, 6), dtype=bool)
+    assert elastostatics.largest_source(model, q[:1], TOOL, wrench[:1], turning=turning) == SOURCES["A3"]
+
+
 @STATES
 def test_the_bound_counts_the_flanks_of_gears_by_how_far_their_torque_is_from_turning_over(gravity):
     model, arm, q, wrench = arms(0, gravity, NO_PAYLOAD)
@@ -440,11 +534,11 @@ def test_sensitivity_without_parameters_is_empty_and_with_a_spring_that_is_none_
 
 def test_a_parameter_that_the_robot_does_not_have_is_an_error():
     model, _, q, wrench = arms(0, GRAVITIES[0])
-    x = elastostatics.spread(model, q.T)
-    state = elastostatics.Balance.at(model, x, elastostatics.held(model, x), kinematics.components(TOOL), wrench.T)
+    x = balance.elastic_coordinates(model, q.T)
+    state = balance.Balance.at(model, x, balance.balanced_torque(model, x), kinematics.components(TOOL), wrench.T)
     for lacks, name in ((replace(state, robot=replace(model, compensator=None)), "K_c"), (state, "A4.X")):
         with pytest.raises(ModelError, match="which the model does not have"):
-            elastostatics.moved_by(lacks, state.reach(), parameters.named(name), x)
+            balance.twist_by_parameter(lacks, state.spring_jacobian(), parameters.named(name), x)
 
 
 @pytest.mark.parametrize("compliance", [20.0, 30.0, 40.0])
@@ -461,5 +555,5 @@ def test_a_soft_arm_is_solved_as_exactly_as_a_stiff_one(compliance):
     x = (elastostatics.coordinates(model, q) + expected).T
     there = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
-    springs = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, there))
+    springs = springs_at_target(model, x, load, balance.static_torque(model, x, there))
     np.testing.assert_allclose(springs.T, expected, rtol=0, atol=3e-9)

@@ -52,6 +52,6 @@ def test_a_part_of_a_gear_that_is_zero_is_bounded_at_the_torque_at_rest():
     found = elastostatics.sensitivity(model, q, TOOL, wrench)[:, :, 1]
     # k3 in files contains the part: more of the part at the same k3 is less of the rest
     rest = robot.JointCompliance("A3")
-    less = elastostatics.deflect(model.with_values({part: 0.0, rest: rest.of(model) + step}), q, TOOL, wrench)
+    less = elastostatics.deflect(model.with_values({part: 0.0, rest: model.value(rest) + step}), q, TOOL, wrench)
     by_rest = (less.twist[:, :3] - here) / step
     np.testing.assert_allclose(found, ((there - here) / step - by_rest) * 1e-6, rtol=2e-2, atol=1e-7)

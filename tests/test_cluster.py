@@ -159,3 +159,12 @@ def test_a_lost_peer_is_told_and_leaves_nothing_half_written(lost):
         worker.kill()
         worker.stdout.read()  # the pipe is closed when the last process that the worker has started is gone
         assert written() <= {"p00", "p01", "p02", "p03"}
+
+
+def test_workers_with_another_version_are_refused_and_both_versions_named(monkeypatch):
+    programs(1)
+    with cluster(n_workers=1) as there:
+        monkeypatch.setattr("postproc.jobs.cluster.VERSION", "9.9.9")
+        with pytest.raises(PostprocError, match=r"has postproc \d+\.\d+.*this machine has postproc 9\.9\.9"):
+            work(there.scheduler_address)
+    assert not Path("out/p00.src").exists()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc import elastostatics, frames, kinematics, robot
-from postproc.compensation import compensate
+from postproc.elastostatics import compensate
 from postproc.errors import NotConvergedError
 from tests.oracle.arm import Arm
 

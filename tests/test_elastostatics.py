@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import elastostatics, frames, kinematics, robot
+from postproc.elastostatics import balance
+from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import NotConvergedError
 from tests.oracle.arm import Arm
 
@@ -65,7 +68,7 @@ def test_springs_at_a_known_actual_pose_invert_the_deflection(pair):
     x = (q + state.theta).T
     stands = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
-    found = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, stands))
+    found = springs_at_target(model, x, load, balance.static_torque(model, x, stands))
     np.testing.assert_allclose(found, state.theta.T, atol=1e-8)  # rad: what is asked of the correction
 
 
@@ -130,3 +133,19 @@ def test_a_load_beyond_the_springs_is_an_error_and_not_a_number(pair):
         elastostatics.deflect(model, q, TOOL, np.array([[np.nan, 0, 0, 0, 0, 0]]))
     with pytest.raises(NotConvergedError):
         elastostatics.deflect(model, q, TOOL, np.array([[0.0, 0, -5e7, 0, 0, 0]]))
+
+
+def test_the_compliance_of_a_robot_without_masses_needs_no_pinocchio(monkeypatch):
+    monkeypatch.setattr(kinematics.hessian, "import_module", lambda name: pytest.fail(f"{name} is imported"))
+    kinematics.hessian.pinocchio_model.cache_clear()
+    folder = robot.find("kuka_kr270")
+    whole, arm = robot.load(folder), Arm.load(folder)
+    chain = replace(whole.nominal, mass=np.zeros(6))
+    light = replace(whole, nominal=chain, actual=chain, loaded=chain, compensator=None)
+    q = np.radians([[10.0, -70.0, 105.0, 20.0, 50.0, 30.0]])
+    linear = [arm.gradient(lambda x, k=k: arm.tcp(x, TOOL)[k, 3], q[0]) for k in range(3)]
+    jacobian = np.array([*linear, *(arm.moment_torque(q[0], axis) for axis in np.eye(3))])
+    found = elastostatics.tangent_compliance(light, q, TOOL, np.zeros((1, 6)))[0]
+    np.testing.assert_allclose(found, jacobian @ np.diag(1.0 / arm.stiffness) @ jacobian.T, rtol=1e-9, atol=1e-15)
+    rigid = elastostatics.deflect(replace(light, subtract_reference=False), q, TOOL, np.zeros((1, 6)))
+    assert not rigid.theta.any()

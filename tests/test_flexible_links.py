@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import compensation, elastostatics, files, kinematics, robot
+from postproc import elastostatics, files, kinematics, robot
+from postproc.elastostatics import balance
+from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import ModelError
 from postproc.robot import parameters
 from postproc.robot.model_file import Gravity, ModelFile, Stiffening
@@ -63,10 +65,10 @@ def test_inverse_and_compensation_undo_the_deflection(in_gears, reference):
     x = (elastostatics.coordinates(model, q) + found.theta).T
     stands = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
-    theta = elastostatics.springs_at(model, x, load, elastostatics.asked(model, x, stands))
+    theta = springs_at_target(model, x, load, balance.static_torque(model, x, stands))
     np.testing.assert_allclose(theta, found.theta.T, atol=2e-8)
     target = kinematics.tcp(model.nominal, q, TOOL)[0]
-    command = compensation.compensate(model, target, q, TOOL, wrench)
+    command = elastostatics.compensate(model, target, q, TOOL, wrench)
     reached = elastostatics.deflect(model, command.q, TOOL, wrench).pose
     np.testing.assert_allclose(reached, target, atol=1e-7)
 
@@ -103,7 +105,7 @@ def newton_step(model, q, wrench):
     def given(theta):
         _, jacobian = kinematics.tcp(model.loaded, x0 + theta, TOOL)
         torque = np.einsum("nij,ni->nj", jacobian, wrench) - held(model.loaded, x0 + theta)
-        return elastostatics.spring_deflection(model, torque + rest * model.subtract_reference, feels)[0]
+        return balance.spring_deflection(model, (torque + rest * model.subtract_reference).T, feels.T)[0].T
 
     h, size = 1e-5, x0.shape[1]
     slope = np.stack([(given(h * e) - given(-h * e)) / (2 * h) for e in np.eye(size)], axis=2)
@@ -149,7 +151,7 @@ def test_linear_deflection_of_stiffening_gears_meets_the_equilibrium_with_the_sq
 def test_gears_grow_stiffer_with_load_and_never_softer():
     model = flexible()
     torque = np.linspace(0.0, 5000.0, 200)[:, None] * np.ones(model.actual.nv)
-    theta, slope = elastostatics.spring_deflection(model, torque)
+    theta, slope = (each.T for each in balance.spring_deflection(model, torque.T, np.zeros_like(torque.T)))
     row = model.actuated[0]
     assert np.all(np.diff(slope[:, row]) < 0)
     assert np.all(slope[:, row] > 0)
@@ -208,7 +210,7 @@ def test_bound_counts_masses_and_compensator_where_gears_feel_them_at_rest(gravi
     assert (np.abs(slopes[:, :, :3]).max() > 1e-8) == felt
     if not felt:
         return
-    values = [parameters.named(name).of(model) for name in names]
+    values = [model.value(parameters.named(name)) for name in names]
     for index, value in enumerate(values):
         h = 0.02 * value
         kind = robot.CompensatorSize() if names[index] == "K_c" else parameters.named(names[index])
@@ -283,5 +285,5 @@ def test_stiffening_beyond_the_whole_compliance_is_refused(tmp_path):
     parts = "compliance_urad_per_Nm = 0.623\nstiffening = [{ torque_Nm = 500.0, compliance_urad_per_Nm = 0.7 }]"
     (tmp_path / "robot.urdf").write_bytes((FOLDER / "robot.urdf").read_bytes())
     (tmp_path / "model.toml").write_text(text.replace("compliance_urad_per_Nm = 0.623", parts), encoding="utf-8")
-    with pytest.raises(ModelError, match="more than the whole compliance"):
+    with pytest.raises(ModelError, match="sum of the stiffening parts exceeds the compliance"):
         robot.load(tmp_path)

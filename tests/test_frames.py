@@ -14,6 +14,12 @@ angle = st.floats(-180.0, 180.0)
 near_pole = st.sampled_from([90.0, -90.0, 89.9999999, -89.99999, 90.00000001, 0.0, 180.0, -180.0])
 
 
+def test_units():
+    assert frames.M_PER_MM * 1e3 == 1.0
+    assert frames.MM_PER_M == 1e3
+    assert (np.pi * frames.DEG_PER_RAD, 180.0 * frames.RAD_PER_DEG) == pytest.approx((180.0, np.pi), rel=1e-15)
+
+
 @given(angle, st.one_of(angle, near_pole), angle)
 def test_kuka_frame_is_rz_ry_rx(a, b, c):
     pose = frames.pose_from_xyzabc([10.0, -20.0, 30.0, a, b, c])

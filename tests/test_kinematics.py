@@ -120,8 +120,8 @@ def test_status_bit_1_changes_where_the_wrist_centre_crosses_the_line_through_ax
     edge = kinematics.closed_form(model).elbow_stretched
     offset, forearm = OFFSET_AND_FOREARM[model.name]
     assert np.degrees(edge) == pytest.approx(-np.degrees(np.arctan2(offset, forearm)), abs=1e-6)
-    q = np.array([[0, -0.5, edge + 1e-4, 0, 0.3, 0], [0, -0.5, edge - 1e-4, 0, 0.3, 0]])
-    assert (kinematics.status_of(model, q) & 2).tolist() == [2, 0]
+    q = np.array([[0, -0.5, edge + away, 0, 0.3, 0] for away in (1e-4, 0.0, -1e-4)])
+    assert (kinematics.status_of(model, q) & 2).tolist() == [2, 2, 0]
 
 
 def test_follow_keeps_turns_and_branch_along_a_line_and_takes_s_and_t_of_a_ptp(model):
@@ -232,6 +232,8 @@ def test_a_path_without_solution_names_all_its_rows_and_one_that_starts_on_the_o
     [
         ('<axis xyz="0 0 -1"/>', '<axis xyz="0 0.001 -1"/>'),  # A1 is not vertical
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0.001"/>'),  # A2 is not level
+        # A6 passes through the wrist centre, but is not square to A5: A1 to A3 are found all the same
+        ('"0.23 0 0"/><axis xyz="-1 0 0"/>', '"0.23 0.0023 0"/><axis xyz="-1 -0.01 0"/>'),
     ],
 )
 def test_an_arm_whose_first_axes_are_not_vertical_and_parallel_is_refused(tmp_path, old, new):

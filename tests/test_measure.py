@@ -1,6 +1,6 @@
 """The counts of `tests.measure`."""
 
-from tests.measure import modules_of, prose, single_clients
+from tests.measure import modules_of, newest, prose, single_clients
 
 
 def test_modules_with_one_client_are_found(tmp_path):
@@ -25,3 +25,9 @@ def test_sentences_and_paragraphs_are_counted_without_code():
     )
     assert (words, longest, idioms) == (9, 6, 1)
     assert mean == 3.0
+
+
+def test_the_newest_section_of_a_changelog_is_measured():
+    assert newest("# Changelog\n\nHead.\n\n## 0.2\n\n- b\n\n### Changes results\n\n- c\n\n## 0.1\n\n- a\n").split() == (
+        ["0.2", "-", "b", "###", "Changes", "results", "-", "c"]
+    )

@@ -75,7 +75,7 @@ def test_a_model_file_comes_back_from_the_parameters_of_its_robot():
     model = robot.assemble("x", content, PLAIN.nominal)
     stated = parameters.stated(content)
     for parameter, value in stated.items():
-        assert parameter.of(model) == pytest.approx(value, rel=1e-12)
+        assert model.value(parameter) == pytest.approx(value, rel=1e-12)
     tables = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     for parameter in stated:
         parameter.write(tables, parameter.in_file(stated)[0], 0.0, "test")
@@ -92,7 +92,7 @@ def flexible_links():
 def test_slopes_in_files_are_those_by_finite_differences():
     model = flexible()
     order = [parameters.named(name) for name in ("k1", "k1@500", "k1@100", "K_c", "s_0", "A2.RX")]
-    at = {parameter: parameter.of(model) for parameter in order}
+    at = {parameter: model.value(parameter) for parameter in order}
     slopes = parameters.file_slopes(order, at)
     for column, parameter in enumerate(order):
         h = 1e-4 * at[parameter]
@@ -123,12 +123,6 @@ class Play(robot.Spring, frozen=True):
     def write(self, tables, value, half, source):
         raise NotImplementedError
 
-    def row(self, model):
-        return robot.JointCompliance(self.joint).row(model)
-
-    def of(self, model):
-        return dict(model.terms).get(self, 0.0)
-
     def effect(self, torque, rest):
         there, here = np.tanh((torque + rest) / 20.0), np.tanh(rest / 20.0)
         return there - here, (1.0 - there**2) / 20.0
@@ -144,7 +138,7 @@ def test_a_new_kind_is_one_class(tmp_path, monkeypatch):
     data = harness.load(simulator.write(tmp_path, q, f, rng.normal(size=(12, 2, 3, 3, 3))))
     structure = Structure((*robot.JOINT_COMPLIANCES, play), PLAIN)
     placement = harness.placed(PLAIN, data)
-    values = np.array([parameter.of(true) for parameter in structure.parameters])
+    values = np.array([true.value(parameter) for parameter in structure.parameters])
     moved, slopes = predict(structure, values, data, placement)
     h = 1e-6
     plus, minus = (predict(structure, values + s * h * np.eye(7)[6], data, placement)[0] for s in (1, -1))

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.correction.process import process
+from postproc.errors import InputError
 from postproc.jobs import Settings, load_setup, read_program
 from postproc.jobs.part_file import read_facets, surface_of
 from tests.html_page import read_page
@@ -59,8 +60,8 @@ def test_the_face_that_is_milled_is_off_by_the_upright_part_of_the_deviation():
     assert facets["before"][upper].min() >= low - 1e-4
     assert facets["before"][upper].max() <= high + 1e-4
     assert np.abs(facets["after"][touched]).max() < 1e-3
-    assert "Of the surface touched" in read.text("surface")
-    assert "No gouge deeper than 0.01 mm" in read.text("surface")
+    assert "Of the surface reached" in read.text("surface")
+    assert "The deflection makes no gouge deeper than 0.01 mm" in read.text("surface")
     mesh = trimesh.load("out/part.surface.ply", process=False)
     assert len(mesh.faces) == len(facets["place"])
 
@@ -126,8 +127,8 @@ def test_the_surface_of_an_earlier_run_does_not_stay():
     ("arguments", "code", "message"),
     [
         (("part.nc", "other.nc", "--part", "part.stl"), 2, "--part goes with one program"),
-        (("part.nc", "--part", "gone.stl"), 1, "gone.stl: no mesh that can be read"),
-        (("part.nc", "--part", "process.toml"), 1, "process.toml: no mesh that can be read"),
+        (("part.nc", "--part", "gone.stl"), 1, "gone.stl: no such file: mesh of the part"),
+        (("part.nc", "--part", "process.toml"), 1, "process.toml: the mesh of the part cannot be read"),
     ],
 )
 def test_a_part_that_cannot_be_looked_at_is_an_error_and_nothing_is_written(arguments, code, message):
@@ -137,7 +138,8 @@ def test_a_part_that_cannot_be_looked_at_is_an_error_and_nothing_is_written(argu
 
 
 def test_the_cut_of_a_process_is_shown_along_the_path():
-    Path("part.nc").write_text(PROGRAM.replace("G1 Z0", "G1 Z-2"))
+    twice = "G0 Z5\nX0 Y0\nG1 Z-3 F600\nX60\nG0 Z20"
+    Path("part.nc").write_text(PROGRAM.replace("G1 Z0", "G1 Z-2").replace("G0 Z20", twice))
     _run("convert", "part.nc", "--process", "process.toml")
     _run("forces", "part.nc", "--process", "process.toml", "-o", "forces.csv", folder=False)
     (tool,) = json.loads(Path("forces.json").read_text())["tools"]
@@ -146,15 +148,87 @@ def test_the_cut_of_a_process_is_shown_along_the_path():
     assert f"Depth of cut, up to {tool['max_depth_mm']:.2f} mm" in text
     assert f"Width of cut, up to {tool['max_width_mm']:.2f} mm" in text
     assert f"Removed, up to {tool['max_removal_mm3_per_s'] * 0.06:.1f} cm³/min" in text
-    stock = trimesh.load("out/part.stock.glb", force="mesh")
-    assert len(read.columns("stock_faces")["i"]) == len(stock.faces)
-    assert read.columns("stock_points")["z"].min() == pytest.approx(-5.0, abs=1e-3)
+    assert "The file is part.stock.glb." in text
+    assert Path("out/part.stock.glb").is_file()
+    points, faces, edges = (read.columns(f"stock_{name}") for name in ("points", "faces", "edges"))
+    assert 1000 < len(faces["i"]) <= 200_000
+    assert points["depth"].max() == pytest.approx(3.0, abs=1e-3)  # 5 mm of stock, 2 mm milled off
+    assert len(edges["begin"]) > 100
+    (rates,) = (plot["traces"][0]["y"] for plot in read.plots if plot["label"].startswith("Removal rate"))
+    assert None in rates
+    assert min(rate for rate in rates if rate is not None) > 0.0  # nothing is drawn in air
 
 
 def test_facets_are_divided_and_cover_the_same_area():
-    corners = read_facets(Path("part.stl"))
+    corners, _ = read_facets(Path("part.stl"))
     edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert 0.5 * np.linalg.norm(edges, axis=1).sum() == pytest.approx(2 * (50 * 30 + 50 * 10 + 30 * 10) * 1e-6)
     assert len(corners) > 5000
     outward = np.einsum("fi,fi->f", edges, corners.mean(axis=1) - np.array([0.03, 0.02, -0.005]))
     assert (outward > 0.0).all()
+
+
+def test_a_mesh_that_does_not_fit_is_stated_before_anything_else():
+    """A mesh 3 mm too high: depth and line in the page, the terminal and the JSON; the verdict is no all-clear."""
+    Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
+    box = trimesh.creation.box(extents=(50, 30, 13))
+    box.apply_translation((30, 20, -3.5))
+    box.export("high.stl")
+    for options in ((), ("--process", "process.toml")):
+        done = _run("convert", "part.nc", "--part", "high.stl", *options)
+        content = json.loads(Path("out/part.report.json").read_text())
+        assert content["surface"]["cut_into_mm"] == pytest.approx(3.0, abs=0.02)
+        assert 6 <= content["surface"]["source_line"] <= 27
+        assert content["verdict"]["state"] == "warning"
+        line = content["surface"]["source_line"]
+        assert f"line {line}: the programmed path itself cuts 3.0 mm into the part" in content["verdict"]["reasons"][0]
+        assert "the programmed path itself cuts 3.0 mm into the part" in done.output
+        read = read_page(Path("out/part.report.html").read_bytes())
+        assert "Programmed path cuts into the part 3.0 mm" in read.text("surface")
+        assert "he programmed path itself cuts 3.0 mm into the part" in read.text("verdict")
+        facets = read.columns("facets")
+        assert np.nanmin(facets["programmed"]) == pytest.approx(-3.0, abs=0.02)
+
+
+def test_a_mesh_that_fits_is_said_to_fit_and_how_much_of_it_no_tool_reaches():
+    Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
+    _run("convert", "part.nc", "--part", "part.stl", "--process", "process.toml")
+    surface = json.loads(Path("out/part.report.json").read_text())["surface"]
+    assert surface["cut_into_mm"] == 0.0
+    assert surface["source_line"] is None
+    upper, whole = 50 * 30, 2 * (50 * 30 + 50 * 10 + 30 * 10)
+    assert surface["reached_percent"] == pytest.approx(100 * upper / whole, abs=0.01)
+    text = read_page(Path("out/part.report.html").read_bytes()).text()
+    assert f"tools reach {100 * upper / whole:.0f} % of its surface" in text
+
+
+def test_a_mesh_elsewhere_is_not_the_part():
+    Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
+    box = trimesh.creation.box(extents=(5, 5, 1))
+    box.apply_translation((500, 500, 0))
+    box.export("away.stl")
+    _run("convert", "part.nc", "--part", "away.stl", "--process", "process.toml")
+    verdict = json.loads(Path("out/part.report.json").read_text())["verdict"]
+    assert verdict["state"] == "warning"
+    assert "no tool reaches the part" in verdict["reasons"][0]
+
+
+FACET = "facet normal {}\n outer loop\n  vertex 0 0 0\n  vertex 10 0 0\n  vertex 0 10 0\n endloop\nendfacet\n"
+
+
+@pytest.mark.parametrize(("name", "normal"), [("Gehäuse", "0 0 1"), ("part", "nan nan 1e"), ("part", "a b c")])
+def test_ascii_stl_in_any_encoding_and_with_damaged_normals_is_read(name, normal, capfd):
+    Path("part.stl").write_bytes(f"solid {name}\n{FACET.format(normal)}endsolid {name}\n".encode("latin-1"))
+    corners, _ = read_facets(Path("part.stl"))
+    assert corners.reshape(-1, 3).max(axis=0) == pytest.approx([0.01, 0.01, 0.0])
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0).all()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_stl_that_breaks_off_is_an_error_without_a_traceback(capfd):
+    Path("part.stl").write_text(
+        "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0\nendloop\nendfacet\n"
+    )
+    with pytest.raises(InputError, match=r"has no surface|cannot be read"):
+        read_facets(Path("part.stl"))
+    assert capfd.readouterr() == ("", "")

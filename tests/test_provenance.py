@@ -61,7 +61,7 @@ def test_lines_of_the_targets_are_those_of_the_marked_text(written):
     rows = (written / "out" / "part.targets.csv").read_text().splitlines()[1:]
     for row in rows:
         line, x = row.split(",")[0], row.split(",")[10]
-        assert f"X {x}," in text[int(line) - 1]
+        assert f"X {float(x):g}," in text[int(line) - 1]
 
 
 def test_a_corrected_program_is_not_corrected_again_even_when_it_was_edited(written):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -22,7 +23,9 @@ def _script():
 def test_samples_are_what_the_script_writes():
     """Numbers may differ by one in the last place where another processor rounds otherwise."""
     made = _script()["make"]()
-    there = {path.name for path in SAMPLES.iterdir() if path.suffix in (".nc", ".csv", ".src", ".dat", ".toml", ".stl")}
+    kinds = (".nc", ".csv", ".src", ".dat", ".toml", ".stl")
+    found = (path for folder in (SAMPLES, SAMPLES / "gallery") for path in folder.iterdir())
+    there = {path.relative_to(SAMPLES).as_posix() for path in found if path.suffix in kinds}
     assert there == set(made)
     for name, text in made.items():
         committed = (SAMPLES / name).read_bytes().decode()
@@ -77,3 +80,26 @@ def test_sample_is_corrected_within_tolerance_and_far_from_limits(tmp_path, prog
         "stop-inserted",
         "tool-load",
     }
+
+
+def test_the_gallery_states_what_its_conversions_print(tmp_path):
+    """Each row of the table of docs/gallery.md against `convert` of that part, but for the long freeform surface."""
+    text = (SAMPLES.parent / "docs" / "gallery.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \[[^]]*\]\(#([\w-]+)\) \| [^|]* \| ([\d.]+) \| ([\d.]+) \|", text, re.M)
+    shown = {anchor: (float(before), float(u95)) for anchor, before, u95 in rows}
+    parts = {
+        "pocket": ("pocket.nc", "cell_kr270.toml", None),
+        "drilling": ("gallery/drilling.nc", "cell_kr270.toml", "gallery/drilling.process.toml"),
+        "dome-five-axes": ("gallery/dome.nc", "gallery/cell_five_axes.toml", None),
+        "long-plate": ("gallery/long_plate.nc", "cell_kr270.toml", "gallery/long_plate.process.toml"),
+    }
+    assert set(parts) | {"freeform"} == set(shown)
+    for anchor, (program, cell, process) in parts.items():
+        forces = None if process is None else SAMPLES / process
+        (outcome,) = convert_all(
+            find_jobs([str(SAMPLES / program)], output=tmp_path, forces=forces), Settings(SAMPLES / cell)
+        )
+        assert outcome.code == 0, outcome.message
+        report = json.loads((tmp_path / f"{Path(program).stem}.report.json").read_text(encoding="utf-8"))
+        assert report["verdict"]["state"] == "ok", anchor
+        assert (report["before"]["max_mm"], report["u95"]["max_mm"]) == pytest.approx(shown[anchor], rel=0.05), anchor

@@ -78,7 +78,7 @@ def test_a_model_without_any_statement_has_no_bound():
 
 @pytest.mark.parametrize(("median", "share"), [(False, 0.95), (True, 0.93)])
 def test_the_bound_covers_compliances_that_are_log_normal(median, share):
-    """As FORMATS.md says of 40 %: the deflection of one joint in proportion to its compliance."""
+    """As docs/reference says of 40 %: the deflection of one joint in proportion to its compliance."""
     spread = 0.4
     log_spread = np.sqrt(np.log(1.0 + spread**2))
     centre = 0.0 if median else -0.5 * log_spread**2

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, files, frames, kinematics, robot
 from postproc.cli import main
-from postproc.compensation import compensate
+from postproc.elastostatics import compensate
 from postproc.errors import ModelError
 from postproc.robot import LinkSprings, ModelFile
 from postproc.robot.model_file import TransmissionEntry
@@ -36,7 +36,7 @@ def with_waves(amplitude, **changes):
 
 
 def stands(amplitude, q):
-    """Where the joints stand, by the formula of FORMATS.md."""
+    """Where the joints stand, by the formula of docs/reference."""
     out = q.copy()
     for joint, (sin, cos, sin2, cos2) in enumerate(amplitude.values()):
         for row, angle in enumerate(q[:, joint]):
@@ -53,7 +53,7 @@ def test_the_arm_stands_where_pinocchio_puts_it_and_the_command_is_found_back(si
     q = rng.uniform(model.lower, model.upper, (30, 6))
     x = elastostatics.coordinates(model, q)
     np.testing.assert_allclose(x, stands(amplitude, q), atol=1e-14)
-    np.testing.assert_allclose(elastostatics.commanded(model, x.T).T, q, atol=1e-13)
+    np.testing.assert_allclose(elastostatics.balance.joint_angles(model, x.T).T, q, atol=1e-13)
     pose = elastostatics.deflect(model, q, TOOL, np.zeros((30, 6))).pose
     np.testing.assert_allclose(pose, arm.tcp(stands(amplitude, q), TOOL)[0], atol=1e-12)
     assert model.geometry_is_nominal == (size == 0.0)

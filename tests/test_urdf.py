@@ -40,7 +40,7 @@ def test_roll_pitch_and_yaw_turn_in_the_order_of_the_specification():
         ('name="A6"', 'name="A7"', "joints are A1, A2, A3, A4, A5, A7"),
         ('name="A6" type="revolute"', 'name="A6" type="fixed"', "joints are A1, A2, A3, A4, A5"),
         ('<axis xyz="0 0 -1"/>', '<axis xyz="0 0 -1"/><mimic joint="A2"/>', "joint A1 is a mimic"),
-        ('<parent link="link_5"/>', '<parent link="link_4"/>', "joint A6 stands beside A5"),
+        ('<parent link="link_5"/>', '<parent link="link_4"/>', "joint A6 is parallel to A5"),
         ('<parent link="link_5"/>', '<parent link="link_9"/>', "joint A6 names link 'link_9'"),
         ('<parent link="link_5"/>', "", "joint A6 has no <parent>"),
         ('<child link="flange"/>', '<child link="base_link"/>', "not one tree"),

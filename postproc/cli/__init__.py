@@ -26,6 +26,7 @@ _COMMANDS = {
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",
     "samples": "postproc.cli.first_steps:samples",
+    "watch": "postproc.cli.watch:watch",
 }
 """Command → where it is."""
 _DEBUG = "--debug"
@@ -66,12 +67,12 @@ class LazyGroup(click.Group):
             raise click.UsageError(f"No such command {args[0]!r}. {near}".rstrip(), ctx) from cause
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Take ``--debug`` wherever it stands."""
+        """Accept ``--debug`` anywhere on the command line."""
         others = [arg for arg in args if arg != _DEBUG]
         return super().parse_args(ctx, others if others == args else [_DEBUG, *others])
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
-        """Run in a process that is ours alone, if there are no `args`; warnings of libraries are not shown."""
+        """Run the command; without `args`, as the only user of the process. Warnings of libraries are not shown."""
         if args is None:
             from postproc import interrupts
 
@@ -84,7 +85,7 @@ class LazyGroup(click.Group):
                 return super().main(args, *rest, **options)
             finally:
                 if args is None:
-                    gc.freeze()  # the process ends: to look through all that it holds once more takes 0.1 s
+                    gc.freeze()  # the process ends: a last garbage collection would take 0.1 s
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a command: unusable input is a message and exit code 1, an interrupt 130, a fault a line and a file."""
@@ -124,7 +125,7 @@ def _not_shown(*_: object, **__: object) -> None:
 @click.option(
     _DEBUG, is_flag=True, help="Show the traceback of a fault, and warnings of libraries; also behind a command."
 )
-def main(debug: bool) -> None:  # read where a fault is told
+def main(debug: bool) -> None:  # read in cli/faults.py
     """Correct robot milling programs for the elastic deflection of the arm under cutting forces.
 
     \b

@@ -22,23 +22,22 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--keep-unresolved",
     is_flag=True,
-    help="Read motions of KRL whose targets, or whether they run, only the running robot knows: they are not compared, "
-    "and named.",
+    help="Read KRL with motions that are known at run time only: they are listed as not compared.",
 )
-@click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside NOMINAL.")
+@click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ in the folder of NOMINAL.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.pass_context
 def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     """Compare CORRECTED with NOMINAL, target by target.
 
-    It tells offsets of the targets, and what each would cut. NOMINAL is G-code or a robot program, CORRECTED a robot
-    program: of postproc, of another program, or edited by hand. What each would cut is told where forces are known:
-    from --forces, from comments in NOMINAL, or from those in CORRECTED. Tells whether CORRECTED is as postproc wrote
-    it, and if it was made from NOMINAL, cell, robot model and forces as they are, which of its lines were changed. For
-    part.src this writes part.compare.report.json, part.compare.pairs.csv and part.compare.report.html.
+    Reports the offsets of the targets, and what each program would cut. NOMINAL is G-code or a robot program, CORRECTED
+    a robot program: of postproc, of another post-processor, or edited by hand. What each would cut needs forces: from
+    --forces, from comments in NOMINAL, or from those in CORRECTED. Reports whether CORRECTED is as postproc wrote it.
+    For part.src this writes part.compare.report.json, part.compare.pairs.csv and part.compare.report.html.
 
-    The exit code is 3 when a tolerance is exceeded, or when CORRECTED was changed since postproc wrote it.
+    The exit code is 3 when a tolerance is exceeded, when a target of NOMINAL is left out, or when CORRECTED was changed
+    since postproc wrote it.
 
     \b
     Example:

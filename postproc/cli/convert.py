@@ -36,7 +36,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
     return value
 
 
-def _shared(command: _Command) -> _Command:
+def shared_options(command: _Command) -> _Command:
     """Add the options that convert and predict share."""
     for option in (
         click.option(
@@ -47,15 +47,18 @@ def _shared(command: _Command) -> _Command:
             "--dialect",
             metavar="NAME",
             callback=_dialect,
-            help="How to read the input: gcode, krl or rapid; by default the extension says it.",
+            help="Format of the input: gcode, krl or rapid; default: by the extension.",
         ),
         click.option(
-            "-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ beside the program."
+            "-o",
+            "--output",
+            type=_PATH,
+            help="Folder to write into; default: corrected/ in the folder of the program.",
         ),
         click.option(
             "--keep-unresolved",
             is_flag=True,
-            help="Leave motions of KRL as they are whose targets, or whether they run, only the running robot knows.",
+            help="Leave KRL motions unchanged whose targets, or whether they run, are only known at run time.",
         ),
         click.option(
             "--part-tolerance",
@@ -80,26 +83,36 @@ def _shared(command: _Command) -> _Command:
     return command
 
 
+def conversion_options(command: _Command) -> _Command:
+    """Add the options that convert and watch share."""
+    for option in (
+        click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines."),
+        click.option(
+            "--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid."
+        ),
+        click.option(
+            "--lines-per-file",
+            type=click.IntRange(min=0),
+            metavar="N",
+            help="Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
+        ),
+        click.option(
+            "--tolerance",
+            "tolerance_mm",
+            type=float,
+            callback=_finite,
+            metavar="MM",
+            help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
+        ),
+    ):
+        command = option(command)
+    return shared_options(command)
+
+
 @click.command()
 @click.argument("programs", nargs=-1, required=True, metavar="PROGRAM...", shell_complete=complete_files)
-@_shared
+@conversion_options
 @click.option("--nominal", is_flag=True, help="Write the KRL without correction, to compare against.")
-@click.option(
-    "--tolerance",
-    "tolerance_mm",
-    type=float,
-    callback=_finite,
-    metavar="MM",
-    help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
-)
-@click.option(
-    "--lines-per-file",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
-)
-@click.option("--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid.")
-@click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
 @click.option("--name", metavar="NAME", help="Name of the written program, for one PROGRAM.")
 @click.option(
@@ -125,10 +138,10 @@ def convert(
     """Write corrected KRL and a report for each PROGRAM.
 
     PROGRAM is a file, a folder or a pattern such as "parts/*.nc". G-code: .nc .ngc .tap .cnc .gcode .mpf .ptp; KRL:
-    .src, with the .dat beside it. For part.nc this writes part.src, part.report.json, part.targets.csv and
+    .src, with its .dat. For part.nc this writes part.src, part.report.json, part.targets.csv and
     part.report.html, all or none of them. An input is never overwritten; a file that was not written by postproc, or
-    was changed since, with --overwrite only. A name that KRL does not allow is made valid (1001.nc: P1001.src). Where
-    nothing comes of a program any more, its files of an earlier run are renamed to part.src.old and so on.
+    was changed since, with --overwrite only. A name that KRL does not allow is made valid (1001.nc: P1001.src). If a
+    program can no longer be converted, its files of an earlier run are renamed to part.src.old and so on.
 
     \b
     Examples:
@@ -148,7 +161,7 @@ def convert(
             "--forces FILE goes with one program: its line numbers belong to one. Give a folder that holds NAME.csv "
             "for each program, or write the forces into the programs as comments."
         )
-    found = find_jobs(programs, name=name, **_of_files(more))
+    found = find_jobs(programs, name=name, **of_files(more))
     _check_part(more, found)
     if name is not None and (fault := found[0].writer.fault_of(name)) is not None:
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
@@ -156,8 +169,11 @@ def convert(
     work(ctx, found, settings, as_json=as_json, workers=jobs, cluster=cluster)
 
 
-def _of_files(options: dict[str, Any]) -> dict[str, Any]:
-    """Take those options away that say which files there are; the others are settings."""
+def of_files(options: dict[str, Any]) -> dict[str, Any]:
+    """Move the options of `find_jobs` (dialect, target language, forces, output) out of the options of a run.
+
+    The process file becomes the force file. All other options stay: they are the settings.
+    """
     process = options.pop("process")
     if process is not None:
         if options["forces"] is not None:
@@ -185,14 +201,14 @@ def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | Non
 
 @click.command()
 @click.argument("program", shell_complete=complete_files)
-@_shared
+@shared_options
 @click.pass_context
 def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> None:
     """Predict how far the tool leaves the path of PROGRAM.
 
-    The program is taken as it stands, nothing is corrected. For part.nc this writes part.predict.report.json,
+    Nothing is corrected. For part.nc this writes part.predict.report.json,
     part.predict.targets.csv and part.predict.report.html. With --process, force and deflection are iterated: the tool
-    cuts where it gives way to.
+    cuts at its deflected position.
 
     \b
     Examples:
@@ -201,7 +217,7 @@ def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> 
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 
-    found = find_jobs([program], **_of_files(more))
+    found = find_jobs([program], **of_files(more))
     if sum(not job.callers for job in found) > 1:
         raise click.UsageError(f"predict takes one program; {program} names {len(found)}.")
     _check_part(more, found)

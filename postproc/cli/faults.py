@@ -9,9 +9,9 @@ import click
 
 
 def told(message: str, traceback: str) -> str:
-    """Return what to tell the user about a fault; its traceback goes into a file, or with ``--debug`` to stderr.
+    """Return the message about a fault; its traceback is written to a file, or with ``--debug`` to stderr.
 
-    :param message: what happened, without a full stop.
+    :param message: description of the fault, without a full stop.
     """
     advice = "This is a fault of postproc: please report it with the program and the cell."
     if click.get_current_context().find_root().params.get("debug"):

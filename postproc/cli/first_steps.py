@@ -1,8 +1,9 @@
-"""`postproc init` and `postproc samples`: what to begin with."""
+"""`postproc init` and `postproc samples`: the first files of a user."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +26,32 @@ def _numbers(text: str) -> Numbers:
         raise click.BadParameter(f"{text!r}: give numbers with commas between, such as 1500,-200,700") from None
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a number") from None
+
+
 def _frame(text: str) -> Numbers | int:
     return int(text) if text.strip().isdecimal() else _numbers(text)
+
+
+def _tools(texts: Sequence[str]) -> dict[int, Numbers]:
+    """Return $TOOL by T number from texts such as ``1=0,0,412.5`` or ``1=412.5``, which is its Z."""
+    tools: dict[int, Numbers] = {}
+    for text in texts:
+        number, equals, words = text.partition("=")
+        found = _numbers(words)
+        name = number.strip().upper().removeprefix("T")
+        if not equals or not name.isdecimal() or not found:
+            raise click.BadParameter(f"{text!r}: give the number of the tool and its $TOOL, such as 1=0,0,412.5")
+        tools[int(name)] = (0.0, 0.0, *found) if len(found) == 1 else found
+    return tools
+
+
+def _tools_line(text: str) -> dict[int, Numbers]:
+    return _tools(text.split())
 
 
 def _robot(text: str) -> str:
@@ -63,6 +88,20 @@ def _parsed(kind: Any) -> Any:
 )
 @click.option("--config-dat", type=_PATH, help="$config.dat of the controller: --base and --tool may be numbers then.")
 @click.option(
+    "--clearance", type=float, metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract; default: 200."
+)
+@click.option(
+    "--tool-change", metavar="LINE", help="Line for M6, with {T}; 'hand': the program stops (default); 'none': no line."
+)
+@click.option(
+    "--tools",
+    multiple=True,
+    callback=lambda _ctx, _param, texts: _tools(texts),
+    metavar="N=X,Y,Z[,A,B,C]",
+    help="$TOOL after T n M6, or its Z alone; once for each tool. Default: --tool for all.",
+)
+@click.option("--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: 0.5.")
+@click.option(
     "--robodk",
     metavar="STATION.rdk",
     help="Station of RoboDK, which must be on this machine: robot, base, tool and start; 'open': the one that is open.",
@@ -79,6 +118,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
     Examples:
       postproc init
       postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350 --start 0,-70,110,0,50,0
+      postproc init --robot kuka_kr270 --base 1500,0,700 --tools 1=0,0,350 --tools 2=0,0,412.5 --clearance 150
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
       postproc init --robodk milling.rdk
     """  # noqa: D301 - click: keep these lines as they are
@@ -98,7 +138,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
 
 
 def _station(robodk: str, given: dict[str, Any]) -> Station:
-    """Fill what no option says from a station of RoboDK; return the station."""
+    """Fill values without an option from a station of RoboDK; return the station."""
     from postproc.hosts.robodk_station import read
 
     station = read(robodk)
@@ -108,14 +148,12 @@ def _station(robodk: str, given: dict[str, Any]) -> Station:
     if given["robot"] is None:
         given["robot"] = station.shipped()
     if given["robot"] is None:
-        click.echo(
-            f"The robot of the station is {station.robot}: no robot model that comes along is called so.", err=True
-        )
+        click.echo(f"The robot of the station is {station.robot}: there is no robot model of this name.", err=True)
     return station
 
 
 def _of_station(station: Station, robot: str) -> tuple[str, ...]:
-    """Return what the user should know of a cell from a station."""
+    """Return warnings about a cell from a station."""
     from postproc.jobs import load_robot
 
     off = station.beside(load_robot(robot))
@@ -123,29 +161,39 @@ def _of_station(station: Station, robot: str) -> tuple[str, ...]:
 
 
 def _asked(given: dict[str, Any]) -> dict[str, Any]:
-    """Ask for what no option says; without a terminal that is an error."""
+    """Ask for values without an option; without a terminal take the default, or raise if there is none."""
+    from postproc.jobs import cell_file
+
+    if given["tool"] is None and given["tools"]:
+        given["tool"] = next(iter(given["tools"].values()))
     missing = [name for name in ("robot", "base", "tool") if given[name] is None]
     if missing and not _terminal():
         raise click.UsageError(f"Give {', '.join(f'--{name}' for name in missing)} (there is no terminal to ask on).")
+
+    def ask(name: str, text: str, default: Any, parse: Any) -> None:
+        if given[name] is None:
+            given[name] = click.prompt(text, default=default, value_proc=parse) if missing else parse(str(default))
+
     if missing:
-        click.echo("Lengths in mm, angles in degrees. Enter takes what stands in brackets.")
+        click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets.")
     if given["robot"] is None:
         from postproc.robot import shipped
 
-        click.echo(f"Robots that come along: {', '.join(shipped())}")
-        given["robot"] = click.prompt("Robot, or the path of a model folder", default="kuka_kr270", value_proc=_robot)
+        click.echo(f"Robots: {', '.join(shipped())}")
+    ask("robot", "Robot, or the path of a model folder", "kuka_kr270", _robot)
     if given["base"] is None:
-        from postproc.jobs.cell_file import usual_base
-
-        usual = ",".join(f"{value:g}" for value in usual_base(given["robot"]))
-        given["base"] = click.prompt("$BASE in the robot root: X,Y,Z[,A,B,C]", default=usual, value_proc=_frame)
-    if given["tool"] is None:
-        text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
-        given["tool"] = click.prompt(text, default="0,0,350", value_proc=_frame)
-    if given["start"] is None:
-        given["start"] = _numbers(_START)
-        if missing:
-            given["start"] = click.prompt("Joints where programs start: A1,…,A6", default=_START, value_proc=_numbers)
+        usual = ",".join(f"{value:g}" for value in cell_file.usual_base(given["robot"]))
+        ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, _frame)
+    ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", _frame)
+    if missing and not given["tools"]:
+        text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
+        given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_tools_line)
+    ask("start", "Joints where programs start: A1,…,A6", _START, _numbers)
+    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{cell_file.CLEARANCE_MM:g}", _number)
+    text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
+    ask("tool_change", text, cell_file.BY_HAND, str)
+    text = "What the part may be off (95 %)"
+    ask("part_tolerance", text, f"{cell_file.PART_TOLERANCE_MM:g}", _number)
     return given
 
 

@@ -18,13 +18,13 @@ _PATH = click.Path(path_type=Path)
 @click.option("--cell", type=_PATH, help="Cell file: robot, base, tool.")
 @click.option("--process", type=_PATH, help="Material, tools and stock: process.toml.")
 @click.option("--stock", type=_PATH, help="Closed mesh of the stock (STL …, mm), instead of that of the process.")
-@click.option("--stock-out", type=_PATH, help="Also write what is left of the stock, as a closed mesh (.stl, .glb …).")
+@click.option("--stock-out", type=_PATH, help="Also write the remaining stock as a closed mesh (.stl, .glb …).")
 @click.option("--base", "base_axes", is_flag=True, help="Forces in $BASE axes; default: FEED.")
-@click.option("--dialect", help="How to read the input; by default the extension says it.")
-@click.option("--materials", is_flag=True, help="List the materials that come along, and nothing else.")
+@click.option("--dialect", help="Format of the input; default: by the extension.")
+@click.option("--materials", is_flag=True, help="Only list the included materials.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
-@click.option("-o", "--output", type=_PATH, help="CSV file to write; a .json of that name beside it.")
+@click.option("-o", "--output", type=_PATH, help="CSV file to write; a .json of that name is written next to it.")
 def forces(as_json: bool, materials: bool, **request: Any) -> None:
     """Compute the cutting forces of PROGRAM from its process.
 

@@ -36,7 +36,7 @@ def identify() -> None:
 @click.argument("markers", type=_FILE)
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write.")
 @_overwrite
-@click.option("--json", "as_json", is_flag=True, help="Print what is written as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> None:
     """Geometry of the gravity compensator: L, a_x, a_y.
 
@@ -119,8 +119,8 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 
     That is offsets, lengths and tilts, with sag under own weight. MEASUREMENTS is the CSV file of `identify
     elastostatics`; loaded readings in it are not used. The model folder written carries the calibrated geometry, and
-    `convert` then corrects for it too. Whether sag is told from geometry, and whether the geometry is changed at all,
-    is decided on configurations left out.
+    `convert` then corrects for it too. Cross-validation on
+    configurations left out decides whether sag is separated from geometry, and whether the geometry is changed at all.
 
     \b
     Example:
@@ -151,24 +151,24 @@ def validate(
     forces: Path | None,
     process: Path | None,
 ) -> None:
-    """Validate a model by readings that it was not fitted to.
+    """Validate a model with readings that it was not fitted to.
 
-    Does its bound keep what it promises? MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same
+    Checks its 95 % bound. MEASUREMENTS is a CSV file like that of `identify elastostatics`, of the same
     robot in other configurations or under other loads; states that the model was identified from are left out.
-    MODEL_DIR may be the name of a shipped robot. Prints, for each level of loads, the displacements measured, what the
-    model leaves of them, the noise in that, its 95 % bound, the factor (> where noise hides what is left), the share of
+    MODEL_DIR may be the name of a shipped robot. Prints, for each level of loads, the measured displacements, the
+    prediction errors, the noise in these, their 95 % bound, the factor (> if noise hides the error), the share of
     displacements whose error is inside the bound, and the limits of that share for all displacements, with 95 %
     confidence. The model does not hold if less than the promised 95 % are inside even at the upper limit; it holds if
     90 % are inside and the lower limit is above 50 %; else more configurations are needed.
 
-    Gears with lost motion or breakpoints deflect otherwise where a torque changes its sign or leaves the range that was
-    measured. So the torques of the loads are printed by joint and sign. With --cell and --program it is stated what
+    Gears with lost motion or breakpoints deflect otherwise where a torque changes its sign or leaves the measured
+    range. So the torques of the loads are printed by joint and sign. With --cell and --program it is stated what
     share of the cutting path lies inside them, and the model holds for that share only. A torque is inside if five
-    configurations or more have its sign on that joint and one of them at least its size, and if the most loaded joint
-    feels no less than under the smallest loads.
+    configurations or more have its sign on that joint and one of them at least its size, and if the torque on the most
+    loaded joint is no less than under the smallest loads.
 
     Exit codes: 0 the model holds, and for a job at least 95 % of it is covered; 1 the readings cannot be used; 3 the
-    model does not hold, or that cannot be told, or it states no bound.
+    model does not hold, or this cannot be decided, or it states no bound.
 
     \b
     Examples:
@@ -211,3 +211,40 @@ def _say(message: str) -> None:
 
     if sys.stderr.isatty():
         click.echo(f"{message} …", err=True)
+
+
+@identify.command()
+@click.argument("measured", type=_FILE, required=False)
+@click.option("--process", type=_FILE, required=True, help="process.toml with the tool of the cuts.")
+@click.option("--tool", type=int, help="Number of that tool; default: the only one.")
+@click.option("--propose", is_flag=True, help="Write test cuts (G-code) and the CSV file to fill in, nothing else.")
+@click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write; with --propose the program.")
+@_overwrite
+def forces(
+    measured: Path | None, process: Path, tool: int | None, propose: bool, output: Path, overwrite: bool
+) -> None:
+    """Cutting coefficients from measured forces or spindle power.
+
+    MEASURED is a CSV file with columns mode,ap_mm,ae_mm,rpm,feed_mm_per_min,Fx,Fy,Fz and optionally sigma_N,power_W.
+    mode is slot, up or down; forces act on the tool in FEED axes; empty cells are not used. Writes a [material] with
+    95 % intervals and covariance, which process.toml takes by `file = "material.toml"`, and a page of measured and
+    fitted forces. What the readings cannot separate is refused: five feeds in a slot determine all six.
+
+    \b
+    Examples:
+      postproc identify forces --propose --process process.toml -o testcuts.nc
+      postproc identify forces testcuts.csv --process process.toml -o material.toml
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.force_identification import identify_forces, propose_cuts
+    from postproc.report.material import as_text
+
+    if propose == (measured is not None):
+        raise click.UsageError("Give MEASURED, or --propose.")
+    if measured is None:
+        written = propose_cuts(process, output, tool, overwrite=overwrite)
+    else:
+        found, written = identify_forces(measured, process, output, tool, overwrite=overwrite)
+        click.echo(as_text(found))
+        for warning in found.warnings:
+            click.echo(f"warning: {warning}", err=True)
+    click.echo(f"written: {', '.join(path.name for path in written)}")

@@ -12,10 +12,10 @@ import click
 @click.option("--dir", "folder", type=click.Path(path_type=Path), help="Folder of posts; default: the usual one.")
 @click.option("--remove", is_flag=True, help="Remove the post instead.")
 def install_post(host: str, folder: Path | None, remove: bool) -> None:
-    """Put a post where FreeCAD or RoboDK looks for it.
+    """Install a post in the folder of FreeCAD or RoboDK.
 
-    It tells where. The post runs the postproc that installed it, whatever Python the host brings. Installed from WSL
-    into a folder of Windows, it runs it by way of wsl.
+    Prints the written files. The post runs the postproc that installed it, independent of the Python of the host.
+    Installed from WSL into a Windows folder, it runs postproc through wsl.
 
     \b
     Examples:

@@ -31,7 +31,7 @@ def work(
 
     known: dict[str, Outcome] = {}
     try:
-        found = convert_all(jobs, settings, workers=workers, cluster=cluster, waiting=_say)
+        found = convert_all(jobs, settings, workers=workers, cluster=cluster, waiting=say)
         for outcome in _with_progress(found, len(jobs)):
             known[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
@@ -52,8 +52,19 @@ def work(
     ctx.exit(_worst(outcomes))
 
 
-def _say(sentence: str) -> None:
+def say(sentence: str) -> None:
+    """Print a sentence on stderr."""
     click.echo(sentence, err=True)
+
+
+def print_outcome(outcome: Outcome, job: Job) -> None:
+    """Print one line for a program that has been converted, or why it has not."""
+    _print_failures([outcome])
+    if outcome.summary is not None:
+        after = outcome.summary["verdict"]["reasons"]
+        click.echo(
+            f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {after[0] if after else ''}".rstrip()
+        )
 
 
 def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]:

@@ -91,19 +91,25 @@ def compensator(as_json: bool, **request: Any) -> None:
 @click.option(
     "--poses", type=_PATH, help="Test poses by hand instead: CSV A1…A6,Fx,Fy,Fz[,weight] (deg; N, root axes)."
 )
-@click.option("--measured", type=_PATH, help="What was measured so far; the plan says what to measure next.")
+@click.option("--measured", type=_PATH, help="Readings so far; the plan chooses the next ones.")
 @click.option("--configurations", type=click.IntRange(1, 200), default=15, show_default=True, help="Poses to measure.")
 @click.option("--q2-levels", type=click.IntRange(1, 20), default=5, show_default=True, help="Levels of A2 among them.")
 @click.option("--grouped", is_flag=True, help="The criterion as printed: each level of A2 identified alone.")
 @click.option(
-    "--test-poses", type=click.IntRange(1, 500), default=20, show_default=True, help="Poses that stand for all."
+    "--test-poses",
+    type=click.IntRange(1, 500),
+    default=20,
+    show_default=True,
+    help="Poses that represent the programs.",
 )
 @click.option("--repeats", type=click.IntRange(1, 100), default=3, show_default=True, help="Readings of each point.")
 @click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same plan.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
-@click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json beside it.")
+@click.option(
+    "-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json are written next to it."
+)
 def poses(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **request: Any) -> None:
     """Choose poses and loads to identify the robot by.
 
@@ -124,7 +130,7 @@ def poses(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **req
           --measured measurements.csv --configurations 4 -o next.csv
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.plan_files import PlanRequest, make_plan
-    from postproc.report.plan_data import plan_lines
+    from postproc.report.plan import plan_lines
 
     programs += more  # --program a.nc b.nc
     asked = PlanRequest(programs=programs, **request)
@@ -157,8 +163,8 @@ def _shown() -> Iterator[Progress | None]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("planning", total=1.0, best="")
 
-        def tell(stage: str, share: float, best: float) -> None:
+        def show(stage: str, share: float, best: float) -> None:
             shown = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
             bar.update(task, description=stage, completed=share, best=shown)
 
-        yield tell
+        yield show

@@ -1,4 +1,4 @@
-"""`postproc robots`: which robots there are, where each number of one comes from, and how to add one."""
+"""`postproc robots`: list the robot models, show one with the source of each number, add one."""
 
 from __future__ import annotations
 
@@ -88,15 +88,15 @@ def show(name: str, as_json: bool) -> None:
 
 @robots.command()
 @click.argument("urdf", type=_PATH)
-@click.option("--name", help="Name of the robot; default: that in the URDF.")
+@click.option("--name", help="Name of the robot in reports; default: the name in the URDF.")
 @click.option("-o", "--output", type=_PATH, metavar="DIR", help="Model folder to write; default: NAME.")
-@click.option("--overwrite", is_flag=True, help="Replace a model that is there.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing model.")
 def add(urdf: Path, name: str | None, output: Path | None, overwrite: bool) -> None:
     """Make a model folder from the URDF of a KUKA arm.
 
-    Joints may have any names and signs (joint_1, joint_a1 …): they become A1 to A6 with KUKA's signs. `base` or
-    base_link is the root, tool0 or flange the flange. Geometry, limits, speeds and masses are taken over; compliances
-    are assumed by the size of the arm and marked as assumed. Expand a xacro first.
+    Joints may have any names, signs and zero positions (joint_1, joint_a1 …): they become A1 to A6 as KUKA counts them.
+    `base` or base_link is the root, tool0 or flange the flange. Geometry, limits, speeds and masses are taken over;
+    compliances are assumed by the size of the arm and marked as assumed. Expand a xacro first.
 
     \b
     Example:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from postproc.report.tables import PLAIN, Display
+from postproc.report.formatting import PLAIN, Display
 
 if TYPE_CHECKING:
-    from postproc.report.verdict import State
+    from postproc.report.formatting import State
 
 _COLOURS: dict[State, str] = {"ok": "green", "warning": "yellow", "failed": "red"}
 

@@ -1,4 +1,4 @@
-"""What differs between two programs besides the offsets of their targets."""
+"""Other differences between two programs than the offsets of their targets."""
 
 from __future__ import annotations
 
@@ -9,25 +9,30 @@ from itertools import islice, takewhile
 import numpy as np
 
 from postproc import toolpath
-from postproc.comparison.entries import at_pairs, at_rows, here, of_line, place_of
-from postproc.comparison.result import Comparison, Difference
-from postproc.comparison.side import Side
-from postproc.comparison.values import axis_targets, bases_and_tools, forces, values
+from postproc.comparison.paths import PlacedProgram, nearest, tool_of_nominal
+from postproc.comparison.result import (
+    OFF_PATH,
+    TIMES_OFFSET,
+    Comparison,
+    Difference,
+    at_pairs,
+    at_rows,
+    of_line,
+    place_of,
+)
+from postproc.comparison.settings import axis_targets, bases_and_tools, forces, settings
+from postproc.errors import Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm
 from postproc.program import CIRC, PTP, Ints, Program
 
-BESIDE = 3.0
-"""How far from the path a target may stand to be one inserted on it, in offsets of its neighbours."""
-OFF_PATH = 1e-4
-"""The same where they have none [m]."""
 _BEYOND = 5e-6
-"""By how much more than the tolerance it must be off between targets, more than at them, to be told [m]."""
+"""A deviation between targets is reported if it exceeds those at the targets by the tolerance and this [m]."""
 _NOTHING = 1e-9
 """A move [m, rad] that is none."""
 _BACK = 1e-3
-"""So far [m] a program does not go back on its path, but where it is wrong."""
+"""A correction moves a target back along the path by less than this [m]."""
 LEVER = 0.1
-"""Length of tool [m] along which the tolerance must hold where it is turned."""
+"""Length of tool [m] over which the tolerance must hold when the tool is turned."""
 
 _ENDS = re.compile(
     r"(?:S?(?:PTP|LIN|CIRC)(?:_REL)?|SPL)(?:\s*\{|\s+[\w$])|END(?:FOR|IF|LOOP|SWITCH|WHILE)?\b|UNTIL\b", re.IGNORECASE
@@ -36,29 +41,36 @@ _ENDS = re.compile(
 _NO_STATEMENT = re.compile(r"\$|&|(?:GLOBAL\s+)?(?:DEF|DEFFCT|DECL|EXT|EXTFCT|INI|BAS)\b", re.IGNORECASE)
 
 
-def differences(found: Comparison, one: Side, other: Side, *, in_file: bool) -> tuple[Difference, ...]:
-    """Return what differs besides offsets.
+def differences(
+    found: Comparison, one: PlacedProgram, other: PlacedProgram, *, in_file: bool, same_origin: bool
+) -> tuple[Difference, ...]:
+    """Return the differences besides offsets.
 
     :param in_file: forces of the nominal program come from a file.
+    :param same_origin: one conversion made the second program of the first, or both: only missing or additional targets
+        and what the forces show are differences then.
     """
+    if same_origin:
+        return (*_not_compared(found), *_alone(found, one), *_under_forces(found, one))
     return (
         *_unresolved(found),
-        *_open(found),
+        *_not_compared(found),
         *_calls(found),
-        *values(found, one, other),
+        *settings(found, one, other),
         *forces(found, other, in_file=in_file),
         *_rapid(found, one),
         *_twice(found, one, other),
-        *_back(found, one),
-        *_alone(found),
+        *_back(found),
+        *_alone(found, one),
         *axis_targets(found, one, other),
         *_orientation(found, one, other),
-        *_astray(found, one),
+        *_off_path(found, one, other),
+        *_under_forces(found, one),
     )
 
 
 def _unresolved(found: Comparison) -> Iterator[Difference]:
-    """Tell motions that only the running robot knows: nothing is compared there but their text."""
+    """Yield motions known at run time only that differ in their text, or in the statements before them."""
     both = [program.unresolved for program in (found.nominal, found.corrected)]
     texts = [[_squeezed(each.text) for each in side] for side in both]
     if texts[0] != texts[1]:
@@ -66,25 +78,17 @@ def _unresolved(found: Comparison) -> Iterator[Difference]:
             (k for k, pair in enumerate(zip(*texts, strict=False)) if pair[0] != pair[1]), min(map(len, texts))
         )
         places = [(side[first].file, side[first].line) if first < len(side) else None for side in both]
-        message = "motions that only the running robot knows differ: nobody can say where they lead."
-        yield Difference(
-            "error", "unresolved-differs", message, places[0], places[1], abs(len(both[0]) - len(both[1])) or 1
-        )
+        message = "motions that are known at run time only differ: it is unknown where they lead."
+        count = abs(len(both[0]) - len(both[1])) or 1
+        yield Difference("error", "unresolved-differs", message, places[0], places[1], count)
     elif len(found.nominal.documents) == len(found.corrected.documents):
-        yield from _fed(found)
-    for k in range(max(map(len, both))):
-        sides = [side[k] if k < len(side) else None for side in both]
-        each = sides[0] or sides[1]
-        assert each is not None
-        message = f"not compared, because only the running robot knows it: {each.text!r} ({each.why})."
-        places = [None if side is None else (side.file, side.line) for side in sides]
-        yield Difference("warning", "not-compared", message, places[0], places[1], 1)
+        yield from _statements_differ(found)
 
 
-def _fed(found: Comparison) -> Iterator[Difference]:
-    """Tell statements before motions that only the running robot knows that differ: what they go to, or whether.
+def _statements_differ(found: Comparison) -> Iterator[Difference]:
+    """Yield motions known at run time only if the statements that decide on them differ; not of divided programs.
 
-    Those behind the motion, or the end of a block, before it are looked at; of divided programs none.
+    Those are the statements back to the motion, or the end of a block, before it.
     """
     both = (found.nominal, found.corrected)
     if not all(program.keeps_text for program in both):
@@ -96,12 +100,12 @@ def _fed(found: Comparison) -> Iterator[Difference]:
         mine = list(takewhile(bool, _statements(texts[0][one.file], one.line)))
         theirs = list(islice(filter(None, _statements(texts[1][other.file], other.line)), len(mine)))
         if theirs != mine:
-            message = "the statements before this motion differ: nobody can say where it leads, or whether it runs."
+            message = "the statements before this motion differ: it is unknown where it leads, or whether it runs."
             yield Difference("error", "unresolved-differs", message, (one.file, one.line), (other.file, other.line), 1)
 
 
 def _statements(lines: Sequence[str], line: int) -> Iterator[str]:
-    """Yield the statements before a line, backwards, but for settings and declarations; empty for what ends them."""
+    """Yield the statements before a line, backwards, except settings and declarations; empty for `_ENDS`."""
     for number in range(line - 2, -1, -1):
         text = lines[number].partition(";")[0].strip()
         if _ENDS.match(text):
@@ -110,19 +114,31 @@ def _statements(lines: Sequence[str], line: int) -> Iterator[str]:
             yield _squeezed(text)
 
 
-def _open(found: Comparison) -> Iterator[Difference]:
-    """Tell the ways that are not compared, because it is not known where they begin."""
+def _squeezed(text: str) -> str:
+    return "".join(text.split()).upper()
+
+
+def _not_compared(found: Comparison) -> Iterator[Difference]:
+    """Yield motions that are known at run time only, and those that begin at an unknown place."""
+    both = [program.unresolved for program in (found.nominal, found.corrected)]
+    for k in range(max(map(len, both))):
+        sides = [side[k] if k < len(side) else None for side in both]
+        each = sides[0] or sides[1]
+        assert each is not None
+        message = f"not compared, because it is known at run time only: {each.text!r} ({each.why})."
+        places = [None if side is None else (side.file, side.line) for side in sides]
+        yield Difference("warning", "not-compared", message, places[0], places[1], 1)
     after = found.nominal.after
     if after is None:
         return
     where = np.flatnonzero(after[found.pair[:, 0]] == found.pair[:, 0])
     if len(where):
-        message = "the way to this target is not compared, because where it begins is not known."
+        message = "the way to this target is not compared, because it is unknown where it begins."
         yield at_pairs(found, "not-compared", message, where)
 
 
 def _calls(found: Comparison) -> Iterator[Difference]:
-    """Tell calls of programs that are in no file, and that one of the two alone makes: nobody knows what they do."""
+    """Yield calls of programs that are in no file and that only one of the two makes."""
     calls = [
         {issue.subject: issue for issue in program.issues if issue.kind == "external-call"}
         for program in (found.nominal, found.corrected)
@@ -131,13 +147,13 @@ def _calls(found: Comparison) -> Iterator[Difference]:
         side = int(name in calls[1])
         program = (found.nominal, found.corrected)[side]
         place = of_line(program, calls[side][name].source_line)
-        message = f"{name}(), which is in no file, is called by this program alone: what it does is not compared."
+        message = f"{name}(), which is in no file, is called by this program only: its effect is not compared."
         if _is_called(name, (found.nominal, found.corrected)[1 - side]):
             message = (
-                f"the file of {name}() is beside the other program, and not beside this one: what it sets is not known "
-                "here. Copy it there."
+                f"the file of {name}() is in the folder of the other program only: its effect is unknown here. Copy "
+                "the file to this folder."
             )
-        yield here("not-compared", message, *((None, place) if side else (place, None)))
+        yield Difference("warning", "not-compared", message, *((None, place) if side else (place, None)))
 
 
 def _is_called(name: str, program: Program) -> bool:
@@ -146,27 +162,38 @@ def _is_called(name: str, program: Program) -> bool:
     return any(call.search(document.text) for document in program.documents)
 
 
-def _squeezed(text: str) -> str:
-    return "".join(text.split()).upper()
-
-
-def _alone(found: Comparison) -> Iterator[Difference]:
-    """Tell targets without partner."""
-    rows = found.only_nominal
+def _alone(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
+    """Yield missing and additional targets; a missing one that the second path leaves out is an error."""
+    rows, missed = found.only_nominal, np.nan_to_num(found.missed)
     if len(rows):
-        message = "a target of the nominal program has no partner."
-        yield Difference("warning", "only-nominal", message, place_of(found.nominal, rows[0]), count=len(rows))
+        worst = int(np.argmax(missed))
+        far = missed[worst] > one.place.tolerance
+        message = "a target of the nominal program is missing."
+        if far:
+            message = (
+                "a target of the nominal program is missing: the corrected path leaves the nominal one by "
+                f"{missed[worst] * MM_PER_M:.4f} mm there."
+            )
+        place = place_of(found.nominal, rows[worst])
+        level: Level = "error" if far else "warning"
+        yield Difference(level, "only-nominal", message, place, _next(found, rows[worst]), len(rows))
     rows = found.only_corrected
     if len(rows):
-        message = "a target without partner, beside the nominal path."
+        message = "an additional target, not on the nominal path."
         yield Difference("warning", "only-corrected", message, None, place_of(found.corrected, rows[0]), len(rows))
 
 
-def _orientation(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
-    """Tell where the tool is turned by more than the tolerance on a part of its length, also at inserted targets.
+def _next(found: Comparison, row: int) -> tuple[str, int] | None:
+    """Return where the second program has the partner of the next target after a nominal motion."""
+    behind = int(np.searchsorted(found.pair[:, 0], row))
+    return place_of(found.corrected, found.pair[behind, 1]) if behind < len(found.pair) else None
 
-    That is from where it should be told to stand under the forces, or from its nominal orientation, which programs have
-    that correct positions alone.
+
+def _orientation(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
+    """Yield targets, inserted ones too, at which the tool is turned by more than the tolerance over a part of it.
+
+    The angle is that from the orientation which keeps the loaded tool nominal, or from the nominal orientation, which
+    programs have that correct positions alone.
     """
     allowed = one.place.tolerance / LEVER
     turned = found.rotation if found.cuts is None else np.minimum(found.rotation, found.cuts.turned)
@@ -174,24 +201,24 @@ def _orientation(found: Comparison, one: Side, other: Side) -> Iterator[Differen
         return
     where = np.flatnonzero(turned > allowed)
     inserted, off = _inserted_turned(found, one, other)
-    beside = np.flatnonzero(off > allowed)
-    if not len(where) and not len(beside):
+    more = np.flatnonzero(off > allowed)
+    if not len(where) and not len(more):
         return
     rows, angle = ([-1, -1], 0.0)
-    if len(beside):
-        worst = beside[np.argmax(off[beside])]
+    if len(more):
+        worst = more[np.argmax(off[more])]
         rows, angle = [-1, int(inserted[worst])], float(off[worst])
     if len(where) and turned[where].max() > angle:
         worst = where[np.argmax(turned[where])]
         rows, angle = found.pair[worst].tolist(), float(turned[worst])
     message = f"the tool is turned by {angle * DEG_PER_RAD:.4f}° from its nominal orientation."
-    yield at_rows(found, "orientation", message, rows, len(where) + len(beside))
+    yield at_rows(found, "orientation", message, rows, len(where) + len(more))
 
 
-def _inserted_turned(found: Comparison, one: Side, other: Side) -> tuple[Ints, Array]:
-    """Return inserted targets (n,) and by how much they turn the tool from the nominal path at their place (n,) [rad].
+def _inserted_turned(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> tuple[Ints, Array]:
+    """Return inserted targets (n,) and the angles by which they turn the tool from the nominal path there (n,) [rad].
 
-    Without forces the place is that at the same share of the way; less what the pairs beside it are turned by.
+    Without forces, at the same share of the way, and less the rotations of the pairs next to it.
     """
     cuts = found.cuts
     if cuts is not None and len(cuts.row):
@@ -205,14 +232,13 @@ def _inserted_turned(found: Comparison, one: Side, other: Side) -> tuple[Ints, A
     chain = found.curves.other
     motion, t = found.curves.one.at(chain.end[row - chain.row[0]])
     mine = toolpath.at(one.program, one.path, motion, t).pose
-    flange = toolpath.flange_from_tcp(other.program, row, other.program.motions.target[row], None)
-    theirs = toolpath.pose_in_base(one.program, motion, flange @ toolpath.tool_of(one.program, motion), None)
-    beside = np.maximum(found.rotation[behind - 1], found.rotation[behind])
-    return row, angle_between(mine[:, :3, :3], theirs[:, :3, :3]) - beside
+    theirs = tool_of_nominal(one.program, motion, other.program, row, other.program.motions.target[row])
+    around = np.maximum(found.rotation[behind - 1], found.rotation[behind])
+    return row, angle_between(mine[:, :3, :3], theirs[:, :3, :3]) - around
 
 
-def _rapid(found: Comparison, one: Side) -> Iterator[Difference]:
-    """Tell rapid targets that are elsewhere: no force calls for that."""
+def _rapid(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
+    """Yield rapid targets with an offset: they carry no force that would cause one."""
     off = found.distance if found.cuts is None else np.minimum(found.distance, norm(found.cuts.corrected))
     where = np.flatnonzero((off > one.place.tolerance) & found.rapid)
     if len(where) and not any(each.kind == "base" for each in bases_and_tools(found)):
@@ -221,8 +247,8 @@ def _rapid(found: Comparison, one: Side) -> Iterator[Difference]:
         yield at_rows(found, "rapid", message, found.pair[worst].tolist(), len(where))
 
 
-def _twice(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
-    """Tell targets of the second program at which the robot stands already: it stops there, approximated or not."""
+def _twice(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
+    """Yield targets of the second program at which the robot is already: it stops there, approximated or not."""
     still, also = (
         (side.path.way < _NOTHING) & (side.path.turn < _NOTHING) & (side.program.motions.kind != PTP)
         for side in (other, one)
@@ -230,40 +256,83 @@ def _twice(found: Comparison, one: Side, other: Side) -> Iterator[Difference]:
     still[found.pair[also[found.pair[:, 0]], 1]] = False
     where = np.flatnonzero(still)
     if len(where):
-        message = "a target stands twice: the robot stops there."
+        message = "the same target twice in succession: the robot stops there."
         yield at_rows(found, "twice", message, (-1, int(where[0])), len(where))
 
 
-def _back(found: Comparison, one: Side) -> Iterator[Difference]:
-    """Tell inserted targets before which the robot goes back on its path."""
+def _back(found: Comparison) -> Iterator[Difference]:
+    """Yield inserted targets before which the robot moves back along its path."""
     cuts = found.cuts
     if cuts is None:
         return
     ends = np.flatnonzero(cuts.t == 1.0)
-    behind = np.searchsorted(found.pair[:, 1], cuts.row[ends])
-    along = cuts.share[ends] * one.path.length[found.pair[behind, 0]]
-    back = np.flatnonzero((np.diff(along) < -_BACK) & (np.diff(behind) == 0)) + 1
+    way = np.searchsorted(found.pair[:, 1], cuts.row[ends])
+    along = cuts.length[ends]
+    back = np.flatnonzero((np.diff(along) < -_BACK) & (np.diff(way) == 0)) + 1
     if len(back):
         message = f"the robot goes {(along[back[0] - 1] - along[back[0]]) * MM_PER_M:.4f} mm back on its path."
         yield at_rows(found, "back", message, (-1, int(cuts.row[ends[back[0]]])), len(back))
 
 
-def _astray(found: Comparison, one: Side) -> Iterator[Difference]:
-    """Tell moves of the second program whose ends stand on the nominal path, and that leave it between them.
+def _off_path(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
+    """Yield ways between pairs on which the second path is farther from the nominal one than its targets are.
 
-    Such an arc has an auxiliary point that sends the robot elsewhere, which no target shows.
+    An arc with a wrong auxiliary point is such a way: its targets are right. `_under_forces` reports the ways that are
+    checked under forces.
     """
-    if not len(found.pair):
+    if found.curves is None:
         return
-    allowed = OFF_PATH + BESIDE * np.maximum(found.distance, np.roll(found.distance, 1))
-    follows = np.diff(found.pair[:, 0], prepend=-2) == 1
-    far = follows & (np.nan_to_num(found.between) > allowed)
+    allowed = OFF_PATH + TIMES_OFFSET * np.maximum(found.distance, np.roll(found.distance, 1))
+    far = np.nan_to_num(found.between) > allowed
+    far[_checked(found)] = False
+    far[np.searchsorted(found.pair[:, 0], found.only_nominal[found.only_nominal < found.pair[-1, 0]])] = False
     bad = np.flatnonzero(far)
+    if not len(bad):
+        return
+    off = np.array([_distance_of_way(found, one, other, int(k)) for k in bad[:_MOST]])
+    bad, off = bad[: len(off)][off > allowed[bad[: len(off)]]], off[off > allowed[bad[: len(off)]]]
     if len(bad):
-        worst = bad[np.argmax(found.between[bad])]
-        message = f"it runs {found.between[worst] * MM_PER_M:.4f} mm beside the nominal path before this target."
-        rows = np.arange(found.pair[worst - 1, 1] + 1, found.pair[worst, 1] + 1)
-        yield at_rows(found, "between", message + _look(found, rows), found.pair[worst].tolist(), len(bad))
+        worst = int(np.argmax(off))
+        message = f"the path is {off[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
+        first, last = found.pair[bad[worst] - 1, 1], found.pair[bad[worst], 1]
+        message += _advice(found, np.arange(first + 1, last + 1))
+        yield at_rows(found, "between", message, found.pair[bad[worst]].tolist(), len(bad))
+
+
+_MOST = 1000
+"""Ways whose distance from the nominal path is computed."""
+_PLACES = 65
+"""Places of the second path looked at on each of them."""
+
+
+def _checked(found: Comparison) -> Ints:
+    """Return the pairs (n,) on the way to which the second path is checked under forces."""
+    cuts = found.cuts
+    if cuts is None or not len(cuts.row):
+        return np.zeros(0, dtype=np.int64)
+    return np.unique(np.searchsorted(found.pair[:, 1], cuts.row[cuts.t < 1.0]))
+
+
+def _distance_of_way(found: Comparison, one: PlacedProgram, other: PlacedProgram, k: int) -> float:
+    """Return the largest distance of the second path from the nominal one on the way to a pair k > 0 [m].
+
+    Less what its inserted targets are off: these are on the path.
+    """
+    assert found.curves is not None
+    u = k - 1.0 + np.linspace(1e-9, 1.0, _PLACES)
+    chain = found.curves.other
+    inserted = found.inserted[(found.inserted > found.pair[k - 1, 1]) & (found.inserted < found.pair[k, 1])]
+    u = np.append(u, chain.end[inserted - chain.row[0]])
+    spots = found.curves.second_in_cell(u)
+    limits = (np.full(len(u), one.along[found.pair[n, 0] + 1]) for n in (k - 1, k))
+    off = nearest(lambda at: one.points(at.ravel()).reshape(*at.shape, 3), spots, *limits)[1]
+    most = float(off[_PLACES:].max(initial=0.0))
+    largest = float(off.max())
+    return largest if largest > OFF_PATH + TIMES_OFFSET * most else 0.0
+
+
+def _under_forces(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
+    """Yield places between targets where the loaded tip is farther from the nominal path than at the targets."""
     cuts = found.cuts
     if cuts is None:
         return
@@ -271,21 +340,20 @@ def _astray(found: Comparison, one: Side) -> Iterator[Difference]:
     at_end[found.pair[:, 1]] = norm(cuts.corrected)
     at_end[cuts.row[cuts.t == 1.0]] = cuts.between_corrected[cuts.t == 1.0]
     ends = np.maximum(at_end[cuts.row], at_end[cuts.row - 1])
-    pair = np.searchsorted(found.pair[:, 1], cuts.row)
+    way = np.searchsorted(found.pair[:, 1], cuts.row)
+    gap = np.searchsorted(found.pair[:, 0], found.only_nominal)  # missing targets have a difference of their own
     off = cuts.between_corrected
-    astray = (off > ends + one.place.tolerance + _BEYOND) & (cuts.t < 1.0) & ~far[pair]
-    bad = np.flatnonzero(astray)
+    bad = np.flatnonzero((off > ends + one.place.tolerance + _BEYOND) & (cuts.t < 1.0) & ~np.isin(way, gap))
     if len(bad):
         worst = bad[np.argmax(off[bad])]
         row = int(cuts.row[worst])
         message = (
             f"under the forces given it leaves {off[worst] * MM_PER_M:.4f} mm to the nominal path before this target."
         )
-        count = len(np.unique(cuts.row[bad]))
-        message += _look(found, np.array([row]))
-        yield at_rows(found, "between", message, (int(found.pair[pair[worst], 0]), row), count)
+        message += _advice(found, np.array([row]))
+        yield at_rows(found, "between", message, (int(found.pair[way[worst], 0]), row), len(np.unique(cuts.row[bad])))
 
 
-def _look(found: Comparison, rows: Ints) -> str:
-    arc = CIRC in found.corrected.motions.kind[rows]
-    return " Look at the auxiliary point of its arc." if arc else ""
+def _advice(found: Comparison, rows: Ints) -> str:
+    """Return the advice for motions (n,) of the second program that leave the path: arcs have an auxiliary point."""
+    return " Check the auxiliary point of its arc." if CIRC in found.corrected.motions.kind[rows] else ""

@@ -5,13 +5,14 @@ the right one. What it hardly changes is the step from one target to the next, a
 Sought is the assignment, in order, under which these change least (dynamic programming, as in aligning sequences):
 
 - a step that changes costs the logarithm of 1 + its change over a quarter of the step, 1.2 at most, and half as much by
-  how much longer or shorter the way is; so a target that was moved costs 3.6 at most;
+  how much longer or shorter the way is, and 0.6 more from 8 mm on; so a target that was moved costs 4.8 at most;
 - targets passed over between two pairs cost nothing (they are inserted) if the way through them is as long as the step;
   by how much it is longer costs as much as a step that changes;
-- a target of the first program that has no partner costs 3.2: a line that is missing is cheaper than all behind it
-  paired with a neighbour, and a target that was moved cheaper than one missing and one too many.
+- a target of the first program without a partner costs 3.2: a missing line is cheaper than pairing every later target
+  with a neighbour, and a moved target cheaper than one missing and one too many;
+- where it only divides a line or an arc, it costs 2: the other program may divide that curve elsewhere.
 
-Only partners at about the same length of path as the last ones are looked at.
+Only partners at about the same length of path as the last ones are considered.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ _SHARE, _LEAST, _MOST = 0.25, 1e-4, 1e-3
 _ALIKE = 0.1
 """Of that, what steps differ by that are taken for the same at once."""
 _CAP, _WAY = 1.2, 0.5
-_MISSING = 3.2
+_OTHER_WAY, _LONGER = 0.6, 8e-3
+"""A way that is longer or shorter by the second number [m], which no correction causes, costs the first more."""
+_MISSING, _PASSED = 3.2, 2.0
 _OTHER_KIND = 2.0
 """A PTP is no LIN or CIRC."""
 _WINDOW = 14
@@ -36,7 +39,7 @@ _KEPT = 48
 """Assignments followed at the same time."""
 _PASSES = 3
 _EQUAL = 5e-6
-"""Targets that stand so near [m], after steps that differ by no more, are the same ones."""
+"""Targets that are this near [m], after steps that differ by no more, are the same ones."""
 _RUN, _AT_ONCE = 3, 4096
 _NONE = -1
 
@@ -47,11 +50,13 @@ class Track(Struct, frozen=True, eq=False):
     :param position: (n, 3) in a frame that both programs share [m].
     :param step: (n,) length of the way to each from the one before [m]; of an arc, along it.
     :param joint: (n,) True for PTP.
+    :param continued: (n,) True where the path goes on along the same line or arc: a division point, no corner.
     """
 
     position: Array
     step: Array
     joint: Bools
+    continued: Bools
 
     def __len__(self) -> int:
         return len(self.position)
@@ -104,11 +109,11 @@ def _settle(one: Track, other: Track, partner: Ints) -> None:
 
 
 def _part(track: Track, rows: slice) -> Track:
-    return Track(track.position[rows], track.step[rows], track.joint[rows])
+    return Track(track.position[rows], track.step[rows], track.joint[rows], track.continued[rows])
 
 
 def _reversed(track: Track) -> Track:
-    return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1])
+    return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1], track.continued[::-1])
 
 
 def _scale(step: Array) -> Array:
@@ -172,6 +177,7 @@ def _assigned(one: Track, other: Track, before: tuple[Array, Array] | None) -> I
             cost[:, states.row == _NONE] = 0.0
         weight = np.where(window[:, None] - states.partner > 1, 1.0, _WAY)
         cost += weight * np.minimum(np.log1p(np.abs(way - step) / scale), _CAP)
+        cost += _OTHER_WAY * np.minimum(np.abs(way - step) / _LONGER, 1.0)
         cost += states.cost
         cost[window[:, None] <= states.partner] = np.inf
         last = np.argmin(cost, axis=1)
@@ -179,7 +185,7 @@ def _assigned(one: Track, other: Track, before: tuple[Array, Array] | None) -> I
         origins[row] = window, states.row[last], states.partner[last]
         good = np.flatnonzero(np.isfinite(own))
         paired = _States(window[good], np.full(len(good), row), own[good], offset[good])
-        states = _cheapest(paired, states)
+        states = _cheapest(paired, states, _PASSED if one.continued[row] else _MISSING)
         row += 1
     _follow(out, states, origins)
     return out
@@ -197,7 +203,7 @@ def _follow(out: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Int
 
 
 def _equal(one: Track, other: Track, row: int, partner: int) -> int:
-    """Return how many targets from these on stand in the same places, after steps of the same length."""
+    """Return how many targets from these on are in the same places, after steps of the same length."""
     count = min(len(one) - row, len(other) - partner, _AT_ONCE)
     mine, theirs = _part(one, slice(row, row + count)), _part(other, slice(partner, partner + count))
     same = (norm(theirs.position - mine.position) < _EQUAL) & (np.abs(theirs.step - mine.step) < _EQUAL)
@@ -205,9 +211,12 @@ def _equal(one: Track, other: Track, row: int, partner: int) -> int:
     return count if same.all() else int(np.argmin(same))
 
 
-def _cheapest(paired: _States, older: _States) -> _States:
-    """Return the cheapest assignments, of those that end with this target and those that leave it without partner."""
-    cost = np.concatenate([paired.cost, older.cost + _MISSING])
+def _cheapest(paired: _States, older: _States, alone: float) -> _States:
+    """Return the cheapest assignments, of those that end with this target and those that leave it without partner.
+
+    :param alone: cost of the latter.
+    """
+    cost = np.concatenate([paired.cost, older.cost + alone])
     keep = np.argpartition(cost, _KEPT)[:_KEPT] if len(cost) > _KEPT else np.arange(len(cost))
     return _States(
         np.concatenate([paired.partner, older.partner])[keep],

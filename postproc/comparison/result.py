@@ -1,30 +1,37 @@
-"""How two programs differ."""
+"""The result of a comparison of two programs."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
 
-from postproc.comparison.curves import Curves
+from postproc.comparison.paths import Curves
 from postproc.errors import Level
 from postproc.frames import Array, norm
 from postproc.program import SPL, Bools, Ints, Program
 
+TIMES_OFFSET = 3.0
+"""A target is on the path within this many times the offsets of the pairs next to it,"""
+OFF_PATH = 1e-4
+"""and at least within this [m]."""
+
 
 class Cuts(Struct, frozen=True, eq=False):
-    """Where the tip would stand at the pairs, under the same force, from its nominal position [m].
+    """Deviations of the loaded tip from the nominal path under the same force.
 
-    :param wrench: (P, 6) at the tip, `$BASE` axes of the nominal program [N, N·m].
-    :param nominal: (P, 3) by the nominal program, its `$BASE`.
-    :param corrected: (P, 3) by the corrected one.
-    :param turned: (P,) by how much the corrected one turns the loaded tool from its nominal orientation [rad].
-    :param row: (B,) rows of `corrected.motions` that are looked at between pairs, never decreasing; `t` (B,) where.
+    :param wrench: (P, 6) at the tip at each pair, `$BASE` axes of the nominal program [N, N·m].
+    :param nominal: (P, 3) tip minus nominal target by the nominal program, its `$BASE` [m].
+    :param corrected: (P, 3) the same by the second program.
+    :param turned: (P,) angle by which the second program turns the loaded tool from its nominal orientation [rad].
+    :param row: (B,) rows of `corrected.motions` that are checked between pairs, never decreasing; `t` (B,) where.
         Inserted targets (t = 1) are among them.
-    :param between_nominal: (B,) there, how far it would stand from its place on the nominal path by the nominal
-        program; `between_corrected` (B,) how far from that path by the corrected one [m].
-    :param between_turned: (B,) by how much the corrected one turns the loaded tool there from the nominal path [rad],
-        at inserted targets; 0 elsewhere.
-    :param share: (B,) where on the nominal motion that is.
+    :param between_nominal: (B,) distance there of the tip from its place on the nominal path by the nominal program
+        [m]; `between_corrected` (B,) distance from that path by the second one.
+    :param between_turned: (B,) angle there by which the second program turns the loaded tool from the nominal path
+        [rad], at targets; 0 elsewhere.
+    :param length: (B,) arc length of that place on the nominal path [m].
     """
 
     wrench: Array
@@ -36,18 +43,18 @@ class Cuts(Struct, frozen=True, eq=False):
     between_nominal: Array
     between_corrected: Array
     between_turned: Array
-    share: Array
+    length: Array
 
 
 class Difference(Struct, frozen=True):
-    """What differs besides offsets, or could not be compared.
+    """A difference besides offsets, or a place that could not be compared.
 
-    :param level: ``"error"``: the second program must not be run; ``"warning"``: look at it.
+    :param level: ``"error"``: do not run the second program; ``"warning"``: check it; ``"info"``: for information.
     :param kind: short stable name.
     :param message: one sentence for the user.
-    :param nominal: file and line of the nominal program where it is first, if it stands there.
-    :param corrected: file and line of the second one; likewise.
-    :param count: of places.
+    :param nominal: file and line of the first place in the nominal program, if it has one.
+    :param corrected: file and line in the second program; likewise.
+    :param count: number of places.
     """
 
     level: Level
@@ -59,22 +66,24 @@ class Difference(Struct, frozen=True):
 
 
 class Comparison(Struct, frozen=True, eq=False):
-    """The targets of two programs. Row i of the pairs' arrays is the same pair; SI units.
+    """The targets of two programs. Row i of the arrays of pairs is the same pair; SI units.
 
     :param nominal: the first program.
     :param corrected: the second.
     :param robot: name of the robot model.
     :param pair: (P, 2) rows of `nominal.motions` and of `corrected.motions`, in order.
     :param inserted: rows of `corrected.motions` on the path between two pairs.
-    :param only_nominal: rows of `nominal.motions` without a partner.
-    :param only_corrected: rows of `corrected.motions` without a partner that do not stand on the path.
+    :param passed: rows of `nominal.motions` without a partner that the second path passes.
+    :param only_nominal: rows of `nominal.motions` that are missing; `missed` (n,) by how much the second path misses
+        each [m], NaN for PTP.
+    :param only_corrected: rows of `corrected.motions` without a partner that are not on the path.
     :param pose: (P, 4, 4) where the second program commands the nominal program's tool, in the nominal `$BASE` [m].
     :param rotation: (P,) angle between the two orientations [rad].
     :param curves: both paths between the pairs; None for less than two.
-    :param between: (P,) how far they are apart at most on the way to each pair from the one before [m]; NaN for the
-        first, and where a PTP is between.
-    :param cuts: what each would cut, where forces are known.
-    :param differences: what differs besides.
+    :param between: (P,) largest distance of the two paths on the way to each pair from the one before, at the same
+        share of the way [m]; NaN for the first, and where a PTP is between.
+    :param cuts: deviations by each program; None without forces.
+    :param differences: other differences.
     """
 
     nominal: Program
@@ -82,7 +91,9 @@ class Comparison(Struct, frozen=True, eq=False):
     robot: str
     pair: Ints
     inserted: Ints
+    passed: Ints
     only_nominal: Ints
+    missed: Array
     only_corrected: Ints
     pose: Array
     rotation: Array
@@ -134,6 +145,33 @@ class Comparison(Struct, frozen=True, eq=False):
 
     @property
     def spline(self) -> Bools:
-        """(P,) True where the way to the target is a piece of a spline in both, which is not compared."""
+        """(P,) True where the way to the target is a piece of a spline in both programs: it is not compared."""
         one, other = self.nominal.motions.kind[self.pair[:, 0]], self.corrected.motions.kind[self.pair[:, 1]]
         return np.asarray((one == SPL) & (other == SPL))
+
+
+def place_of(program: Program, row: int) -> tuple[str, int]:
+    """Return the file of a motion and its line in it."""
+    return program.places(np.array([row])).of(0)
+
+
+def of_line(program: Program, line: int | None) -> tuple[str, int] | None:
+    """Return file and line in it of a line that a reader's issue names; the main file if no motion is on it."""
+    if line is None:
+        return None
+    rows = np.flatnonzero(program.motions.line == line)
+    return place_of(program, rows[0]) if len(rows) else (program.documents[0].name, line)
+
+
+def at_rows(found: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
+    """Return a warning at a motion of each program; −1 where one has none."""
+    one, other = (
+        None if row < 0 else place_of(program, row)
+        for program, row in zip((found.nominal, found.corrected), rows, strict=True)
+    )
+    return Difference("warning", kind, message, one, other, count)
+
+
+def at_pairs(found: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
+    """Return a warning at pairs (n,); the first of them is named."""
+    return at_rows(found, kind, message, found.pair[pairs[0]].tolist(), len(pairs))

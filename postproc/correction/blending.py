@@ -57,7 +57,7 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     m = program.motions
     after = np.append(motion[1:], -1)
     same = (after - motion <= 1) & (m.base[after] == m.base[motion]) & (m.tool[after] == m.tool[motion])
-    if program.after is not None:  # where branches begin, or where it is not known where the robot stands
+    if program.after is not None:  # at the start of branches, or where the position of the robot is unknown
         same &= (after == motion) | (program.after[after] == motion)
     path = (kind != PTP) & (kind != SPL)
     return np.asarray((after >= 0) & same & path & np.append(path[1:], False))

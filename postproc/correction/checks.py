@@ -36,6 +36,9 @@ _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
 _BEYOND = 1.1
 """Torque of a load, over the largest that was measured, beyond which the model is extrapolated."""
+_MM_PER_MIN = 60e3
+JOINT_SPEED = "joint-speed-"
+"""Kinds of issues about joint speeds begin so."""
 _NO_SIGN = 0.01 * RAD_PER_DEG
 """A joint angle nearer to zero than this has no sign that T could name."""
 
@@ -91,7 +94,7 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
     for bad, kind, what in (
         (wrist, "wrist-singularity", "wrist singularity: A5 passes through 0°"),
         (elbow, "elbow-singularity", "elbow singularity: the arm is stretched out"),
-        (shoulder, "shoulder-singularity", "shoulder singularity: the wrist stands above the A1 axis"),
+        (shoulder, "shoulder-singularity", "shoulder singularity: the wrist is above the A1 axis"),
         (jump & flip, "wrist-singularity", flipped),
         (jump & ~flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
     ):
@@ -160,7 +163,7 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
 
 
 def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
-    """A first PTP that turns the hand by about half a turn from [start] (6,) [rad] is worth knowing."""
+    """A first PTP that turns the hand by about half a turn from [start] (6,) [rad] gives a warning."""
     m = program.motions
     if m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
         return
@@ -169,7 +172,7 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
         if abs(turned[axis]) > _HALF_TURN:
             message = (
                 f"The first move turns {JOINTS[axis]} by {turned[axis] * DEG_PER_RAD:.0f}° from the [start] joints of "
-                f"the cell. Look to cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
+                f"the cell. Check cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
             )
             yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
 
@@ -218,22 +221,32 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
 def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
     """Joint speeds (N, 6) at the programmed feed must stay within the robot's limits.
 
-    Where a program relies on the controller's default speed, which the controller may have been told otherwise, it is
-    but a warning.
+    If a program relies on the default speed, which may be set differently on the controller, it is only a warning.
     """
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     rapid = program.motions.rapid[sample.motion]
+    feed = np.nan_to_num(program.motions.feed[sample.motion])
     for axis, name in enumerate(JOINTS):
         for rows, at, advice in (
-            (~rapid, "the programmed feed", "Lower the feed"),
+            (~rapid, "the programmed feed", "Lower the feed to {feed} mm/min"),
             (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
         ):
             fast = rows & (speed[:, axis] > robot.speed[axis])
+            if not fast.any():
+                continue
+            least = float((feed[fast] * robot.speed[axis] / speed[fast, axis]).min()) * _MM_PER_MIN
+            advice = advice.format(feed=_rounded_down(least))
             message = (
                 f"{name} would turn at {speed[fast, axis].max(initial=0.0) * DEG_PER_RAD:.0f}°/s at {at} (limit "
                 f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
             )
-            yield from _first(program, sample.motion, fast, f"joint-speed-{name}", message, level)
+            yield from _first(program, sample.motion, fast, f"{JOINT_SPEED}{name}", message, level)
+
+
+def _rounded_down(value: float) -> str:
+    """Return a positive number with two digits, rounded down."""
+    step = 10.0 ** (np.floor(np.log10(value)) - 1.0)
+    return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
 def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> Iterator[Issue]:
@@ -252,11 +265,14 @@ def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> 
         lines = program.motions.line[motions].tolist()
         forces = [f"line {line}: {_force(wrench[end[row]])}" for line, row in zip(lines, motions.tolist(), strict=True)]
         message = (
-            f"branches of which it is not known which one runs end under different forces ({', '.join(forces)}) and "
-            "would be corrected differently where they meet: what follows begins there. Give the last motions of all "
-            "of them the same force in $BASE."
+            f"branches of which it is not known which one runs{_ROUNDS} end under different forces "
+            f"({', '.join(forces)}) and would be corrected differently where they meet: what follows begins there. "
+            "Give the last motions of all of them the same force in $BASE."
         )
         yield Issue("error", "branch-forces", message, lines[0], count=len(lines), lines=tuple(lines))
+
+
+_ROUNDS = ", or what precedes a LOOP without EXIT and its rounds,"
 
 
 def _force(wrench: Array) -> str:

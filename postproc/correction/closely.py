@@ -1,8 +1,8 @@
-"""The path between its samples, looked at closely where joints come near what they can do.
+"""The path between its samples, examined closely where joints come near their limits.
 
-The places computed on an arc may be 60° apart, those on a line 20 mm: enough for the deflection, but a joint may turn
-fastest, stand beyond a limit or pass a singularity between two of them. Where that is possible at all, an arc is looked
-at every 5°, and the piece of a line between two samples every 2 mm and half a degree.
+The samples of an arc may be 60° apart, those of a line 20 mm: enough for the deflection, but between two of them a
+joint may turn fastest, exceed a limit or pass a singularity. Where that is possible, an arc is examined every 5°, and
+the piece of a line between two samples every 2 mm and half a degree.
 """
 
 from __future__ import annotations
@@ -16,28 +16,29 @@ from postproc import kinematics, toolpath
 from postproc.correction import checks
 from postproc.errors import Issue
 from postproc.frames import RAD_PER_DEG, Array, any_column
-from postproc.program import CIRC, LIN, Bools, Ints, distinct
-from postproc.under_load import PathUnderLoad, unreachable
+from postproc.program import CIRC, LIN, SPL, Bools, Ints, distinct
+from postproc.toolpath import Toolpath
+from postproc.under_load import ImpossiblePathError, PathUnderLoad, unreachable
 
 _SPACING = 5.0 * RAD_PER_DEG
 _SHARE_OF_SPEED = 0.75
 """Of a joint's fastest, by the samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
 _TURNED = 10.0 * RAD_PER_DEG
-"""From one sample to the next; by more a joint turns where the wrist or the shoulder is near a singularity."""
+"""Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
 _NEAR_ELBOW = 20.0 * RAD_PER_DEG
 """A3 changes with the root of the distance to where the arm is stretched: nearer than this it may get there unseen."""
 _AT_ONCE = 8192
-"""Places looked at together."""
+"""Number of places examined in one batch."""
 _STEPS = 2.0
 """What changes smoothly passes its values at the samples by less than one of its steps between them."""
 _LONG, _TURNS = 0.002, 0.5 * RAD_PER_DEG
-"""Shorter pieces of lines that turn the tool less hide nothing; longer ones are looked at so closely."""
+"""Spacing of the places on a line; pieces that are shorter and turn the tool less are not examined."""
 _NEAREST = 0.15
 """From the wrist, and the wrist from the axes of A1 to A3 [m], about: a joint turns by no more than the way through it,
 unless the arm is nearly singular."""
 _PER_TURN = 6.0
-"""A joint turns by no more than so many times the angle by which the tool does, unless the wrist is nearly singular."""
+"""Largest ratio of joint rotation to tool rotation, unless the wrist is nearly singular."""
 _ELBOW_PER_M, _ELBOW_PER_TURN = 5.0, 3.0
 """How much A3 may come nearer to where the arm is stretched within a piece of a line, per way [rad/m] and turn."""
 _REACH_PER_TURN = 0.5
@@ -49,7 +50,7 @@ class Stretches(Struct, frozen=True, eq=False):
 
     :param motion: (S,) row of `Motions`.
     :param begin: (S,) place where it begins, and `end` (S,) where it ends.
-    :param count: (S,) of places at which to look, both ends among them.
+    :param count: (S,) number of places to examine, including both ends.
     """
 
     motion: Ints
@@ -69,8 +70,8 @@ def stretches(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, S
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
     robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
-    # at the start and at each sample (9, N + 1): A1…A6 to their nearer limits [rad]; A5 [rad]; how far the wrist centre
-    # stands ahead of A1 [m]; A3 from where the arm is stretched [rad]
+    # at the start and at each sample (9, N + 1): A1…A6 to their nearer limits [rad]; A5 [rad]; distance of the wrist
+    # centre ahead of A1 [m]; A3 measured from the stretched arm [rad]
     state = np.empty((9, len(q) + 1))
     state[:6, 0], state[:6, 1:] = path.setting.cell.start_joints, q.T
     state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
@@ -112,7 +113,9 @@ def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretc
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))
     way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.way, segments.turn))
-    rows = np.flatnonzero((path.program.motions.kind[sample.motion] == LIN) & ((way > _LONG) | (turn > _TURNS)))
+    rows = np.flatnonzero(
+        np.isin(path.program.motions.kind[sample.motion], (LIN, SPL)) & ((way > _LONG) | (turn > _TURNS))
+    )
     way, turn = way[rows], turn[rows]
     near = _STEPS * step[:, rows]
     near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
@@ -127,9 +130,28 @@ def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretc
 def look(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, apart: Ints) -> Iterator[Issue]:
     """Yield what the checks of joints find on stretches looked at closely.
 
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    :param apart: motions of whose stretches not all follow each other.
+    """
+    program, robot = path.program, path.setting.robot
+    try:
+        for close, exact, commanded in places(path, q, position, stretches):
+            yield from checks.joint_limits(program, robot, close, exact)
+            yield from checks.singularities(program, robot, close, exact, apart)
+            speed = checks.joint_speed(program, close, path.motions.segments.turn, exact, commanded)
+            yield from checks.joint_speeds(program, robot, close, speed)
+    except ImpossiblePathError as cause:
+        yield cause.issue
+
+
+def places(
+    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches
+) -> Iterator[tuple[Toolpath, Array, Array]]:
+    """Yield places on stretches with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
+
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m]: the
         correction of both is taken for linear between samples.
-    :param apart: motions of whose stretches not all follow each other.
+    :raises ImpossiblePathError: a place is out of reach.
     """
     program, robot, sample, joints = path.program, path.setting.robot, path.sample, path.joints
     if len(stretches.motion) == 0:
@@ -149,12 +171,7 @@ def look(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, a
         exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
         bad = any_column(np.isnan(exact))
         if bad.any():
-            yield unreachable(program, motion[bad])
-            return
+            raise ImpossiblePathError(unreachable(program, motion[bad]))
         between = np.column_stack([np.interp(motion + t, known, column) for column in values.T])
         exact += 2.0 * np.pi * np.round((between[:, :6] - exact) / (2.0 * np.pi)) + between[:, 6:12]
-        yield from checks.joint_limits(program, robot, close, exact)
-        yield from checks.singularities(program, robot, close, exact, apart)
-        commanded = close.pose[:, :3, 3] + between[:, 12:]
-        speed = checks.joint_speed(program, close, path.motions.segments.turn, exact, commanded)
-        yield from checks.joint_speeds(program, robot, close, speed)
+        yield close, exact, close.pose[:, :3, 3] + between[:, 12:]

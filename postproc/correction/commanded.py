@@ -1,4 +1,4 @@
-"""What the controller is told at each sample of a path, and what the tool does without correction."""
+"""Commanded joint angles and poses at each sample of a path, and the deviation of the tool without correction."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ import numpy as np
 
 from postproc import toolpath
 from postproc.chunks import in_chunks
-from postproc.compensation import Compensation
+from postproc.elastostatics import Compensation
 from postproc.errors import NotConvergedError
 from postproc.frames import Array
 from postproc.program import Ints
 from postproc.under_load import ImpossiblePathError, PathUnderLoad
 
-_NO_BALANCE = "no command holds the tool here under this force: singular pose, or a force beyond the springs."
+_NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large. Move the part or check the forces."
 
 
 def as_it_stands(path: PathUnderLoad) -> Compensation:
-    """Return the commands of the program as it is; poses in `$BASE`."""
+    """Return the uncorrected commands of the program; poses in `$BASE`."""
     return Compensation(path.joints.q, path.sample.pose, np.zeros((len(path), path.setting.robot.actual.nv)))
 
 
 def corrected(path: PathUnderLoad) -> Compensation:
-    """Return the corrected commands of all samples but axis targets, which are left as they stand; poses in `$BASE`.
+    """Return the corrected commands of all samples; poses in `$BASE`. Axis targets are not corrected.
 
-    :raises ImpossiblePathError: some sample cannot be held.
+    :raises ImpossiblePathError: a sample has no loaded equilibrium.
     """
     movable = np.flatnonzero(np.isnan(path.program.motions.joints[path.sample.motion, 0]))
 
@@ -37,8 +37,8 @@ def corrected(path: PathUnderLoad) -> Compensation:
 
     found = _balanced(path, in_chunk, movable)
     if len(movable) < len(path):
-        stands = as_it_stands(path)
-        whole = stands.q.copy(), stands.pose.copy(), stands.theta
+        unchanged = as_it_stands(path)
+        whole = unchanged.q.copy(), unchanged.pose.copy(), unchanged.theta
         for array, part in zip(whole, found, strict=True):
             array[movable] = part
         found = whole
@@ -46,11 +46,11 @@ def corrected(path: PathUnderLoad) -> Compensation:
 
 
 def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, ...]:
-    """Return what the tool would do at samples (n,) if nothing were corrected, `$BASE` [m].
+    """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
 
-    :param theta: (N, nv) deflections of the springs, about.
-    :returns: (n, 3) deviation of the tip from nominal; (n, 3) its displacement by the wrench alone; (n, 3) of that, how
-        far holder, spindle and tool give way.
+    :param theta: (N, nv) approximate deflections of the springs: start values.
+    :returns: (n, 3) deviation of the tip from nominal; (n, 3) its displacement by the wrench alone; (n, 3) of that,
+        the deflection of holder, spindle and tool.
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
 
@@ -67,7 +67,7 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, .
 
 
 def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
-    """Return what a function makes of samples (n,), in chunks; all motions where it finds no equilibrium are told."""
+    """Return the results of a function of samples (n,), in chunks; the error lists all motions without equilibrium."""
     try:
         return in_chunks(function, rows)
     except NotConvergedError as cause:

@@ -1,4 +1,4 @@
-"""A program on its way out: what was chosen, written, read back and simulated, and the result made of it."""
+"""Draft of a program: targets chosen, text written, read back and simulated; and the result made from it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, toolpath
-from postproc.compensation import Compensation
+from postproc.cell import Cell
 from postproc.correction import checks, commanded, inspection
 from postproc.correction.read_back import ReadBack, UnusableTextError, read_back
 from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen
 from postproc.correction.verify import Simulated, simulate
 from postproc.dialects.dialect import Writer
-from postproc.elastostatics import Reversals
+from postproc.elastostatics import Compensation, Reversals
 from postproc.errors import Issue, group_issues
 from postproc.forces import Axes, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
@@ -22,6 +22,7 @@ from postproc.program import TargetForces, TargetJoints, Written
 from postproc.robot import RobotModel
 from postproc.under_load import PathUnderLoad
 
+_MB = 1e6
 _NO_BOUND = (
     "the forces have standard deviations, but the robot model has no covariance: there is no bound (u95_mm) to which "
     "they could be added."
@@ -33,16 +34,16 @@ _NOT_FINITE = (
 )
 
 _EXACT_FORCES = (
-    "the forces state no standard deviation: what is to be expected on the part (u95_mm) counts them as exact. A CSV "
-    "says how far they may be off in sFx, sFy, sFz or sigma_percent."
+    "the forces have no standard deviation: the expected error on the part (u95_mm) treats them as exact. Give it in "
+    "the columns sFx, sFy, sFz or sigma_percent of the force file (CSV)."
 )
 
 
 class Task(Struct, frozen=True, eq=False):
-    """What is to be done with a program, see `process`.
+    """Settings for processing a program, see `process`.
 
-    :param in_file: its forces are given, and go with it, in a file; else in comments.
-    :param told: what there is to say before anything is computed.
+    :param in_file: True if its forces are read from and written to a file, False for comments.
+    :param told: issues found before anything is computed.
     """
 
     robot: RobotModel
@@ -57,11 +58,11 @@ class Draft(Struct, frozen=True, eq=False):
     """A program with targets at some of the samples of its path.
 
     :param path: the path.
-    :param q: (N, 6) joint angles that the controller is told at its samples [rad]; its poses stand in the targets.
+    :param q: (N, 6) commanded joint angles at its samples [rad]; the commanded poses are in the targets.
     :param theta: (N, nv) deflections of the springs there [rad, m].
     :param chosen: the targets.
-    :param issues: what there is to tell.
-    :param simulated: what the program as written does; None as long as it is not written, or if it cannot be used.
+    :param issues: issues found so far.
+    :param simulated: simulation of the written program; None if it is not written yet, or cannot be used.
     """
 
     path: PathUnderLoad
@@ -73,27 +74,27 @@ class Draft(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, task: Task, path: PathUnderLoad, command: Compensation, chosen: Chosen) -> Draft:
-        """Return the draft with all that there is to tell of the program, its forces and its path as commanded."""
-        told = (*task.told, *path.program.issues, *path.motions.forces.issues, *inspection.of_path(path, command))
-        return cls(path, command.q, command.theta, chosen, told)
+        """Return the draft with the issues of the task, the program, its forces and its commanded path."""
+        issues = (*task.told, *path.program.issues, *path.motions.forces.issues, *inspection.of_path(path, command))
+        return cls(path, command.q, command.theta, chosen, issues)
 
     @property
     def failed(self) -> bool:
-        """True if an issue of level error stands against it."""
+        """True if it has an issue of level error."""
         return any(issue.level == "error" for issue in self.issues)
 
     def forces_at_targets(self) -> TargetForces:
-        """Return the wrench at each target as the written program must be given it."""
+        """Return the wrench at each target in the form that the written program needs."""
         chosen = self.chosen
         return forces.of_targets(self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench[chosen.row])
 
     def written(self, task: Task) -> Draft:
-        """Return the draft written, read back and simulated, as far as that can be done.
+        """Return the draft written, read back and simulated, as far as possible.
 
         :raises ProgramError: it cannot be written.
         """
         path, chosen, text = self.path, self.chosen, self._text(task)
-        draft = replace(self, issues=(*self.issues, *text.issues))
+        draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.setting.cell)))
         if draft.failed:
             return draft
         try:
@@ -101,7 +102,9 @@ class Draft(Struct, frozen=True, eq=False):
             simulated = simulate(path, chosen, self.theta, back, corrected=task.mode != "nominal")
         except UnusableTextError as cause:
             return replace(draft, issues=(*draft.issues, cause.issue))
-        return replace(draft, simulated=simulated, issues=(*draft.issues, *simulated.issues))
+        known = {issue.kind for issue in draft.issues}
+        more = [issue for issue in simulated.issues if issue.kind not in known or issue.kind == "blending"]
+        return replace(draft, simulated=simulated, issues=(*draft.issues, *more))
 
     def _text(self, task: Task) -> Written:
         path, q = self.path, self.q.take(self.chosen.row, axis=0)
@@ -110,8 +113,21 @@ class Draft(Struct, frozen=True, eq=False):
         return task.writer.write(path.program, self.chosen.targets, joints, path.setting.cell, comments)
 
 
+def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
+    """Return a warning if a written program is larger than the memory of the controller."""
+    size, memory = text.size / _MB, cell.output.program_memory_MB
+    if size <= memory:
+        return ()
+    message = (
+        f"the program has {size:.3g} MB, {size / memory:.2g} times program_memory_MB = {memory:g} of [output]: the "
+        "controller may not load it. Raise tolerance_mm, give forces as a file instead of comments, or divide "
+        "the job into several programs, one for each operation."
+    )
+    return (Issue("warning", "program-memory", message),)
+
+
 def result_of(task: Task, draft: Draft) -> Result:
-    """Make the result of a draft; what is not written is predicted as it stands."""
+    """Return the result of a draft; a program that is not written is predicted without correction."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
     rows = np.arange(len(path)) if task.mode == "predict" else row
     without = commanded.uncorrected(path, rows, draft.theta)
@@ -120,13 +136,13 @@ def result_of(task: Task, draft: Draft) -> Result:
         without = tuple(each[row] for each in without)
     deviation, deflection, by_tool = without
     turned = _reversals(draft)
-    bound, doubt, untold = _bound(draft, norm(deviation), turned)
+    bound, doubt, more = _bound(draft, norm(deviation), turned)
     result = Result(
         program=program,
         robot=task.robot,
         axis=path.setting.spindle,
         mode=task.mode,
-        issues=group_issues([*draft.issues, *untold]),
+        issues=group_issues([*draft.issues, *more]),
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
@@ -163,7 +179,7 @@ def result_of(task: Task, draft: Draft) -> Result:
 
 
 def _causes(path: PathUnderLoad) -> tuple[str, ...]:
-    """Return what moves the tool from nominal, in words."""
+    """Return the causes of deviation from nominal, in words."""
     setting = path.setting
     robot = setting.robot
     return tuple(
@@ -179,7 +195,7 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
 
 
 def _numbers(task: Task, draft: Draft) -> Array:
-    """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as the text has them that is written, or stays."""
+    """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
     if draft.simulated is not None:
         return draft.simulated.back.numbers
     targets, program = draft.chosen.targets, draft.path.program
@@ -202,7 +218,7 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     """Return the expected error (K,) by model and forces (95 %), or None; where it exceeds the correction; issues.
 
     :param corrected: (K,) distance of the uncorrected tip from nominal [m].
-    :param turned: where gears turn over: on the targets next to it they may lie on either flank.
+    :param turned: torque reversals: at the targets next to one, gears may be on either flank.
     """
     path, row = draft.path, draft.chosen.row
     robot = path.setting.robot
@@ -217,30 +233,30 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     spring = path.setting.tool_spring
     in_series = None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
     q, wrench, tool = draft.q[row], path.wrench_in_root(row), path.tool(row)
-    told = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
+    issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
     if spread is None and robot.covariance is not None and wrench.any():
-        told.append(Issue("info", "exact-forces", _EXACT_FORCES))
+        issues.append(Issue("info", "exact-forces", _EXACT_FORCES))
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
     bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning)
     if bound is None:
-        return None, None, told
+        return None, None, issues
     motion = draft.chosen.targets.motion
     if not np.isfinite(bound).all():
         return (
             None,
             None,
-            [*told, path.program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)])],
+            [*issues, path.program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)])],
         )
     found = doubtful(bound, corrected, path.program.motions.rapid[motion])
     if found is None:
-        return bound, None, told
+        return bound, None, issues
     at, level = found
     one = slice(at, at + 1)
     forces_there, series = (each if each is None else each[one] for each in (in_root, in_series))
     tool = tool[one] if tool.ndim == 3 else tool
-    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series, turning[one])
-    return bound, Doubt(at, float(bound[at]), level, source), told
+    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series, turning=turning[one])
+    return bound, Doubt(at, float(bound[at]), level, source), issues
 
 
 def _carried(draft: Draft, back: ReadBack) -> Knots:

@@ -1,11 +1,12 @@
-"""All checks of a path as it is commanded, and what a program says of where it comes from."""
+"""All checks of a commanded path, and of the origin that a program states."""
 
 from __future__ import annotations
 
-from postproc.compensation import Compensation
-from postproc.correction import checks, closely
+from postproc.cell import Cell
+from postproc.correction import checks, closely, joint_speeds
 from postproc.correction.result import Mode
 from postproc.dialects import registry
+from postproc.elastostatics import Compensation
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, norm
 from postproc.program import Program
@@ -13,15 +14,15 @@ from postproc.under_load import PathUnderLoad
 
 
 def of_origin(program: Program, mode: Mode) -> list[Issue]:
-    """Return what there is to say about a program that postproc wrote: it is not corrected a second time."""
+    """Return the issues of a program that postproc wrote: it must not be corrected a second time."""
     writer = registry.by_name(program.dialect).writer
     if writer is None:
         return []
     origin = writer.origin(program.documents)
     if origin.part_of:
         message = (
-            f"this file is a part of {origin.part_of}, which calls it: where the robot stands before it, with which "
-            f"frames and speed, is said there. Name {origin.part_of} instead."
+            f"this file is a part of {origin.part_of}, which calls it and sets its start position, frames "
+            f"and speed. Name {origin.part_of} instead."
         )
         return [Issue("error", "part-of-program", message, origin.line)]
     if mode != "predict":
@@ -47,6 +48,19 @@ def of_origin(program: Program, mode: Mode) -> list[Issue]:
     return []
 
 
+def of_tools(program: Program, cell: Cell, mode: Mode) -> list[Issue]:
+    """Return an error if a program to be written changes to another tool, and the cell does not say how."""
+    changes = [event for event in program.events if event.kind == "tool_change"]
+    second = next((event for event in changes if event.value != changes[0].value), None)
+    if mode == "predict" or program.keeps_text or second is None or cell.gcode.tool_change is not None:
+        return []
+    message = (
+        f"the program changes from tool {changes[0].value:g} to tool {second.value:g}, but the cell has no tool_change "
+        'lines. Give [gcode] tool_change = ["…"], or tool_change = [] if the tool is changed by hand, without a line.'
+    )
+    return [Issue("error", "tool-change", message, second.line)]
+
+
 def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     """Return the issues of the path as commanded.
 
@@ -54,7 +68,7 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     """
     program, robot, sample, cell = path.program, path.setting.robot, path.sample, path.setting.cell
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
-    speed = checks.joint_speed(program, sample, path.motions.segments.turn, q, position)
+    speed = joint_speeds.commanded_speed(path, q, position)
     arcs, lines = closely.stretches(path, q, speed)
     allowed = cell.output.max_correction_mm * M_PER_MM
     found = [
@@ -69,8 +83,8 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
         *checks.meetings(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
     ]
-    told = {issue.kind for issue in found}
+    known = {issue.kind for issue in found}
     for stretches, apart in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
-        found += (issue for issue in closely.look(path, q, position, stretches, apart) if issue.kind not in told)
-        told |= {issue.kind for issue in found}
+        found += (issue for issue in closely.look(path, q, position, stretches, apart) if issue.kind not in known)
+        known |= {issue.kind for issue in found}
     return found

@@ -1,4 +1,4 @@
-"""The life of a program, stage by stage: path under load, commands, targets, text, read back, simulated, result."""
+"""Processing stages of a program: path under load, commands, targets, text, read back, simulated, result."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.compensation import Compensation
-from postproc.correction import commanded, inspection, select, targets
+from postproc.correction import checks, commanded, inspection, joint_speeds, select, targets
 from postproc.correction.drafts import Draft, Task, result_of
 from postproc.correction.result import Mode, Result
 from postproc.dialects import registry
-from postproc.errors import InputError, ProgramError, group_issues
+from postproc.elastostatics import Compensation
+from postproc.errors import InputError, Issue, ProgramError, group_issues
 from postproc.forces import ForceSource
 from postproc.frames import Array
 from postproc.program import CIRC, Document, Ints, Program, read_only
@@ -22,9 +22,9 @@ from postproc.toolpath import Pieces
 from postproc.under_load import SHARE_OF_TOLERANCE, ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
 _ROUNDS = 8
-"""How often targets are inserted where the simulation of the written program leaves the tolerance."""
+"""Largest number of rounds that insert targets where the simulated program exceeds the tolerance."""
 _MOST_PARTS = 4
-"""Into so many parts at most a piece of an arc is divided at once there."""
+"""Largest number of parts into which a piece of an arc is divided in one round."""
 
 
 def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str, dialect: str) -> Program:
@@ -32,8 +32,8 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
 
     :param documents: the main file first.
     :param dialect: name of its format, see `dialects.registry`.
-    :raises InputError: it is in a language that the robot's controller does not read.
-    :raises ProgramError: it is not understood; the message names file, line, text and what to do.
+    :raises InputError: the robot's controller does not read this language.
+    :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
     """
     if registry.by_name(dialect).writer is not None:
         _check_language(documents[0].name, robot, dialect)
@@ -53,14 +53,14 @@ def process(
     linearize_arcs: bool = False,
     to: str | None = None,
 ) -> Result:
-    """Correct a program, or predict what it does as it stands.
+    """Correct a program, or predict its uncorrected path.
 
     :param program: as read.
     :param robot: the robot model.
     :param cell: the cell.
-    :param source: forces beside the comments of the program; they win.
+    :param source: forces in addition to the force comments of the program; they take precedence.
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
-        nothing: it tells what the program does as it stands, at the places where ``"convert"`` would have its targets.
+        nothing: it predicts the path of the uncorrected program at the targets that ``"convert"`` would write.
     :param linearize_arcs: write arcs as lines.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
     :returns: a result; with an issue of level error it holds no documents.
@@ -76,12 +76,12 @@ def process(
         linearize_arcs=linearize_arcs,
         writer=writer,
         in_file=source is not None,
-        told=tuple(inspection.of_origin(program, mode)),
+        told=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell, mode)),
     )
     wrong = [issue for issue in task.told if issue.level == "error"]
     if not wrong:
         try:
-            draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
+            task, draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
             return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
         except ImpossiblePathError as cause:
             wrong = [cause.issue]
@@ -93,24 +93,34 @@ def _check_language(file: str, robot: RobotModel, language: str) -> None:
         raise InputError(
             f"a program in {language} for {robot.title}, whose controller reads {robot.language}",
             file=file,
-            advice=f"Name another robot in the cell, or convert G-code with --to {robot.language}. What a robot reads "
-            "stands in its model.toml, language.",
+            advice=f"Name another robot in the cell, or convert G-code with --to {robot.language}. The "
+            "language of a robot is in its model.toml.",
         )
 
 
-def _settled(task: Task, motions: MotionsUnderLoad) -> Draft:
-    """Draft the program, with more targets each time where its simulation leaves the tolerance."""
+def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
+    """Draft the program; insert targets each round where its simulation exceeds the tolerance.
+
+    :returns: the task, with an issue if rapid moves were slowed, and the draft.
+    """
     pieces, also = _first_pieces(task, motions), motions.swung
+    slow: Issue | None = None
     for _ in range(_ROUNDS):
         draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
+        if slow is None and any(issue.kind.startswith(checks.JOINT_SPEED) for issue in draft.issues):
+            slowed = joint_speeds.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
+            if slowed is not None:
+                motions, slow = slowed
+                task = replace(task, told=(*task.told, slow))
+                draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
         if draft.simulated is None or task.mode == "nominal" or len(draft.simulated.missed[0]) == 0:
             break
         pieces, also = _closer(task, draft.path, draft.simulated.missed, also)
-    return draft
+    return task, draft
 
 
 def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
-    """Return into how many pieces to divide the arcs; where that is uncertain, by what larger ones miss."""
+    """Return the division of the arcs; where it is uncertain, from the path error of larger pieces."""
     pieces = motions.pieces(linearize_arcs=task.linearize_arcs)
     if pieces.uncertain.any():
         path = PathUnderLoad.of(motions, pieces)
@@ -121,7 +131,7 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
 def _closer(
     task: Task, path: PathUnderLoad, missed: tuple[Ints, Array, Array], also: tuple[Ints, Array]
 ) -> tuple[Pieces, tuple[Ints, Array]]:
-    """Return pieces of arcs, and places of straight motions, that look closer where the path was missed."""
+    """Return finer pieces of arcs and more places on straight motions where the path left the tolerance."""
     motion, t, distance = missed
     on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
     parts = np.sqrt(distance[on_arc] / (SHARE_OF_TOLERANCE * path.setting.tolerance))
@@ -131,7 +141,7 @@ def _closer(
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Compensation:
-    """Return what the controller is told at each sample, in `$BASE`."""
+    """Return the commands of all samples, in `$BASE`."""
     if task.mode == "nominal":
         return commanded.as_it_stands(path)
     try:
@@ -161,7 +171,7 @@ def _chosen(task: Task, path: PathUnderLoad) -> Draft:
 
 
 def _as_read(task: Task, draft: Draft) -> Draft:
-    """Return the draft as the program read: it was corrected only to find the places."""
+    """Return the draft with the uncorrected commands: the correction only served to place the targets."""
     path, chosen = draft.path, draft.chosen
     chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose[chosen.row]))
     return Draft.of(task, path, commanded.as_it_stands(path), chosen)

@@ -36,7 +36,7 @@ class ReadBack(Struct, frozen=True, eq=False):
     :param program: as read, without its text.
     :param segments: the geometry of its motions.
     :param row: (K,) motion that ends at each target.
-    :param numbers: (K, 6) X, Y, Z, A, B, C as they stand in the text [mm, deg].
+    :param numbers: (K, 6) X, Y, Z, A, B, C as printed in the text [mm, deg].
     """
 
     text: Written

@@ -1,4 +1,4 @@
-"""What came of one program: everything the reports and the files are made from."""
+"""Result of processing one program: the data of all reports and files."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from postproc.robot import RobotModel
 
 Mode = Literal["convert", "nominal", "predict"]
 _MOST_REVERSALS = 20
-"""So many of the largest reversals are listed."""
+"""Largest number of reversals listed."""
 
 
 class Doubt(Struct, frozen=True):
-    """A cutting target whose expected error is larger than what is corrected: see `doubtful`.
+    """A cutting target whose expected error exceeds its correction: see `doubtful`.
 
     :param row: of the target.
     :param bound: expected error there (95 %) [m].
-    :param corrected: what is corrected there, or the RMS of that over all cutting targets if it is larger [m].
-    :param source: what contributes most to the bound, in words.
+    :param corrected: correction there, or its RMS over all cutting targets if that is larger [m].
+    :param source: largest contribution to the bound, in words.
     """
 
     row: int
@@ -39,25 +39,25 @@ class Result(Struct, frozen=True, eq=False):
 
     The defaults are those of a program that could not be computed at all, which has no targets.
 
-    :param program: what was read.
+    :param program: the program as read.
     :param robot: the robot model.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param mode: corrected ("convert"), written without correction ("nominal"), or predicted only ("predict").
-    :param issues: what the user should know, grouped.
+    :param issues: errors, warnings and information for the user, grouped.
     :param documents: files to write, the main one first; empty if there is an error, or nothing to write.
     :param motion: (K,) row of `program.motions`.
     :param t: (K,) place on that motion, in (0, 1].
     :param output_line: (K,) line of the written program (of the input for "predict").
-    :param nominal: (K, 4, 4) where the tool should stand.
-    :param printed: (K, 6) X, Y, Z, A, B, C of the command as they stand in the written text: mm and degrees.
+    :param nominal: (K, 4, 4) nominal pose of the tool frame.
+    :param printed: (K, 6) X, Y, Z, A, B, C of the command as printed in the written text: mm and degrees.
     :param wrench: (K, 6) force and moment used.
     :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
-    :param deflection_by_tool: (K, 3) of that, how far holder, spindle and tool give way [m]; None where they are rigid.
+    :param deflection_by_tool: (K, 3) share of holder, spindle and tool in `deflection` [m]; None if they are rigid.
     :param deviation_before: (K, 3) predicted tip minus nominal position if nothing is corrected [m].
     :param deviation_after: (K, 3) the same with the program as written [m].
     :param bound: (K,) 95 % bound of the predicted position from the model's covariance [m], or None.
-    :param doubt: the cutting target whose bound exceeds by most what is corrected, or None.
-    :param q: (K, 6) joint angles that the controller holds [rad].
+    :param doubt: the cutting target whose bound exceeds its correction by most, or None.
+    :param q: (K, 6) commanded joint angles [rad].
     :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
     :param singular_value: smallest singular value of the Jacobian along the path.
     :param between: largest predicted distance from the nominal path, between targets too [m].
@@ -67,7 +67,7 @@ class Result(Struct, frozen=True, eq=False):
         `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
-    :param causes: what moves the tool from nominal if nothing is corrected, in words.
+    :param causes: causes of deviation from nominal without correction, in words.
     """
 
     program: Program
@@ -104,7 +104,7 @@ class Result(Struct, frozen=True, eq=False):
 
     @property
     def failed(self) -> bool:
-        """True if an issue of level error stands against the program."""
+        """True if the program has an issue of level error."""
         return any(issue.level == "error" for issue in self.issues)
 
     @property
@@ -144,9 +144,9 @@ class Result(Struct, frozen=True, eq=False):
 
 
 def doubtful(bound: Array, corrected: Array, rapid: Bools) -> tuple[int, float] | None:
-    """Return the cutting target whose bound exceeds by most what is corrected, and that; None if there is none.
+    """Return the cutting target whose bound exceeds its correction by most, and the correction; None if there is none.
 
-    What is corrected is the larger of the distance at the target and its RMS over all cutting targets. So a target at
+    The correction is the larger of the distance at the target and its RMS over all cutting targets. So a target at
     which the deflections of joints cancel, or that hardly carries a force, does not count unless its bound is large
     compared with what the program corrects in all.
 

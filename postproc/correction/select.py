@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import toolpath
-from postproc.compensation import Compensation
+from postproc.elastostatics import Compensation
 from postproc.frames import Array, norm
 from postproc.program import CIRC, LIN, Bools, Ints
 from postproc.toolpath import Pieces, Toolpath, circle_through

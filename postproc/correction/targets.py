@@ -7,9 +7,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
-from postproc.compensation import Compensation
 from postproc.correction import blending, select
 from postproc.correction.select import CommandedPath
+from postproc.elastostatics import Compensation
 from postproc.frames import Array, largest, twist_between
 from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Targets
 from postproc.robot import RobotModel
@@ -22,8 +22,8 @@ _UNCHANGED = 1e-7
 class Chosen(Struct, frozen=True, eq=False):
     """The K targets chosen of the N samples of a path.
 
-    :param targets: what is to be written.
-    :param row: (K,) which sample each is.
+    :param targets: targets to be written.
+    :param row: (K,) sample of each target.
     :param arrive: (K, 3) direction of travel at the end of the piece to each, `$BASE`.
     :param programmed: (K,) how far the program as read rounds its path there [m], see `Result`.
     """

@@ -1,7 +1,7 @@
 """The written program is simulated with the numbers as printed.
 
-Nothing of the computation that made the program is trusted here but the branch of the inverse kinematics: poses come
-from the text, joint angles from these poses by the nominal geometry, the tip from the loaded equilibrium.
+The only input taken from the computation of the program is the branch of the inverse kinematics: poses come from the
+text, joint angles from these poses by the nominal geometry, the tip from the loaded equilibrium.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from postproc import kinematics, toolpath
 from postproc.chunks import in_chunks
-from postproc.correction import blending, checks
+from postproc.correction import blending, checks, joint_speeds
 from postproc.correction.read_back import ReadBack, UnusableTextError
 from postproc.correction.targets import Chosen
 from postproc.errors import Issue, Level, NotConvergedError
@@ -23,22 +23,22 @@ from postproc.program import CIRC, PTP, SPL, Bools, Ints
 from postproc.under_load import PathUnderLoad
 
 _HELD = 1e-6
-"""How far from nominal the tip may stand at a target of a corrected program [m], rounding included."""
+"""Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
 _SAFE = 0.8
-"""Of the tolerance, what the places looked at may use up: it may be a little more between them."""
+"""Share of the tolerance allowed at the places examined: the error may be slightly larger between them."""
 _LONG = 0.005
-"""Runs longer than this [m] are looked at between their ends; on shorter ones the deflection is a straight line."""
+"""Runs longer than this [m] are examined between their ends; on shorter ones the deflection is linear."""
 _SPACING = 0.010
 _TURNED = 0.02
 _STEEP = 2e-4
-"""Change of the correction over a run [m] from which on it is looked at between its ends."""
+"""Runs over which the correction changes by more than this [m] are examined between their ends."""
 _UNEVEN = 0.2
 """Of the tolerance, by how much the written path may be displaced unevenly along a piece of an arc before it is looked
 at there as often as on such runs; else at its middle and end."""
 _AT_ONCE = 1e-6
 """Length of a piece [m] on which a force that changes jumps: it is divided no more."""
 _ON_RAMPS = 4
-"""Places looked at on such runs."""
+"""Number of places examined on such runs."""
 _HERE = 1e-10
 """Places of a motion (t) that are no farther apart are the same."""
 
@@ -57,7 +57,7 @@ _NOT_BETWEEN = "simulating the written program leaves {left} between targets (al
 
 
 class Simulated(Struct, frozen=True, eq=False):
-    """What the written program would do.
+    """Simulated path of the written program.
 
     :param back: the program, as its text says.
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
@@ -105,7 +105,7 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     :raises UnusableTextError: it cannot be simulated.
     """
     probes = _probes(path, chosen, back)
-    off = _deviation(path, chosen, theta, back, probes)
+    off, q, position = _deviation(path, chosen, theta, back, probes)
     distance, inside, targets = norm(off), probes.inside, chosen.targets
     written, m, tolerance = back.program.motions, path.program.motions, path.setting.tolerance
     rounding = blending.of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
@@ -120,6 +120,7 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
         issues += _left(path, probes, distance, step=step, jump=settled & jump, smooth=settled & ~jump)
         if path.program.keeps_text:
             issues += checks.blending(path.program, targets.motion, rounding - chosen.programmed, tolerance)
+    issues += joint_speeds.of_written(path, chosen, back, probes.target, q, position)
     bad = settled & inside & ~(distance <= _SAFE * tolerance) & ~jump
     return Simulated(
         back,
@@ -131,8 +132,10 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     )
 
 
-def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes) -> Array:
-    """Return where the loaded tip stands (n, 3) seen from nominal, `$BASE` [m].
+def _deviation(
+    path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes
+) -> tuple[Array, Array, Array]:
+    """Return the loaded tip (n, 3) from nominal, `$BASE` [m], joint angles (n, 6) [rad], written positions (n, 3) [m].
 
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
@@ -142,23 +145,24 @@ def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack
         path.sample.motion + path.sample.t, probes.motion[inside] + probes.t[inside] - _HERE
     )
 
-    def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array]:
+    def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array, Array, Array]:
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
-        flange = toolpath.flange_from_tcp(written, on, toolpath.at(written, back.segments, on, share).pose, share)
+        pose = toolpath.at(written, back.segments, on, share).pose
+        flange = toolpath.flange_from_tcp(written, on, pose, share)
         q = kinematics.on_branch(setting.robot, flange, path.joints.branch[sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
         tip = setting.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
-        return (toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3],)
+        return toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3], q, pose[:, :3, 3]
 
     try:
-        (off,) = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
+        off, q, position = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
     except NotConvergedError as cause:
         line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
         message = f"the written program cannot be simulated: {cause}"
         raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return off
+    return off, q, position
 
 
 def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
@@ -209,19 +213,19 @@ def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Int
 def _left(
     path: PathUnderLoad, probes: _Probes, distance: Array, *, step: Bools, jump: Bools, smooth: Bools
 ) -> Iterator[Issue]:
-    """The tip must stand at every target, and stay within the tolerance between them: distances (n,) [m].
+    """Yield errors where the tip misses a target or leaves the tolerance between targets: distances (n,) [m].
 
     :param step: (n,) just behind the start of a motion whose force begins with a step.
     :param jump: (n,) where the force jumps within a motion, `smooth` (n,) where it does not.
     """
     wide = ~(distance <= path.setting.tolerance)
-    told: tuple[tuple[Level, str, Bools, str], ...] = (
+    cases: tuple[tuple[Level, str, Bools, str], ...] = (
         ("warning", "force-step", step & wide, _STEP),
         ("error", "force-jump", jump & wide, _JUMP),
         ("error", "tolerance", ~probes.inside & ~(distance <= _HELD), _NOT_HELD),
         ("error", "tolerance", smooth & wide, _NOT_BETWEEN),
     )
-    for level, kind, bad, message in told:
+    for level, kind, bad, message in cases:
         if bad.any():
             left, allowed = np.nanmax(distance[bad]) * MM_PER_M, path.setting.tolerance * MM_PER_M
             message = message.format(left=f"{left:.4f} mm", allowed=f"{allowed:g} mm")

@@ -1,4 +1,4 @@
-"""What the rest of the package asks of a program format: how it is found, read, written and marked."""
+"""Interface of a program format: recognising, reading, writing and marking programs."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ class Writer(Protocol):
 
     @property
     def extension(self) -> str:
-        """Of the main file that is written, with its point."""
+        """Extension of the written main file, with its point."""
         ...
 
     @property
     def approximation(self) -> str:
-        """What users of the controller call its approximate positioning."""
+        """The controller's term for approximate positioning."""
         ...
 
     @property
     def least_arc(self) -> tuple[float, float]:
-        """Of an arc that the controller takes: how far its other points are from its start [m], and the angle [rad]
-        between them as seen from there. What is less is written as a line.
+        """Smallest arc that the controller accepts: distance of its other points from its start [m], and the angle
+        [rad] between them as seen from there. Smaller arcs are written as lines.
         """
         ...
 
     def fault_of(self, name: str) -> str | None:
-        """Return why the controller would refuse a name for a program, or None if it would not."""
+        """Return the reason why the controller refuses a program name, or None if it is valid."""
         ...
 
     def valid(self, name: str) -> str:
-        """Return a name as it stands if the controller accepts it, otherwise one as close to it as possible."""
+        """Return the name itself if the controller accepts it, otherwise a valid name as close as possible."""
         ...
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
-        """Return a program as text: one that has its text (`Program.layout`) as it was, with other numbers.
+        """Return a program as text; if it has a `layout`, its own text with other numbers.
 
-        :param targets: what is to be commanded.
+        :param targets: targets to be commanded.
         :param joints: joint angles there.
         :param comments: forces that comments must give to the targets, or None.
         :raises ProgramError: it cannot be written.
@@ -53,29 +53,29 @@ class Writer(Protocol):
         ...
 
     def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
-        """Return the files of a program under another name; all else stays to the byte."""
+        """Return the files of a program under another name; everything else is unchanged to the byte."""
         ...
 
     def marked(self, documents: Sequence[Document], origin: Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the files with the line that says where they come from, see `provenance.marked`."""
+        """Return the files with the line that states their origin, see `provenance.marked`."""
         ...
 
     def origin(self, documents: Sequence[Document]) -> Provenance:
-        """Return what the files of a program say of where they come from."""
+        """Return the origin that the files of a program state."""
         ...
 
 
 class Dialect(Protocol):
-    """One program format. An object of it stands in `registry`, or is an entry point of another package."""
+    """One program format. Its object is in `registry`, or is an entry point of another package."""
 
     @property
     def name(self) -> str:
-        """What it is called in options, in `Program.dialect` and in messages: lower case."""
+        """Name in options, in `Program.dialect` and in messages: lower case."""
         ...
 
     @property
     def extensions(self) -> tuple[str, ...]:
-        """Of main files, with their point, lower case."""
+        """Extensions of main files, with their point, lower case."""
         ...
 
     @property
@@ -85,35 +85,35 @@ class Dialect(Protocol):
 
     @property
     def writer(self) -> Writer | None:
-        """What writes programs of this dialect; None if it is only read."""
+        """Writer of programs of this dialect; None if it is only read."""
         ...
 
     def companions(self, path: Path) -> list[Path]:
-        """Return the files beside a main file that are read with it, in the order in which they are read."""
+        """Return the files that are read with a main file, in reading order."""
         ...
 
     def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
-        """Return the program that some files hold.
+        """Return the program read from some files.
 
         :param documents: the main file first.
-        :param cell: frames, settings, and where the robot stands first.
+        :param cell: frames, settings and start position of the robot.
         :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
         :param name: of the program.
-        :raises ProgramError: it is not understood; the message names file, line, text and what to do.
+        :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
         """
         ...
 
 
 @runtime_checkable
 class Calling(Protocol):
-    """What a dialect has besides if its programs call others by the names of their files."""
+    """Additional interface of a dialect whose programs call others by file name."""
 
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
-        """Return which of some files are but called by others of them, and by which."""
+        """Return the files that are only called by others of them, with their callers."""
         ...
 
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
-        """Return the files with motions that each of some programs of one folder may call, one through the other."""
+        """Return for each program the files with motions that it may call, directly or indirectly."""
         ...
 
     def with_own_copies(
@@ -127,7 +127,7 @@ class Calling(Protocol):
         """Return the files of a program with other names for some of its subprograms; None if that is not possible.
 
         :param documents: files of the program and of its subprograms, the main file first.
-        :param unchanged: contents of files that are written with them and must stay as they are.
+        :param unchanged: contents of files that are written with them and must not change.
         :param stems: names of the files to be renamed, without extension.
         :param program: name of the program, which becomes a part of the new names.
         :param taken: names of other files, without extension, lower case.

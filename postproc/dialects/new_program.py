@@ -1,4 +1,4 @@
-"""A new robot program, from G-code: what stands between its targets, and all of it put together."""
+"""A new robot program from G-code: lines between its targets, and assembly of its text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from postproc.safe_text import one_line
 LINE_END = "\r\n"
 _DECIMALS = 6
 _FASTEST_TURN = 200.0
-"""Faster than this [deg/s] no program turns a tool: it turns as fast as the controller does it."""
+"""Largest rotational speed written [deg/s]; above it the controller chooses."""
 _CORRECTED = 1e-9
 """Commands whose matrices differ by less than this from the programmed ones are nominal."""
 _NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool": "no-tool-change-lines"}
@@ -28,11 +28,11 @@ _NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool
 class Words(Struct, frozen=True):
     """Instructions of a robot language.
 
-    :param comment: what comments begin with.
+    :param comment: prefix of comments.
     :param dwell: a wait; ``{}`` is its time [s].
     :param halt: the program stops until it is started again.
-    :param wait: what must stand before lines of the cell so that they are executed when the robot stands there; empty
-        where an exact stop is enough.
+    :param wait: statement before lines of the cell that delays them until the robot is there; empty if an exact stop
+        is enough.
     :param axis_motion: a motion to joint angles (6,) [rad], KUKA signs.
     :param encoding: code page of the controller.
     """
@@ -50,11 +50,11 @@ class Words(Struct, frozen=True):
 
 
 class NewProgram:
-    """Collects what stands between the targets.
+    """Collects the lines between the targets.
 
-    :ivar before: lines before each target; the number of targets stands for the end.
-    :ivar stops: targets before which the robot must stand still.
-    :ivar issues: what the user should know.
+    :ivar before: lines before each target; the key K (number of targets) means the end of the program.
+    :ivar stops: targets before which the robot must stop.
+    :ivar issues: warnings for the user.
     """
 
     def __init__(self, program: Program, targets: Targets, cell: Cell, words: Words) -> None:
@@ -65,7 +65,7 @@ class NewProgram:
         self.issues: list[Issue] = []
 
     def kind(self) -> str:
-        """Return what the targets are, for the head of the program; most often the first ones already tell."""
+        """Return the description of the targets for the head of the program; the first chunk usually decides it."""
         ends = np.flatnonzero(np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)])
         corrected = any(
             np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
@@ -81,7 +81,7 @@ class NewProgram:
         return base, tool
 
     def frame_changes(self) -> Iterator[int]:
-        """Yield the targets that have other frames than the one before; the robot stands still before them."""
+        """Yield the targets that have other frames than the one before; the robot stops before them."""
         motions = self.program.motions
         base, tool = motions.base[self.row], motions.tool[self.row]
         for k in (np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1).tolist():
@@ -126,16 +126,16 @@ class NewProgram:
         yield from axes
 
     def _own_lines(self, event: Event) -> list[str]:
-        """Return the cell's lines for an event, its value put in; tell the user if there are none."""
+        """Return the cell's lines for an event, with its value inserted; warn if there are none."""
         gcode = self.cell.gcode
         if event.kind == "m_code":
             return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
-        own: Sequence[str] = getattr(gcode, event.kind)
+        own: Sequence[str] = getattr(gcode, event.kind) or []
         if event.kind == "spindle_ccw" and not own and gcode.spindle_on:
             own = gcode.spindle_on
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
-        if not own:
+        if not own and not (event.kind == "tool_change" and gcode.tool_change is not None):
             kind = _NO_LINES[event.kind.partition("_")[0]]
             message = f"The cell has no {event.kind} lines in [gcode]: the program does nothing there."
             self.issues.append(Issue("warning", kind, message, event.line, subject=event.kind))
@@ -143,7 +143,7 @@ class NewProgram:
         return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in own]
 
     def distances(self) -> Array:
-        """Return with which distance each target is approximated (K,) [m]; 0 where the robot must stand still."""
+        """Return the approximation distance of each target (K,) [m]; 0 where the robot must stop."""
         distances = self.targets.blend.copy()
         exact = np.array(sorted(k - 1 for k in self.stops if k > 0), dtype=np.int64)
         distances[exact] = 0.0
@@ -169,9 +169,9 @@ class NewProgram:
         return path, printed
 
     def turning_speeds(self) -> Array:
-        """Return how fast each target turns the tool (K,) [deg/s], where the program says it, else NaN.
+        """Return the rotational speed at each target (K,) [deg/s] if the program gives it, else NaN.
 
-        What is more than controllers do is left to them.
+        NaN also above the largest speed of controllers: they limit it.
         """
         swivel = self.program.swivel
         if swivel is None:
@@ -184,7 +184,7 @@ class NewProgram:
 
         :param head: lines before the first target.
         :param printed: kind of targets → the lines of all of them, in order.
-        :param end: lines behind the last target.
+        :param end: lines after the last target.
         """
         count = len(self.row)
         kind = self.targets.kind
@@ -215,7 +215,7 @@ def check_name(
 
     :param language: for the message.
     :param fault_of: see `dialects.dialect.Writer`, and `valid`.
-    :raises ProgramError: says why, and which name would do.
+    :raises ProgramError: the name is invalid; the message gives the reason and a valid name.
     """
     fault = fault_of(program.name)
     if fault:

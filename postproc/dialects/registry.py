@@ -43,6 +43,10 @@ _NO_PROGRAMS = {
     ".h": "conversational code of a Heidenhain control. Have the CAM system post-process the part as plain G-code.",
     ".cls": "a cutter location file. Have the CAM system post-process the part as plain G-code.",
     ".apt": "an APT source. Have the CAM system post-process the part as plain G-code.",
+    ".spf": "a subprogram of a Siemens Sinumerik control. Have the CAM system post-process the part as plain G-code, "
+    "for Fanuc or LinuxCNC, or add --dialect gcode if it is plain G-code.",
+    ".prg": "a program of a control that its extension does not name: several use .prg. If it is G-code, add --dialect "
+    "gcode.",
     ".ls": "a FANUC program. Have the CAM system post-process the part as plain G-code.",
 }
 """Extensions of files that are no programs to read: what they are, and what to do."""
@@ -148,7 +152,7 @@ def _other(entry: EntryPoint) -> Dialect | str:
     whose = f"of {entry.dist.name} {entry.dist.version}" if entry.dist else f"({entry.value})"
     try:
         found = entry.load()
-    except Exception as cause:  # whatever another package does wrong
+    except (Exception, SystemExit) as cause:  # whatever another package does wrong
         return f"the import {whose} fails ({type(cause).__name__}: {cause})"
     lacking = [name for name in _ASKED if not hasattr(found, name)]
     if lacking:

@@ -1,4 +1,4 @@
-"""Elastostatics of the robot: virtual springs, equilibrium under load, Cartesian stiffness, uncertainty.
+"""Elastostatics of the robot: equilibrium under load, compensation, Cartesian stiffness, uncertainty.
 
 Source: Klimchik et al., Eq. (1), (4), (5), in the form of a potential (θ: deflections of the virtual springs, q + θ:
 actual coordinates):
@@ -6,41 +6,44 @@ actual coordinates):
     V(θ) = ½ θᵀ K⁰ θ + [U_c(q₂+θ₂) − U_c(q₂) − U_c′(q₂) θ₂] + [U_g(q+θ) − U_g(q) − ∇U_g(q)·θ] − W_F(q+θ)
 
 The loaded equilibrium is its minimum. The terms linear in θ inside the brackets are subtracted where the geometry
-already holds the state of rest (`RobotModel.subtract_reference`). Wrenches are dead loads at the TCP: force [N] and
-moment [N·m] on the tool, root axes.
+describes the robot at rest (`RobotModel.subtract_reference`). Wrenches are dead loads at the TCP: force [N] and
+moment [N·m] on the tool, root axes. These functions take and return rows of samples; inside the package, as in
+`kinematics`, the sample index is last.
 """
 
-from postproc.elastostatics.balance import Balance, asked, held
-from postproc.elastostatics.by_parameter import moved_by
-from postproc.elastostatics.equilibrium import Deflection, deflect, softness, solve_equilibrium, springs_at
+from postproc.elastostatics.balance import coordinates
+from postproc.elastostatics.compensation import Compensation, compensate
+from postproc.elastostatics.equilibrium import (
+    Deflection,
+    cartesian_stiffness,
+    deflect,
+    deflection_by_parameter,
+    largest_compliance,
+    linear_deflection,
+    loaded_tip,
+    tangent_compliance,
+)
 from postproc.elastostatics.reversals import Reversals, reversals
-from postproc.elastostatics.springs import commanded, coordinates, spread, spring_deflection
-from postproc.elastostatics.stiffness import cartesian_stiffness, linear_deflection, tangent_compliance
 from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import FORCES, largest_source, position_bound, sensitivity
 
 __all__ = [
     "FORCES",
-    "Balance",
+    "Compensation",
     "Deflection",
     "Reversals",
     "ToolSpring",
-    "asked",
     "cartesian_stiffness",
-    "commanded",
+    "compensate",
     "coordinates",
     "deflect",
-    "held",
+    "deflection_by_parameter",
+    "largest_compliance",
     "largest_source",
     "linear_deflection",
-    "moved_by",
+    "loaded_tip",
     "position_bound",
     "reversals",
     "sensitivity",
-    "softness",
-    "solve_equilibrium",
-    "spread",
-    "spring_deflection",
-    "springs_at",
     "tangent_compliance",
 ]

@@ -1,8 +1,9 @@
 """The balance of torques at the virtual springs: θ = c(τ(θ)), the condition that V(θ) is stationary.
 
-What pulls at the actual coordinates x = q + θ is the load, JᵀF, less what weights and compensator ask for, ∇U_g + U_c′.
-What the geometry already holds at rest, at q, is balanced there: τ = JᵀF − (∇U_g + U_c′)(x) + (∇U_g + U_c′)(q). All
-that solves, linearises or identifies starts from here. Arrays (nv, n): the sample index last.
+The torque on the springs at the actual coordinates x = q + θ is that of the load, JᵀF, minus the static torque of
+weights and compensator, ∇U_g + U_c′. The static torque at q is balanced at rest where the geometry describes the robot
+under its own weight: τ = JᵀF − (∇U_g + U_c′)(x) + (∇U_g + U_c′)(q). Equilibrium, linearisation and identification all
+start from here. Arrays of this module are (nv, n), the sample index last; `coordinates` alone takes rows of samples.
 """
 
 from __future__ import annotations
@@ -11,10 +12,53 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
-from postproc.elastostatics.springs import A2, given_way
+from postproc.errors import ModelError
 from postproc.frames import Array
 from postproc.kinematics import Posture
-from postproc.robot import Chain, RobotModel
+from postproc.robot import Chain, CompensatorTorque, LinkMass, Parameter, RobotModel, Spring
+
+A2 = 1
+"""Place of joint A2 among the actuated coordinates: the compensator acts on it."""
+
+
+def coordinates(robot: RobotModel, q: Array) -> Array:
+    """Return the coordinates (N, nv) of the elastic chain for joint angles q (N, 6): zero for virtual joints."""
+    return elastic_coordinates(robot, q.T).T
+
+
+def elastic_coordinates(robot: RobotModel, q: Array) -> Array:
+    """Return the coordinates (nv, n) of the elastic chain for joint angles q (6, n): zero for virtual joints."""
+    full = np.zeros((robot.actual.nv, q.shape[-1]))
+    full[list(robot.actuated)] = q if robot.transmission is None else robot.transmission.actual(q)
+    return full
+
+
+def joint_angles(robot: RobotModel, x: Array) -> Array:
+    """Return the joint angles (6, n) that the controller holds at coordinates x (nv, n)."""
+    joints = x[list(robot.actuated)]
+    return joints if robot.transmission is None else robot.transmission.commanded(joints)
+
+
+def spring_deflection(
+    robot: RobotModel, torque: Array, preload: Array, load_part: Array | None = None
+) -> tuple[Array, Array]:
+    """Return the deflection θ (nv, n) of the virtual springs under torques, and the tangent compliance (nv, n).
+
+    :param torque: (nv, n) on the springs, in addition to the preload [N·m, N].
+    :param preload: (nv, n) or (nv, 1) torque at which θ = 0; it matters to springs that are not linear.
+    :param load_part: (nv, n) torque of the load alone, if that is not `torque`; it moves lost motion.
+    """
+    load_part = torque if load_part is None else load_part
+    steady = robot.steady[:, None]
+    if not robot.terms:
+        return steady * torque, np.broadcast_to(steady, torque.shape)
+    theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
+    for parameter, value in robot.terms:
+        row = robot.row(parameter)
+        share, tangent = parameter.effect((torque if parameter.with_rest_torque else load_part)[row], preload[row])
+        theta[row] += value * share
+        slope[row] += value * tangent
+    return theta, slope
 
 
 class Balance(Struct, frozen=True, eq=False):
@@ -22,12 +66,12 @@ class Balance(Struct, frozen=True, eq=False):
 
     :param robot: the robot.
     :param x: (nv, n) actual coordinates [rad, m].
-    :param point: (3, n) where the tool stands [m].
+    :param point: (3, n) position of the tool [m].
     :param jacobian: (6, nv, n) of the tool.
     :param wrench: (6, n) at the TCP, root axes [N, N·m].
-    :param held: (nv, n) or (nv, 1) torque that is balanced at rest, see `held`.
+    :param balanced: (nv, n) or (nv, 1) static torque that is balanced at rest, see `balanced_torque`.
     :param torque: (nv, n) τ [N·m, N].
-    :param theta: (nv, n) c(τ): what the springs give way under it. Equal to x − q where the torques are balanced.
+    :param theta: (nv, n) c(τ), the deflection under τ; equal to x − q in equilibrium.
     :param slope: (nv, n) c′(τ), the tangent compliance.
     """
 
@@ -36,70 +80,84 @@ class Balance(Struct, frozen=True, eq=False):
     point: Array
     jacobian: Array
     wrench: Array
-    held: Array
+    balanced: Array
     torque: Array
     theta: Array
     slope: Array
 
     @classmethod
-    def at(cls, robot: RobotModel, x: Array, held: Array, tool: Array, wrench: Array) -> Balance:
+    def at(cls, robot: RobotModel, x: Array, balanced: Array, tool: Array, wrench: Array) -> Balance:
         """Return the balance at coordinates x; `tool` (3, 4, n) or (3, 4, 1) in the flange frame."""
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
-        torque = np.einsum("ikn,in->kn", jacobian, wrench) - asked(robot, x, state) + held
-        found = given_way(robot, torque, felt(robot, held), load_alone(robot, x, torque))
-        return cls(robot, x, state.point, jacobian, wrench, held, torque, *found)
+        torque = np.einsum("ikn,in->kn", jacobian, wrench) - static_torque(robot, x, state) + balanced
+        found = spring_deflection(robot, torque, preload(robot, balanced), load_torque(robot, x, torque))
+        return cls(robot, x, state.point, jacobian, wrench, balanced, torque, *found)
 
     @property
-    def at_rest(self) -> Array:
-        """(nv, n) or (nv, 1) torque at θ = 0 that gears which stiffen feel besides τ."""
-        return felt(self.robot, self.held)
+    def preload(self) -> Array:
+        """(nv, n) or (nv, 1) torque at θ = 0, in addition to τ, on gears that are not linear."""
+        return preload(self.robot, self.balanced)
 
     @property
-    def by_load(self) -> Array:
-        """(nv, n) τ less what weights of the links and compensator ask for: what turns lost motion over."""
-        return load_alone(self.robot, self.x, self.torque)
+    def load_part(self) -> Array:
+        """(nv, n) part of τ that comes from the load; it moves lost motion."""
+        return load_torque(self.robot, self.x, self.torque)
 
     @property
-    def loose(self) -> Array:
-        """(nv, n) what of the tangent compliance weights and compensator do not move: that of lost motion, where τ is
-        not the load's alone.
+    def lost_motion_compliance(self) -> Array:
+        """(nv, n) tangent compliance due to lost motion where τ is not that of the load alone.
+
+        It reacts to the load only, not to weights and compensator.
         """
-        out, by_load = np.zeros_like(self.x), self.by_load
-        for parameter, value in () if by_load is self.torque else self.robot.terms:
-            if not parameter.feels_rest:
-                row = parameter.row(self.robot)
-                out[row] += value * parameter.effect(by_load[row], np.zeros_like(by_load[row]))[1]
+        out, load_part = np.zeros_like(self.x), self.load_part
+        for parameter, value in () if load_part is self.torque else self.robot.terms:
+            if not parameter.with_rest_torque:
+                row = self.robot.row(parameter)
+                out[row] += value * parameter.effect(load_part[row], np.zeros_like(load_part[row]))[1]
         return out
 
-    def reach(self) -> Array:
-        """Return J (I − C·H)⁻¹ (n, 6, nv): how the tool moves in all when one spring gives way by itself.
+    def spring_jacobian(self) -> Array:
+        """Return J (I − C·H)⁻¹ (n, 6, nv): the tool's motion per deflection of one spring by itself.
 
         I − C·H is the derivative of θ − c(τ(θ)): C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0)
         need no special case, as they would in K − H.
         """
-        jacobian, loose = np.moveaxis(self.jacobian, -1, 0), self.loose
-        hessian = kinematics.load_stiffness(jacobian, self.wrench.T) - self._asked_more(self.robot.loaded)
+        jacobian, lost_motion = np.moveaxis(self.jacobian, -1, 0), self.lost_motion_compliance
+        hessian = kinematics.load_stiffness(jacobian, self.wrench.T) - self._static_stiffness(self.robot.loaded)
         tangent = np.eye(len(self.x)) - self.slope.T[:, :, None] * hessian
-        if loose.any():
-            tangent -= loose.T[:, :, None] * self._asked_more(self.robot.actual)
+        if lost_motion.any():
+            tangent -= lost_motion.T[:, :, None] * self._static_stiffness(self.robot.actual)
         return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
 
-    def _asked_more(self, chain: Chain) -> Array:
+    def _static_stiffness(self, chain: Chain) -> Array:
         """Return ∂²U_g/∂x² + U_c″ (n, nv, nv)."""
         robot, x = self.robot, self.x
-        weighs = robot.has_weight
-        out = kinematics.gravity_stiffness(chain, x.T) if weighs else np.zeros((x.shape[1], len(x), len(x)))
+        if robot.has_weight:
+            out = kinematics.gravity_stiffness(chain, x.T)
+        else:  # a robot without masses needs no Pinocchio
+            out = np.zeros((x.shape[1], len(x), len(x)))
         if robot.compensator is not None:
             row = robot.actuated[A2]
             out[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
         return out
 
 
-def asked(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:
-    """Return ∇U_g + U_c′ (nv, n): what weights and compensator ask of the springs at coordinates x (nv, n).
+def at_rest(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Balance:
+    """Return the balance at θ = 0.
 
-    :param state: of the robot there, with its weights; that without payload by default.
+    :param q: (N, 6) joint angles that the controller holds [rad].
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    """
+    x = elastic_coordinates(robot, q.T)
+    return Balance.at(robot, x, balanced_torque(robot, x), kinematics.components(tool), wrench.T)
+
+
+def static_torque(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:
+    """Return ∇U_g + U_c′ (nv, n): the static torque of weights and compensator at coordinates x (nv, n).
+
+    :param state: posture at x with the weights to count; by default that without payload.
     """
     if state is None:
         state = kinematics.posture(robot.actual, x, weigh=robot.has_weight)
@@ -110,31 +168,32 @@ def asked(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:
     return torque
 
 
-def held(robot: RobotModel, q: Array) -> Array:
-    """Return the torque (nv, n) that is balanced at rest at coordinates q (nv, n); 0 if the geometry is a weightless
-    robot's. The payload is a load, and not part of it.
+def balanced_torque(robot: RobotModel, q: Array) -> Array:
+    """Return the static torque (nv, n) that is balanced at rest at coordinates q (nv, n), without payload.
+
+    It is zero (nv, 1) if the geometry is that of a weightless robot.
     """
-    return asked(robot, q) if robot.subtract_reference else np.zeros((len(q), 1))
+    return static_torque(robot, q) if robot.subtract_reference else np.zeros((len(q), 1))
 
 
-def felt(robot: RobotModel, held: Array) -> Array:
-    """Return the torque at rest (nv, n) that a gear which stiffens feels besides the load."""
+def preload(robot: RobotModel, balanced: Array) -> Array:
+    """Return the torque at rest (nv, n) or (nv, 1) on gears that are not linear, in addition to the load."""
     carries = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
-    return -held if carries else np.zeros((len(held), 1))
+    return -balanced if carries else np.zeros((len(balanced), 1))
 
 
-def load_alone(robot: RobotModel, x: Array, torque: Array) -> Array:
-    """Return what of the torque τ (nv, n) at coordinates x (nv, n) is the load's, payload included.
+def load_torque(robot: RobotModel, x: Array, torque: Array) -> Array:
+    """Return the part of the torque τ (nv, n) at coordinates x (nv, n) that comes from the load, payload included.
 
-    Where the geometry holds the state at rest that is all of it.
+    It is all of τ where the static torque is balanced at rest.
     """
-    if robot.subtract_reference or all(parameter.feels_rest for parameter, _ in robot.terms):
+    if robot.subtract_reference or all(parameter.with_rest_torque for parameter, _ in robot.terms):
         return torque
-    return torque + asked(robot, x)
+    return torque + static_torque(robot, x)
 
 
-def beside(robot: RobotModel, x: Array, slope: Array) -> Array:
-    """Return 1 + c·U_c″ (n,): how much stiffer joint 2 is for the compensator beside its spring.
+def compensator_factor(robot: RobotModel, x: Array, slope: Array) -> Array:
+    """Return 1 + c·U_c″ (n,): the factor by which the compensator stiffens joint 2.
 
     :param x: (nv, n) coordinates.
     :param slope: (nv, n) tangent compliance of the springs.
@@ -143,3 +202,55 @@ def beside(robot: RobotModel, x: Array, slope: Array) -> Array:
         return np.ones(1)
     row = robot.actuated[A2]
     return np.asarray(1.0 + slope[row] * robot.compensator.stiffness_about_joint(x[row]))
+
+
+def twist_by_parameter(state: Balance, spring_jacobian: Array, parameter: Parameter, q: Array) -> Array:
+    """Return the twist (n, 6) of the tool per unit of a parameter, at fixed joint angles.
+
+    :param spring_jacobian: (n, 6, nv) of the state, `Balance.spring_jacobian`.
+    :param q: (nv, n) coordinates at rest.
+    :raises ModelError: the robot does not have the parameter.
+    """
+    robot = state.robot
+    if isinstance(parameter, Spring):
+        row = robot.row(parameter)
+        torque = state.torque if parameter.with_rest_torque else state.load_part
+        return np.asarray(spring_jacobian[:, :, row] * parameter.effect(torque[row], state.preload[row])[0][:, None])
+    there = static_torque_by_parameter(robot, parameter, state.x)
+    if robot.subtract_reference:
+        here = static_torque_by_parameter(robot, parameter, q)  # the preload changes too
+        shift = -state.slope * (there - here) - compliance_by_preload(robot, state.torque, state.preload) * here
+    else:
+        shift = (state.lost_motion_compliance - state.slope) * there
+    return np.asarray(np.einsum("nik,kn->ni", spring_jacobian, shift))
+
+
+def static_torque_by_parameter(robot: RobotModel, parameter: Parameter, x: Array) -> Array:
+    """Return ∂(∇U_g + U_c′)/∂p (nv, n) at coordinates x (nv, n): derivative by a link mass or a compensator value.
+
+    :raises ModelError: the robot does not have the parameter, or it is of another kind.
+    """
+    row = robot.row(parameter)
+    if isinstance(parameter, LinkMass):
+        return kinematics.posture(robot.a_kilogram_each, x, weigh=True).weight(row)
+    if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
+        raise ModelError(f"{parameter.name} is no parameter of {robot.name}")
+    out = np.zeros_like(x)
+    out[row] = parameter.effect(robot.compensator, x[row])[0]
+    return out
+
+
+def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> Array:
+    """Return ∂c/∂(preload) (nv, n): change of the deflection under a torque by the preload.
+
+    It is zero for linear springs, and where the preload does not reach the gears.
+    """
+    out = np.zeros_like(torque)
+    if not robot.carries_weight and robot.subtract_reference:
+        return out
+    for parameter, value in robot.terms:
+        if parameter.with_rest_torque:
+            row, rest = robot.row(parameter), preload[robot.row(parameter)]
+            slopes = [parameter.effect(on, rest)[1] for on in (torque[row], np.zeros_like(torque[row]))]
+            out[row] += value * (slopes[0] - slopes[1])
+    return out

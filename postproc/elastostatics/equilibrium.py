@@ -1,33 +1,45 @@
-"""The loaded equilibrium: forward (where does the tool go?) and inverse (what do the springs give way there?).
+"""The loaded equilibrium, forward (from commanded joint angles) and inverse (from actual ones), and its linear form.
 
-Both are solved as θ = c(τ(θ)) (`balance`): the compliances c applied to the torques τ at the deflected state, with the
-compensator's part of the derivative taken exactly. What remains of the derivative, compliance × stiffness of load and
-weights, is some 10⁻³, so that each round gains about three digits; where it reaches 1 the arm buckles and there is no
-equilibrium to be found. No matrix per sample is formed.
+Both directions are solved as θ = c(τ(θ)) (`balance`): compliances c at the torques τ of the deflected state, with the
+compensator's part of the derivative taken exactly. The rest of the derivative, compliance × stiffness of load and
+weights, is some 10⁻³, so that each round gains about three digits; where it reaches 1 the arm buckles and has no
+equilibrium. No matrix per sample is formed. Eq. (1) and (5) of the paper, its linear model, are functions of their own.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
-from postproc.elastostatics.balance import Balance, beside, felt, held, load_alone
-from postproc.elastostatics.springs import A2, given_way, spread
+from postproc.elastostatics.balance import (
+    A2,
+    Balance,
+    at_rest,
+    balanced_torque,
+    compensator_factor,
+    elastic_coordinates,
+    load_torque,
+    preload,
+    spring_deflection,
+    twist_by_parameter,
+)
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, norm, twist_between
 from postproc.program import Bools
-from postproc.robot import RobotModel
+from postproc.robot import Parameter, RobotModel
 
 _POSITION_TOLERANCE = 1e-9
-"""Largest error of the TCP [m] left by the iterations; 1e-7 is asked of the whole correction."""
+"""Largest error of the TCP [m] left by the iterations; the correction needs 1e-7."""
 _SPRING_TOLERANCE = 3e-9
-"""Largest error of a spring's deflection [rad, m] left by the iterations; 1e-8 rad is asked of the correction."""
+"""Largest error of a spring's deflection [rad, m] left by the iterations; the correction needs 1e-8 rad."""
 _FIRST_RATIO = 0.02
-"""Assumed ratio of the second step to the first: far above what arms show that are of any use."""
+"""Assumed ratio of the second step to the first; usable arms have a far smaller one."""
 _MAX_ITERATIONS = 40
 _LARGEST_DEFLECTION = 0.1
-"""Deflection of a spring [rad, m] beyond which the model means nothing: an error, not a number."""
+"""Deflection of a spring [rad, m] beyond which the model is not valid: an error."""
 
 
 class Deflection(Struct, frozen=True, eq=False):
@@ -48,13 +60,13 @@ class Deflection(Struct, frozen=True, eq=False):
         return twist_between(self.rest, self.pose)
 
 
-def softness(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
-    """Return how far the tool gives way at most, at a configuration, per force [m/N] and per moment [m/(N·m)].
+def largest_compliance(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
+    """Return the largest displacement of the tool per force [m/N] and per moment [m/(N·m)] along the root axes.
 
     :param q: (6,) joint angles [rad].
     :param tool: (4, 4) tool in the flange frame [m].
     """
-    x0 = spread(robot, np.tile(q, (7, 1)).T)
+    x0 = elastic_coordinates(robot, np.tile(q, (7, 1)).T)
     _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), np.eye(6, 7))
     moved = norm(tip.T[:6] - tip.T[6])
     return float(moved[:3].max()), float(moved[3:].max())
@@ -67,12 +79,39 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflecti
     :param q: (N, 6) joint angles that the controller holds [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :raises NotConvergedError: the load is beyond what the springs hold, or the numbers are not finite.
+    :raises NotConvergedError: the load is too large for the springs, or the numbers are not finite.
     """
-    x0 = spread(robot, q.T)
+    x0 = elastic_coordinates(robot, q.T)
     theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T)
     pose, rest = (kinematics.tcp(robot.loaded, x.T, tool)[0] for x in (x0 + theta, x0))
     return Deflection(theta.T, pose, rest)
+
+
+def loaded_tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
+    """Return the position (N, 3) of the loaded tool [m]; parameters as of `deflect`.
+
+    :param guess: (N, nv) start for θ, e.g. the solution of a neighbouring state.
+    """
+    x0, start = elastic_coordinates(robot, q.T), None if guess is None else guess.T
+    return solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, start)[1].T
+
+
+def deflection_by_parameter(
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, parameters: Sequence[Parameter]
+) -> tuple[Deflection, Array]:
+    """Return the loaded equilibrium and its derivatives (N, 6, P): twist of the tool per unit of each parameter, SI.
+
+    Parameters as of `deflect`.
+
+    :raises ModelError: the robot does not have one of the parameters.
+    """
+    found, x0, wrench = deflect(robot, q, tool, wrench), elastic_coordinates(robot, q.T), wrench.T
+    state = Balance.at(robot, x0 + found.theta.T, balanced_torque(robot, x0), kinematics.components(tool), wrench)
+    jacobian = state.spring_jacobian()
+    twist = np.empty((len(q), 6, len(parameters)))
+    for column, parameter in enumerate(parameters):
+        twist[:, :, column] = twist_by_parameter(state, jacobian, parameter, x0)
+    return found, twist
 
 
 def solve_equilibrium(
@@ -84,15 +123,15 @@ def solve_equilibrium(
     :param tool: (3, 4, n) or (3, 4, 1).
     :param wrench: (6, n).
     :param guess: (nv, n) start for θ, e.g. the solution of a neighbouring state.
-    :returns: (nv, n) deflections of the springs [rad, m]; (3, n) where the tool tip stands [m].
+    :returns: (nv, n) deflections of the springs [rad, m]; (3, n) position of the loaded tool [m].
     """
-    balanced, wrench = held(robot, x0), np.ascontiguousarray(wrench)
+    balanced, wrench = balanced_torque(robot, x0), np.ascontiguousarray(wrench)
     theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
     previous = np.full(x0.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
         state = Balance.at(robot, x0 + theta, balanced, tool, wrench)
         step = state.theta - theta
-        step[robot.actuated[A2]] /= beside(robot, state.x, state.slope)
+        step[robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)
         theta = theta + step
         moved = np.einsum("ikn,kn->in", state.jacobian, step)
         size = _largest(moved[:3]) + _largest(moved[3:])
@@ -104,26 +143,26 @@ def solve_equilibrium(
     raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
 
 
-def springs_at(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
-    """Return θ (nv, n) that holds the equilibrium where the ACTUAL coordinates are known: the inverse problem.
+def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
+    """Return θ (nv, n) of the equilibrium at known ACTUAL coordinates: the inverse problem, the sample index last.
 
     With x = q + θ given, the torques are known, and only the reference state q = x − θ has to be found.
 
     :param x: (nv, n) actual coordinates [rad, m].
     :param load: (nv, n) JᵀF at x.
-    :param weights: (nv, n) of the loaded robot at x, `balance.asked`.
-    :raises NotConvergedError: no reference state found, or the load is beyond what the springs hold.
+    :param weights: (nv, n) of the loaded robot at x, `balance.static_torque`.
+    :raises NotConvergedError: no reference state found, or the load is too large for the springs.
     """
-    # the first reference is that at x itself: without payload it is what is asked for there anyway
-    balanced = weights if robot.subtract_reference and robot.loaded is robot.actual else held(robot, x)
+    # the first reference is x itself: without payload its static torque is known already
+    balanced = weights if robot.subtract_reference and robot.loaded is robot.actual else balanced_torque(robot, x)
     theta = np.zeros_like(x)
     previous = np.full(x.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
         torque = load - weights + balanced
-        found, slope = given_way(robot, torque, felt(robot, balanced), load_alone(robot, x, torque))
+        found, slope = spring_deflection(robot, torque, preload(robot, balanced), load_torque(robot, x, torque))
         step = found - theta
         if robot.subtract_reference:
-            step[robot.actuated[A2]] /= beside(robot, x, slope)
+            step[robot.actuated[A2]] /= compensator_factor(robot, x, slope)
         theta = theta + step
         size = _largest(step)
         more = _unfinished(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
@@ -131,7 +170,7 @@ def springs_at(robot: RobotModel, x: Array, load: Array, weights: Array) -> Arra
             _check_size(theta)
             return theta
         previous = size
-        balanced = held(robot, x - theta)
+        balanced = balanced_torque(robot, x - theta)
     raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
 
 
@@ -140,7 +179,7 @@ def _largest(values: Array) -> Array:
 
 
 def _unfinished(size: Array, previous: Array, tolerance: float) -> Bools:
-    """Return which samples need another round: the next step, foreseen from the last two, would still matter."""
+    """Return which samples need another round: the next step, extrapolated from the last two, is not negligible."""
     if not np.isfinite(size).all():
         raise NotConvergedError("equilibrium not found", np.flatnonzero(~np.isfinite(size)))
     ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
@@ -150,4 +189,41 @@ def _unfinished(size: Array, previous: Array, tolerance: float) -> Bools:
 def _check_size(theta: Array) -> None:
     large = _largest(theta) > _LARGEST_DEFLECTION
     if large.any():
-        raise NotConvergedError("the load is beyond what the springs hold", np.flatnonzero(large).tolist())
+        raise NotConvergedError("the load is too large for the springs", np.flatnonzero(large).tolist())
+
+
+def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
+    """Return J (K_θ(q) − H)⁻¹ Jᵀ (N, 6, 6) at configurations q (N, 6): displacement per wrench, Eq. (1).
+
+    H holds the load and the weights: ∂(JᵀF)/∂q − ∂²U_g/∂q². Springs that are not linear enter with their tangent
+    compliance under the load.
+
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    """
+    state = at_rest(robot, q, tool, wrench)
+    by_wrench = np.moveaxis(state.slope[:, None] * np.swapaxes(state.jacobian, 0, 1), -1, 0)
+    return np.asarray(state.spring_jacobian() @ by_wrench)
+
+
+def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
+    """Return Δt (N, 6) [m, rad] by Newton's first step to the equilibrium of `deflect`, from θ = 0.
+
+    θ = c(τ(θ)) becomes Δt = J (I − C·H)⁻¹ c(τ₀), C = c′(τ₀). Where all springs are linear, c(τ₀) = C·JᵀF and this is
+    Eq. (1), the paper's linear model. As in `deflect`, τ₀ includes the payload, and the own weight where the
+    geometry is that of a weightless robot.
+
+    >>> from postproc import robot
+    >>> arm, tool = robot.load(robot.find("kuka_kr270")), np.eye(4)
+    >>> pose = np.radians([[0.0, -70.0, 110.0, 0.0, 50.0, 0.0]])
+    >>> twist = linear_deflection(arm, pose, tool, np.array([[0.0, 0.0, -1000.0, 0.0, 0.0, 0.0]]))
+    >>> (twist[0, :3] * 1e3).round(3).tolist()  # 1 kN downwards at the flange: mm
+    [-0.255, 0.0, -0.731]
+    """
+    state = at_rest(robot, q, tool, wrench)
+    return np.asarray((state.spring_jacobian() @ state.theta.T[..., None])[..., 0])
+
+
+def cartesian_stiffness(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
+    """Return K_C (N, 6, 6) at configurations q (N, 6), Eq. (5): wrench per displacement of the TCP."""
+    return np.asarray(np.linalg.inv(tangent_compliance(robot, q, tool, wrench)))

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
+from postproc.elastostatics.balance import elastic_coordinates
 from postproc.elastostatics.equilibrium import solve_equilibrium
 from postproc.frames import Array, rotation_from_vector
 from postproc.robot import RobotModel
@@ -27,8 +28,8 @@ class ToolSpring(Struct, frozen=True, eq=False):
 
     compliance: Array
 
-    def given_way(self, orientation: Array, wrench: Array) -> Array:
-        """Return how the tip gives way (n, 6): displacement [m] and rotation vector [rad].
+    def deflection(self, orientation: Array, wrench: Array) -> Array:
+        """Return the deflection of the tip (n, 6): displacement [m] and rotation vector [rad].
 
         :param orientation: (n, 3, 3) of the tool frame in the axes of the wrench.
         :param wrench: (n, 6) on the tip [N, N·m].
@@ -43,38 +44,45 @@ class ToolSpring(Struct, frozen=True, eq=False):
             out[:, half, half] = (orientation * self.compliance[half]) @ np.swapaxes(orientation, 1, 2)
         return out
 
-    def held_by_arm(self, target: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return where the arm must hold the tool frame (n, 4, 4) for the tip to stand at its target, and its wrench.
+    def arm_target(self, target: Array, wrench: Array) -> tuple[Array, Array]:
+        """Return the tool frame (n, 4, 4) that the arm must hold so that the tip is at its target, and its wrench.
 
         :param target: (n, 4, 4) of the loaded tip [m], and `wrench` (n, 6) on it, in the same axes.
         """
         held = target.copy()
         for _ in range(_ROUNDS):
-            twist = self.given_way(held[:, :3, :3], wrench)
+            twist = self.deflection(held[:, :3, :3], wrench)
             held[:, :3, :3] = rotation_from_vector(-twist[:, 3:]) @ target[:, :3, :3]
-        moved = self.given_way(held[:, :3, :3], wrench)[:, :3]
+        moved = self.deflection(held[:, :3, :3], wrench)[:, :3]
         held[:, :3, 3] = target[:, :3, 3] - moved
-        return held, moved_to(wrench, moved)
+        return held, about_arm(wrench, moved)
 
-    def tip(self, robot: RobotModel, x: Array, tool: Array, wrench: Array, guess: Array | None) -> tuple[Array, Array]:
-        """Return where the loaded tip stands (3, n) [m], and how far the tool gave way of that (3, n).
+    def loaded_tip(
+        self, robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None
+    ) -> tuple[Array, Array]:
+        """Return the position (n, 3) of the loaded tip [m], and the part of it (n, 3) that the tool deflects.
 
-        :param x: (nv, n) coordinates that the controller holds.
-        :param tool: (3, 4, n) or (3, 4, 1).
-        :param wrench: (6, n) at the tip, root axes [N, N·m].
-        :param guess: (nv, n) deflections of the robot's springs, about.
-        :raises NotConvergedError: the load is beyond what the springs hold.
+        :param q: (n, 6) joint angles that the controller holds [rad].
+        :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
+        :param wrench: (n, 6) at the tip, root axes [N, N·m].
+        :param guess: (n, nv) start for the deflections of the robot's springs.
+        :raises NotConvergedError: the load is too large for the springs.
         """
-        moved = np.zeros((x.shape[1], 3))
+        x, tools, theta = (
+            elastic_coordinates(robot, q.T),
+            kinematics.components(tool),
+            None if guess is None else guess.T,
+        )
+        moved = np.zeros((len(q), 3))
         for _ in range(2):
-            guess, tip = solve_equilibrium(robot, x, tool, moved_to(wrench.T, moved).T, guess)
-            pose = kinematics.matrices(kinematics.posture(robot.loaded, x + guess, tool).pose)
-            moved = self.given_way(pose[:, :3, :3], wrench.T)[:, :3]
-        return tip + moved.T, moved.T
+            theta, tip = solve_equilibrium(robot, x, tools, about_arm(wrench, moved).T, theta)
+            pose = kinematics.matrices(kinematics.posture(robot.loaded, x + theta, tools).pose)
+            moved = self.deflection(pose[:, :3, :3], wrench)[:, :3]
+        return tip.T + moved, moved
 
 
-def moved_to(wrench: Array, lever: Array) -> Array:
-    """Return wrenches (n, 6) about points that see where they act at (n, 3) [m]."""
+def about_arm(wrench: Array, lever: Array) -> Array:
+    """Return wrenches (n, 6) about points from which they act at (n, 3) [m]."""
     out = wrench.copy()
     out[:, 3:] += np.cross(lever, wrench[:, :3])
     return out

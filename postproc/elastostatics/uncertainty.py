@@ -1,4 +1,4 @@
-"""How far the predicted deflection may be off, from the covariance of the identified parameters."""
+"""Uncertainty of the predicted deflection: 95 % bound, sensitivities to parameters, the largest source."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ import numpy as np
 
 from postproc import kinematics
 from postproc.chunks import in_chunks
-from postproc.elastostatics.balance import asked, beside
-from postproc.elastostatics.by_parameter import asked_by, more_at_rest
+from postproc.elastostatics.balance import (
+    A2,
+    compensator_factor,
+    compliance_by_preload,
+    coordinates,
+    spring_deflection,
+    static_torque,
+    static_torque_by_parameter,
+)
+from postproc.elastostatics.equilibrium import tangent_compliance
 from postproc.elastostatics.reversals import flank_covariance
-from postproc.elastostatics.springs import A2, coordinates, spring_deflection
-from postproc.elastostatics.stiffness import tangent_compliance
 from postproc.errors import ModelError
 from postproc.frames import Array
 from postproc.program import Bools
@@ -21,7 +27,7 @@ from postproc.robot import CompensatorTorque, Parameter, RobotModel, Spring, fil
 _QUANTILE_95 = 1.6448536
 """Of the normal distribution, one-sided."""
 _LENGTH_95 = 2.7954835
-"""What 95 % of vectors of three standard normal numbers are shorter than (χ² of three degrees of freedom)."""
+"""95 % of vectors of three standard normal numbers are shorter (χ² of three degrees of freedom)."""
 
 
 def position_bound(
@@ -36,17 +42,16 @@ def position_bound(
     """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP, or None.
 
     Five sources, added as covariances: `RobotModel.covariance` through the sensitivity of the TCP to each identified
-    parameter, at first order; the covariance of the wrench through the tangent compliance; what the model was off by on
-    configurations it was not fitted to (`RobotModel.discrepancy`), in any direction; the flanks that gears with lost
-    motion lie on (`flank_covariance`); and, where the geometry was
-    calibrated, what that was off by there without load (`RobotModel.geometry_error`).
+    parameter, at first order; the covariance of the wrench through the tangent compliance; the unmodelled error
+    (`RobotModel.discrepancy`), in any direction; the unknown flanks of gears with lost motion (`flank_covariance`); and
+    the error of a calibrated geometry without load (`RobotModel.geometry_error`).
 
     :param q: (N, 6) joint angles [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param force_spread: (N, 6, m) L of the covariance L·Lᵀ of the wrench, root axes; None where it is certain.
-    :param in_series: (N, 6, 6) compliance that the force meets beside the robot's, root axes; None where there is none.
-    :param turning: (N, 6) joints whose gears turn over next to this place (`reversals`); None where that is not known.
+    :param force_spread: (N, 6, m) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain.
+    :param in_series: (N, 6, 6) compliance in series with the robot's, root axes; None if there is none.
+    :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`); None if not known.
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
     if robot.covariance is None:
@@ -55,25 +60,43 @@ def position_bound(
 
     def bound(q: Array, tool: Array, wrench: Array, turning: Bools, *forces: Array) -> tuple[Array]:
         s = sensitivity(robot, q, tool, wrench)
-        position = s @ covariance.matrix @ np.swapaxes(s, 1, 2)
-        if forces:
-            spread, compliance = forces
-            moved = (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3] @ spread
-            position += moved @ np.swapaxes(moved, 1, 2)
-        if robot.discrepancy is not None:
-            position += (robot.discrepancy.at(wrench) / _LENGTH_95)[:, None, None] ** 2 * np.eye(3)
-        position += (robot.geometry_error / _LENGTH_95) ** 2 * np.eye(3)
-        position += flank_covariance(robot, q, tool, wrench, turning)
-        return (length_bound(position),)
+        by_model = s @ covariance.matrix @ np.swapaxes(s, 1, 2)
+        return (length_bound(sum(_others(robot, q, tool, wrench, turning, *forces).values(), by_model)),)
 
-    beside = np.zeros((len(q), 6, 6)) if in_series is None else in_series
-    others = () if force_spread is None else (force_spread, beside)
-    turning = np.zeros((len(q), 6), dtype=bool) if turning is None else turning
-    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, *others)[0]
+    if turning is None:
+        turning = np.zeros((len(q), 6), dtype=bool)
+    forces = (
+        () if force_spread is None else (force_spread, np.zeros((len(q), 6, 6)) if in_series is None else in_series)
+    )
+    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, *forces)[0]
 
 
 FORCES = "the cutting forces"
 """Source of uncertainty, see `largest_source`."""
+
+
+def _others(
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, *forces: Array
+) -> dict[str, Array]:
+    """Return the covariances (N, 3, 3) [m²] of the position that come from other sources than `RobotModel.covariance`.
+
+    :param forces: `force_spread` and `in_series` of `position_bound`; nothing where the forces are certain.
+    """
+    out = {}
+    if forces:
+        spread, compliance = forces
+        moved = (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3] @ spread
+        out[FORCES] = moved @ np.swapaxes(moved, 1, 2)
+    out["the calibrated geometry"] = _any_direction(np.full(len(q), robot.geometry_error))
+    if robot.discrepancy is not None:
+        out["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(wrench))
+    out["lost motion of the gears"] = flank_covariance(robot, q, tool, wrench, turning)
+    return out
+
+
+def _any_direction(length: Array) -> Array:
+    """Return the covariances (N, 3, 3) of errors whose length stays below `length` (N,) in 95 % of cases."""
+    return np.asarray((length / _LENGTH_95)[:, None, None] ** 2 * np.eye(3))
 
 
 def largest_source(
@@ -83,34 +106,31 @@ def largest_source(
     wrench: Array,
     force_spread: Array | None = None,
     in_series: Array | None = None,
-    turning: Bools | None = None,
+    *,
+    turning: Bools,
 ) -> str:
-    """Return what contributes most to `position_bound` of one place, in words: a joint or link, the forces, ….
+    """Return the largest contribution to `position_bound` of one place, in words: a joint or link, the forces, ….
 
     Correlated parameters of one joint count together. Parameters as in `position_bound`, with N = 1.
     """
     assert robot.covariance is not None
     s = sensitivity(robot, q, tool, wrench)[0]
-    turning = np.zeros((1, 6), dtype=bool) if turning is None else turning
-    share = np.einsum("ip,pk,ik->p", s, robot.covariance.matrix, s)
     variance: dict[str, float] = {}
-    for parameter, each in zip(robot.covariance.parameters, share.tolist(), strict=True):
+    for parameter, each in zip(
+        robot.covariance.parameters, np.einsum("ip,pk,ik->p", s, robot.covariance.matrix, s).tolist(), strict=True
+    ):
         source = f"the model of {parameter.place}"
         variance[source] = variance.get(source, 0.0) + each
-    if force_spread is not None:
-        compliance = tangent_compliance(robot, q, tool, wrench)[0] + (0.0 if in_series is None else in_series[0])
-        variance[FORCES] = float(np.sum((compliance[:3] @ force_spread[0]) ** 2))
-    unmodelled = 0.0 if robot.discrepancy is None else float(robot.discrepancy.at(wrench)[0])
-    variance["the unmodelled error of the robot model"] = 3.0 * (unmodelled / _LENGTH_95) ** 2
-    variance["lost motion of the gears"] = float(np.trace(flank_covariance(robot, q, tool, wrench, turning)[0]))
-    variance["the calibrated geometry"] = 3.0 * (robot.geometry_error / _LENGTH_95) ** 2
+    forces = () if force_spread is None else (force_spread, np.zeros((1, 6, 6)) if in_series is None else in_series)
+    for source, covariance in _others(robot, q, tool, wrench, turning, *forces).items():
+        variance[source] = float(np.trace(covariance[0]))
     return max(variance, key=variance.__getitem__)
 
 
 def length_bound(covariance: Array) -> Array:
-    """Return what the length of normal vectors with covariances (N, 3, 3) stays below with 95 % probability (N,).
+    """Return the 95 % quantile (N,) of the length of normal vectors with covariances (N, 3, 3).
 
-    It is bounded by its first two moments: |e|² ~ g·χ²_h with g = tr Σ²/tr Σ, h = tr² Σ/tr Σ² (Satterthwaite 1946), and
+    It follows from the first two moments: |e|² ~ g·χ²_h with g = tr Σ²/tr Σ, h = tr² Σ/tr Σ² (Satterthwaite 1946), and
     the quantile of χ² by Wilson and Hilferty (1931), good to 1.5 %.
     """
     trace = np.trace(covariance, axis1=1, axis2=2)
@@ -130,7 +150,7 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     if not parameters:
         return np.zeros((len(q), 3, 0))
     order = list(dict.fromkeys([*parameters, *(p for each in parameters for p in each.partners())]))
-    linear = file_slopes(order, {parameter: parameter.of(robot) for parameter in order})
+    linear = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
     try:
         by_file = np.linalg.inv(linear)[:, [order.index(parameter) for parameter in parameters]]
     except np.linalg.LinAlgError:
@@ -146,33 +166,32 @@ def _linear_sensitivity(
     _, jacobian = kinematics.tcp(robot.loaded, x, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench) - _payload(robot, x)
     second = robot.actuated[A2]
-    at_rest = np.zeros_like(torque)
-    nonlinear = robot.terms or any(isinstance(parameter, Spring) and not parameter.linear for parameter in parameters)
-    if nonlinear and (robot.carries_weight or not robot.subtract_reference):
-        at_rest = -asked(robot, x.T).T
-    _, slope = spring_deflection(robot, torque, at_rest)
-    share = beside(robot, x.T, slope.T)
-    torque[:, second] /= share  # what is left for the gear
-    theta, slope = spring_deflection(robot, torque, at_rest)
-    reach = jacobian[:, :3].copy()
-    reach[:, :, second] /= share[:, None]
-    pressed = more_at_rest(robot, torque.T, at_rest.T).T
+    preload = np.zeros_like(torque)
+    if robot.carries_weight or not robot.subtract_reference:
+        preload = -static_torque(robot, x.T).T
+    _, slope = spring_deflection(robot, torque.T, preload.T)
+    share = compensator_factor(robot, x.T, slope)
+    torque[:, second] /= share  # the rest is the compensator's
+    theta, slope = (each.T for each in spring_deflection(robot, torque.T, preload.T))
+    lever = jacobian[:, :3].copy()
+    lever[:, :, second] /= share[:, None]
+    by_preload = compliance_by_preload(robot, torque.T, preload.T).T
     columns = []
     for parameter in parameters:
         if isinstance(parameter, Spring):
-            row = parameter.row(robot)
-            columns.append(reach[:, :, row] * parameter.effect(torque[:, row], at_rest[:, row])[0][:, None])
+            row = robot.row(parameter)
+            columns.append(lever[:, :, row] * parameter.effect(torque[:, row], preload[:, row])[0][:, None])
             continue
-        bent = -pressed * asked_by(robot, parameter, x.T).T
+        shift = -by_preload * static_torque_by_parameter(robot, parameter, x.T).T
         if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
             stiffer = parameter.effect(robot.compensator, x[:, second])[1]
-            bent[:, second] -= slope[:, second] * theta[:, second] * stiffer
-        columns.append(np.einsum("nik,nk->ni", reach, bent))
+            shift[:, second] -= slope[:, second] * theta[:, second] * stiffer
+        columns.append(np.einsum("nik,nk->ni", lever, shift))
     return np.stack(columns, axis=2)
 
 
 def _payload(robot: RobotModel, x: Array) -> Array:
-    """Return the torque (n, nv) of the payload that the cell adds, at coordinates x (n, nv)."""
+    """Return the torque (n, nv) of the cell's payload at coordinates x (n, nv)."""
     if robot.loaded is robot.actual:
         return np.zeros_like(x)
     loaded, without = (kinematics.posture(chain, x.T, weigh=True).weight() for chain in (robot.loaded, robot.actual))

@@ -1,6 +1,7 @@
-"""Strict reading of TOML and CSV; sets of files that are replaced whole or not at all."""
+"""Strict reading of TOML and CSV, reading of meshes; sets of files that are replaced together (atomically)."""
 
 from postproc.files.locking import locked
+from postproc.files.meshes import read_mesh
 from postproc.files.reading import convert, parse_csv, read_csv, read_text, read_toml
 from postproc.files.records import (
     FileEntry,
@@ -27,6 +28,7 @@ __all__ = [
     "noted",
     "parse_csv",
     "read_csv",
+    "read_mesh",
     "read_text",
     "read_toml",
     "recorded",

@@ -16,21 +16,21 @@ _POSIX = os.name == "posix"
 _POLL = 0.1
 """Seconds between two attempts to take a lock that another process has."""
 _SILENT = 3
-"""Attempts before the user is told."""
+"""Attempts before a message is shown."""
 _VANISHED = 100
-"""Attempts to lock a folder that is not there: on a drive that does not exist it cannot be made."""
+"""Attempts to lock a folder that does not exist: on a missing drive it cannot be made."""
 _held: set[Path] = set()
 """Folders that this process has locked, resolved."""
 
 
 @contextlib.contextmanager
 def locked(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Keep other processes of postproc from writing into some folders; they wait until this one is done.
+    """Lock folders against other processes of postproc, which wait until the lock is released.
 
     A folder is made if needed, and removed if it is still empty at the end. The lock is the operating system's
-    (`flock`, `LockFileEx`), so that a process that was killed blocks nobody. Where a network drive has no such locks,
-    `filelock` uses the existence of the file with the process in it. A folder that this process has locked already is
-    not locked again. Where no file can be made, none is locked: nothing can be written there.
+    (`flock`, `LockFileEx`), so a killed process leaves no lock. On a network drive without such locks,
+    `filelock` uses the existence of a file that names the process. A folder that this process has locked is not locked
+    again. A folder in which no file can be made is not locked: nothing can be written there either.
 
     :param waiting: is called once with a sentence when another process has a lock.
     """
@@ -74,7 +74,7 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
     finally:
         _held.discard(folder)
         if lock.is_locked:
-            if _POSIX:  # while it is locked: who has opened it sees that it is gone, and makes another
+            if _POSIX:  # removed while locked: a process that has it open notices, and makes another
                 with contextlib.suppress(OSError):
                     (folder / _NAME).unlink()
             lock.release()
@@ -87,7 +87,7 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
 
 
 def _missing(folder: Path) -> list[Path]:
-    """Return a folder and those above it that are not there, the innermost first."""
+    """Return the missing folders of a path, innermost first."""
     return [path for path in (folder, *folder.parents) if not path.exists()]
 
 
@@ -97,7 +97,7 @@ def _this_process() -> str:
 
 
 def _holder(folder: Path) -> str:
-    """Return which process has the lock of a folder, as it says itself."""
+    """Return the description of the process that holds the lock, from the lock file."""
     with contextlib.suppress(OSError, UnicodeDecodeError):
         said = (folder / _NAME).read_text(encoding="utf-8").strip()
         if said.startswith("process "):

@@ -1,4 +1,4 @@
-"""Strict reading of TOML and CSV: what is not understood is an error that names file, line and key."""
+"""Strict reading of TOML and CSV: anything unknown is an error that names file, line and key."""
 
 from __future__ import annotations
 
@@ -21,27 +21,33 @@ T = TypeVar("T")
 Error = TypeVar("Error", bound=InputError)
 
 
-def read_text(path: Path, error: type[InputError]) -> str:
-    """Return the text of a UTF-8 file (BOM allowed); `error` names the file when it cannot be read."""
+def read_text(path: Path, error: type[InputError], absent: str | None = None) -> str:
+    """Return the text of a UTF-8 file (BOM allowed); `error` names the file when it cannot be read.
+
+    :param absent: advice where there is no such file.
+    """
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
-        raise error("no such file", file=str(path)) from None
+        raise error("no such file", file=str(path), advice=absent) from None
     except OSError as cause:
         raise error(f"cannot be read ({cause.strerror})", file=str(path)) from cause
     except UnicodeDecodeError as cause:
         raise error(f"not UTF-8 text (byte {cause.start})", file=str(path), advice="Save the file as UTF-8.") from cause
 
 
-def read_toml(path: Path, structure: type[T], error: type[InputError], example: str | None = None) -> T:
+def read_toml(
+    path: Path, structure: type[T], error: type[InputError], example: str | None = None, absent: str | None = None
+) -> T:
     """Read a TOML file into a msgspec structure.
 
     Unknown keys and missing keys (all of them at once), wrong types, NaN and infinity raise `error`; the message names
     the key and, for an unknown one, the valid ones.
 
     :param example: shown where keys are missing: what such a file looks like.
+    :param absent: advice where there is no such file.
     """
-    text = read_text(path, error)
+    text = read_text(path, error, absent)
     try:
         data = tomllib.loads(text)
         for key, value in _numbers(data, ""):
@@ -89,7 +95,7 @@ def _numbers(data: object, key: str) -> Iterator[tuple[str, float]]:
 
 
 def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | None]]:
-    """Yield what is wrong with the keys of a table and of those in it: problem and advice."""
+    """Yield the errors in the keys of a table and its subtables: problem and advice."""
     kind = _inner(kind)
     if isinstance(kind, msgspec.inspect.DictType) and isinstance(data, Mapping):
         for name, value in data.items():
@@ -140,7 +146,7 @@ def read_csv(
     text_columns: Sequence[str] = (),
     may_be_empty: Sequence[str] = (),
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
-    """Read a CSV file as `parse_csv` does; what is wrong in its rows is raised, all together."""
+    """Read a CSV file as `parse_csv` does; all errors in its rows are raised together."""
     numbers, texts, line, wrong = parse_csv(path, required, optional, error, text_columns, may_be_empty)
     if wrong:
         raise together(wrong)
@@ -220,7 +226,7 @@ def _header(
         if len(header) == 1 and separator in header[0]:
             raise error(f"columns separated by {name}", file=str(path), line=1, text=row[0], advice=_COMMAS)
     wrong = [f"unknown column {name!r}" for name in dict.fromkeys(header) if name not in known]
-    wrong += [f"column {name!r} stands twice" for name in dict.fromkeys(header) if header.count(name) > 1]
+    wrong += [f"column {name!r} is given twice" for name in dict.fromkeys(header) if header.count(name) > 1]
     missing = [name for name in required if name not in header]
     if missing:
         wrong.append(f"missing column {', '.join(missing)}")

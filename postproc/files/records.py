@@ -1,4 +1,4 @@
-"""Whose files stand in a folder.
+"""Records of a folder: which program each written file belongs to.
 
 A record, a JSON file, names those that were written with it and the SHA-256 of each; a single TOML file carries its own
 in its first line. A file that is not named there, or was changed since, is not ours to replace.
@@ -15,7 +15,7 @@ from typing import TypedDict
 from postproc.errors import InputError
 
 _SHOWN = 5
-"""Of many files, so many are named."""
+"""Number of files that a message names."""
 
 
 class FileEntry(TypedDict):
@@ -53,7 +53,7 @@ def with_record(
 def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
     """Return which of some files are there and not as we wrote them.
 
-    :param record: name of the record that tells.
+    :param record: name of the record.
     """
     known = _read(folder / record)
     return [
@@ -98,7 +98,7 @@ def refuse(paths: Sequence[Path]) -> None:
     if paths:
         raise InputError(
             f"not written by postproc, or changed since: {listed(paths)}",
-            advice="Nothing was written. Choose another place with -o, or replace what is there with --overwrite.",
+            advice="Nothing was written. Choose another place with -o, or replace the files with --overwrite.",
         )
 
 

@@ -1,7 +1,7 @@
-"""Cutting forces: sources of them, and the wrench anywhere on a tool path.
+"""Cutting forces: their sources, and the wrench anywhere on a tool path.
 
-Every source gives wrenches at places along motions, linear between them (`Knots`). `along` puts them on the motions of
-a program; what comes of it tells the wrench at each sample.
+Every source gives wrenches at places along motions, linear between them (`Knots`). `along` assigns them to the motions
+of a program and returns `PathForces`, which gives the wrench at each sample.
 """
 
 from postproc.forces.along import BEHIND_STEP, PathForces, along

@@ -1,4 +1,4 @@
-"""The wrench anywhere on the path of a program: what its sources give, put on its motions."""
+"""The wrench anywhere on the path of a program, from the sources of its forces."""
 
 from __future__ import annotations
 
@@ -10,31 +10,34 @@ from postproc.forces.axes import Axes
 from postproc.forces.comments import of_comments
 from postproc.forces.feed import last_travel
 from postproc.forces.knots import BASE, FEED, ForceSource, Knots
-from postproc.frames import Array, any_column
+from postproc.frames import Array, any_column, norm
 from postproc.program import SPL, Bools, Ints, Program, distinct
-from postproc.toolpath import Segments, Toolpath
+from postproc.toolpath import Segments, Toolpath, at
 
 BEHIND_STEP = 1e-5
-"""So far behind a step of the force [m] the path is computed: the correction follows over that length."""
+"""Distance behind a force step at which the path is sampled [m]: the correction changes over that length."""
+_CONTINUOUS = 2e-3
+"""Relative change between consecutive forces below which no ramp is inserted."""
 
 
 class PathForces(Struct, frozen=True, eq=False):
-    """The forces along the M motions of a program: K knots, each motion with one at least, linear between them.
+    """The forces along the M motions of a program: K knots, at least one for each motion, linear between them.
 
-    The knots are those of the sources. Where the force of a motion comes up over the ramp of the cell, a knot at its
-    start holds the wrench at the end of the motion before, in `$BASE` axes, and its own stands at the end of the ramp.
+    The knots are those of the sources. If the force of a motion is ramped, a knot at its start has the wrench at the
+    end of the motion before, in `$BASE` axes, and its own wrench follows at the end of the ramp. A FEED force that
+    starts with the value at which the one before ends has no ramp: it turns with the path.
 
-    :param axes: what turns forces into `$BASE` axes.
-    :param first: (M + 1,) the knots of motion i are those from first[i] to first[i + 1].
-    :param place: (K,) row of `Motions` plus t: increasing but for the end of a motion, where the next one starts.
-    :param t: (K,) place on the motion in [0, 1].
+    :param axes: rotates forces into `$BASE` axes.
+    :param first: (M + 1,) the knots of motion i are those from first[i] to first[i + 1] (exclusive).
+    :param place: (K,) row of `Motions` plus t: increasing except at the end of a motion, where the next one starts.
+    :param t: (K,) position on the motion in [0, 1].
     :param wrench: (K, 6) Fx…Mz [N, N·m] on the tool at its tip, in the axes that `knot_frame` names.
     :param knot_frame: (K,) `BASE`, `TOOL` or `FEED`.
     :param spread: (K, 2, 3, 3) L of the covariances L·Lᵀ of force and moment, in the same axes; None if all are zero.
     :param frame: (M,) frame in which the force of each motion is given.
-    :param ramped: (M,) True where it comes up over the ramp.
+    :param ramped: (M,) True if the force builds up over the ramp of the cell.
     :param before: (M, 6) wrench at the end of the motion before, in `$BASE` axes of the motion; zero before the first.
-    :param issues: what the user should know, e.g. cutting moves without a force.
+    :param issues: warnings and notes for the user, e.g. cutting moves without a force.
     """
 
     axes: Axes
@@ -58,7 +61,7 @@ class PathForces(Struct, frozen=True, eq=False):
         return None if self.spread is None else self._between(self.spread, sample)
 
     def behind_step(self, motion: Ints, t: Array) -> Bools:
-        """Return which places (n,) lie just behind the start of motions whose force may begin with a step."""
+        """Return which places (n,) are just behind the start of a motion whose force may start with a step."""
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
     def _between(self, columns: Array, sample: Toolpath) -> Array:
@@ -81,55 +84,72 @@ class PathForces(Struct, frozen=True, eq=False):
 
 
 def along(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
-    """Put forces on the motions: a source wins for those that it knows, else the comments hold; rapid moves have none.
+    """Assign forces to the motions. A source takes precedence over comments; rapid moves have no force.
 
     :param path: the geometry of the motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param ramp: over which length a force comes up that is given for the whole of a motion [m].
-    :raises ForceError: the source cannot be used for this program; a FEED force with a part across the spindle on a
-        move along the spindle, before any move across it.
+    :param ramp: length over which a force builds up if it is given for a whole motion [m].
+    :raises ForceError: the source cannot be used for this program; a FEED force with a component across the spindle on
+        a move along the spindle, without any move across it; a force on a move from [start] of the cell.
     """
     m = program.motions
-    given, told = of_comments(program), []
+    given, issues = of_comments(program), []
     if source is not None:
         own = source.along(program, path).checked(program, source.name)
-        told += list(own.issues)
-        told += _told(
+        issues += list(own.issues)
+        issues += _warning(
             program, own.motion[any_column(own.wrench != 0.0) & m.rapid[own.motion]], "force-on-rapid", _ON_RAPID
         )
         given = own.over(given)
     without = np.ones(len(m), dtype=np.bool_)
     without[given.motion] = False
-    told = _told(program, np.flatnonzero(without & ~m.rapid), "no-force", _NONE) + told
+    issues = _warning(program, np.flatnonzero(without & ~m.rapid), "no-force", _NONE) + issues
     given = given.take(~m.rapid[given.motion])
     without |= m.rapid
+    _check_start(program, given)
     none = np.flatnonzero(without)
     given = given.over(Knots.throughout(none, np.zeros((len(none), 6)), np.full(len(none), BASE)))
     travel, lead = _travel(program, path, given, axis)
-    return _resolved(given, Axes(program, path, axis, travel), ramp, (*told, *lead))
+    return _resolved(given, Axes(program, path, axis, travel), ramp, (*issues, *lead))
 
 
-_NONE = "cutting moves without a force: none is assumed"
+def _check_start(program: Program, given: Knots) -> None:
+    """Refuse forces on moves from `[start]` of the cell: the program does not define the path there."""
+    loaded = given.motion[any_column(given.wrench != 0.0)]
+    lines = distinct(program.motions.line[np.intersect1d(program.unforced, loaded)])
+    if len(lines):
+        name, problem = program.documents[0].name, "a force on a move from [start] of the cell"
+        advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."
+        raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines[: MOST + 1].tolist())
+
+
+_NONE = "cutting moves without a force: zero force is assumed"
 _ON_RAPID = "rapid moves carry no force: the row is ignored"
 
 
-def _told(program: Program, motion: Ints, kind: str, message: str) -> list[Issue]:
-    """Return a warning for motions (n,) if there are any."""
+def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Issue]:
+    """Return a warning for motions (n,), or nothing without motions."""
     return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 
 def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) -> PathForces:
-    """Return the forces of knots that every motion has, with the ramps put in."""
+    """Return the forces from knots that cover every motion, with ramps inserted."""
     motions = np.arange(len(axes.program.motions))
     first = np.searchsorted(given.motion, np.append(motions, len(motions)))
     last = first[1:] - 1
     ramped, frame = given.ramped[last], given.frame[last]
     begins = first[:-1][ramped]  # the only knot of each
     before = axes.at_start(given.wrench.take(last, axis=0).reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
+    start, start_frame = before.copy(), np.full(len(motions), BASE)
+    steady = _continuous(given.wrench.take(last, axis=0), frame, before, axes)
+    steady = steady[ramped[steady]]
+    start[steady], start_frame[steady] = given.wrench[last[steady]], frame[steady]
     spread = None
     if given.sigma.any():
         spread = given.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
-        spread = np.insert(spread, begins, axes.at_start(spread[last], frame)[ramped], axis=0)
+        at_start = axes.at_start(spread[last], frame)
+        at_start[steady] = spread[last[steady]]
+        spread = np.insert(spread, begins, at_start[ramped], axis=0)
     length = axes.path.length[ramped]
     t = given.t.copy()
     t[begins] = np.where(length > ramp, ramp / np.where(length > ramp, length, 1.0), 1.0)
@@ -140,8 +160,8 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) 
         first,
         np.repeat(motions, np.diff(first)) + t,
         t,
-        np.insert(given.wrench, begins, before[ramped], axis=0),
-        np.insert(given.frame, begins, BASE),
+        np.insert(given.wrench, begins, start[ramped], axis=0),
+        np.insert(given.frame, begins, start_frame[ramped]),
         spread,
         frame,
         ramped,
@@ -150,8 +170,20 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) 
     )
 
 
+def _continuous(wrench: Array, frame: Ints, before: Array, axes: Axes) -> Ints:
+    """Return the motions (n,) with a force in FEED axes that continues the one before: it turns with the path.
+
+    :param wrench: (M, 6) of the motions, in the axes of `frame` (M,).
+    :param before: (M, 6) at the end of the motion before, in `$BASE` axes.
+    """
+    rows = np.flatnonzero(frame == FEED)
+    start = at(axes.program, axes.path, rows, np.zeros(len(rows)))
+    begin = axes.into_base(wrench[rows].reshape(-1, 2, 3, 1), frame[rows], start).reshape(-1, 6)
+    return rows[any_column(begin != 0.0) & (norm(begin - before[rows]) < _CONTINUOUS * norm(begin))]
+
+
 def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[Array, list[Issue]]:
-    """Return `Axes.travel`, and what to tell about it."""
+    """Return `Axes.travel`, and notes about it for the user."""
     m = program.motions
     feed = given.frame == FEED
     if not feed.any():
@@ -170,8 +202,8 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
     unknown = needs & np.isnan(travel[:, 0])
     if unknown.any():
         advice = (
-            "Such a move has no feed direction across the spindle, and no move from which it could be taken has one: "
-            "give its force in BASE or TOOL axes."
+            "No other move of the program has a feed direction across the spindle that this one could use. "
+            "Give its force in BASE or TOOL axes."
         )
         name, problem = program.documents[0].name, "a FEED force on a move along the spindle"
         lines = distinct(m.line[unknown])[: MOST + 1].tolist()
@@ -180,7 +212,7 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
     if needs.any():
         message = (
             "a FEED force on a move along the spindle, which has no feed direction: x is the travel direction of the "
-            "last move that had one, before any such move that of the first"
+            "last move across the spindle, or of the first one if none precedes"
         )
         issues.append(m.issue("info", "feed-direction", message, np.flatnonzero(needs)))
     return travel, issues

@@ -1,4 +1,4 @@
-"""Forces turned from the axes in which they are given into those of `$BASE`."""
+"""Rotate forces from the axes in which they are given into `$BASE` axes, and back."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from postproc.toolpath import Segments, Toolpath, at
 class Axes(Struct, frozen=True, eq=False):
     """The axes of forces along a program.
 
-    Forces come as columns (n, 2, 3, m): force and moment, m of each.
+    Forces are columns (n, 2, 3, m): force and moment, m vectors of each.
 
     :param program: the program, `path` the geometry of its motions.
     :param spindle: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
@@ -49,9 +49,10 @@ class Axes(Struct, frozen=True, eq=False):
         return out
 
     def at_start(self, columns: Array, frame: Ints) -> Array:
-        """Return what acts at the start of motions: the columns (M, 2, 3, m) at the end at which each begins.
+        """Return the columns that act at the start of motions: those at the end of the motion before.
 
-        :param frame: (M,) in which they are given there.
+        :param columns: (M, 2, 3, m) at the end of each motion.
+        :param frame: (M,) frames in which they are given.
         :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero at the start of the program.
         """
         m, bases = self.program.motions, self.program.bases

@@ -1,4 +1,4 @@
-"""Forces from the comments of a program: each holds until the next one."""
+"""Forces from the comments of a program: each is valid until the next one."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from postproc.program import FORCE_FRAMES, Program
 
 
 def of_comments(program: Program) -> Knots:
-    """Return the force of each motion behind the first force comment: that of the last one executed before it.
+    """Return the force of each motion after the first force comment: that of the last comment executed before it.
 
-    :raises ValueError: the reader of the program has not said from which motion on a comment holds.
+    :raises ValueError: the reader of the program has not set the first motion of a comment.
     """
     first = [note.before for note in program.notes]
     if min(first, default=0) < 0:

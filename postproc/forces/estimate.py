@@ -1,4 +1,4 @@
-"""How far the force moves the tool along the motions: roughly, to tell where on the path to compute."""
+"""Rough displacement of the tool by the force along the motions, to choose the samples of the path."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from postproc.program import CIRC, Bools, Ints
 from postproc.toolpath import DisplacementEstimate, at
 
 _SAME = 1e-9
-"""Change of a force [N, N·m] that is none."""
+"""Changes of the force below this [N, N·m] count as none."""
 _STEP = 1e-8
-"""Displacement [m] by which the force may differ from that at the end of the motion before without being a step."""
+"""Displacement [m] below which a change of the force from motion to motion does not count as a step."""
 
 
 def estimate(forces: PathForces, softness: tuple[float, float]) -> DisplacementEstimate:
-    """Return how the displacement by the force changes along the motions, roughly.
+    """Return a rough estimate of how the displacement by the force changes along the motions.
 
-    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
+    :param softness: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     """
     m, path = forces.axes.program.motions, forces.axes.path
     turning = (m.kind == CIRC) & (forces.frame == FEED)
@@ -60,7 +60,7 @@ def estimate(forces: PathForces, softness: tuple[float, float]) -> DisplacementE
 
 
 def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
-    """Return the change (K, 6) of the force since the knot before, and (K,) where it does not go straight on."""
+    """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes."""
     t, count = forces.t, len(forces.t)
     follows = np.append(False, np.diff(motion) == 0)
     alike = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
@@ -73,7 +73,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     inner = np.flatnonzero((t > 0.0) & (t < 1.0))
 
     def rate(rows: Ints) -> Array:
-        """Return the change (n, 6) by t up to knots (n,); 0 where none is before them on their motion."""
+        """Return the change (n, 6) per t up to knots (n,); 0 at the first knot of a motion."""
         out, known = np.zeros((len(rows), 6)), np.append(follows, False)[rows]
         rows = rows[known]
         out[known] = change[rows] / (t[rows] - t[rows - 1])[:, None]
@@ -85,7 +85,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
 
 
 def _steps(forces: PathForces) -> Array:
-    """Return by how much (M, 6) the force where a motion starts differs from that at the end of the one before."""
+    """Return the step of the force (M, 6) at the start of each motion, from the end of the motion before."""
     out = np.zeros_like(forces.before)
     rows = np.flatnonzero(~forces.ramped)
     start = at(forces.axes.program, forces.axes.path, rows, np.zeros(len(rows)))

@@ -1,4 +1,4 @@
-"""The axes of FEED: along the travel, along the spindle, and square to both."""
+"""FEED axes: along the travel, along the spindle, and perpendicular to both."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
 _PARALLEL = 1e-3
 """Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
 _ACROSS = 45.0 * RAD_PER_DEG
-_BESIDE = 0.01
-"""Where an arc runs along the spindle at one place, its direction so far before that place is taken (share of it)."""
+_NEAR = 0.01
+"""Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)."""
 
 
 def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
     """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
 
-    z along the spindle from the tip to the spindle, x along the travel as far as it is square to z, y = z × x.
+    z along the spindle from the tip to the spindle, x along the component of the travel perpendicular to z, y = z × x.
 
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x square to z.
+    :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x perpendicular to z.
     """
     z = _towards_spindle(sample, axis)
     x, sine = _square_to(z, tangent(program, path, sample.motion, sample.t))
     along = np.flatnonzero(sine < _PARALLEL)
     if len(along):
         motion, t = sample.motion[along], sample.t[along]
-        beside = tangent(program, path, motion, np.where(t > _BESIDE, t - _BESIDE, t + _BESIDE))
-        other, sine = _square_to(z[along], beside)
+        near = tangent(program, path, motion, np.where(t > _NEAR, t - _NEAR, t + _NEAR))
+        other, sine = _square_to(z[along], near)
         none = np.flatnonzero(sine < _PARALLEL)
         before, any_other = last[motion[none]], sample.pose[along[none], :3, _SPINDLE[axis][0] - 2]
         before = np.where(np.isnan(before), any_other, before)
@@ -40,15 +40,14 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
 
 
 def runs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
-    """Return which arcs (n,), rows of `Motions`, nowhere come nearer than 45° to the direction of the spindle.
+    """Return which arcs (n,), rows of `Motions`, keep 45° from the direction of the spindle.
 
-    On these FEED axes turn about as fast as the arc. Near that direction they swing round by up to half a turn, the
-    faster the nearer, and at it they jump.
+    On these arcs FEED axes turn about as fast as the travel. Near the direction of the spindle they swing by up to half
+    a turn, the faster the nearer, and at that direction they jump.
     """
     m = program.motions
     z = _towards_spindle(at(program, path, arcs, np.ones(len(arcs))), axis)
-    column, sign = _SPINDLE[axis]
-    start = -sign * path.start.at(arcs)[:, :3, column]
+    start = path.start.at(arcs)[:, :3, _SPINDLE[axis][0]]
     square = [np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], one)), 1.0)) for one in (z, start)]
     row = np.searchsorted(path.arcs.motion, arcs)
     pitch = np.arctan2(norm(path.arcs.climb[row]), norm(path.arcs.radial[row]) * path.arcs.sweep[row])
@@ -58,12 +57,11 @@ def runs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bool
 def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
     """Return on which straight motions (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
 
-    Nearer to it, FEED axes may swing round by up to half a turn while the tool turns a little.
+    Nearer to it, FEED axes may swing by up to half a turn while the tool turns a little.
     """
-    column, sign = _SPINDLE[axis]
     ends = at(program, path, lines, np.ones(len(lines)))
     travel = tangent(program, path, lines, ends.t)
-    start = -sign * path.start.at(lines)[:, :3, column]
+    start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]
     nearest = np.maximum(*(np.abs(np.einsum("ni,ni->n", z, travel)) for z in (_towards_spindle(ends, axis), start)))
     return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _ACROSS)
 
@@ -71,7 +69,7 @@ def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -
 def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
     """Return the FEED axes (n, 3, 3) of tool orientations (n, 3, 3) and travel directions (n, 3), all in `$BASE`.
 
-    :returns: the axes as columns, and (n,) False where the travel is along the spindle: there they mean nothing.
+    :returns: the axes as columns, and (n,) False where the travel is along the spindle and the axes are undefined.
     """
     column, sign = _SPINDLE[axis]
     z = -sign * orientation[:, :, column]
@@ -80,19 +78,19 @@ def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
 
 
 def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Bools]:
-    """Return the travel direction of the last motion before each that had one across the spindle.
+    """Return for each motion the travel direction of the last motion across the spindle before it.
 
-    Programs often begin with a plunge: before any such motion it is that of the first one that has a direction.
+    Programs often begin with a plunge: motions before the first one across the spindle get its direction.
 
-    :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN where there is none; and (M,) True for motions that
-        need it: straight ones along the spindle, and those that travel nowhere.
+    :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN if there is none; and (M,) True for motions that
+        need it: straight ones along the spindle, and those without travel.
     """
     m = program.motions
     every, end = np.arange(len(m)), np.ones(len(m))
     z = _towards_spindle(at(program, path, every, end), axis)
     x, sine = _square_to(z, tangent(program, path, every, end))
     turning = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
-    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _BESIDE))
+    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _NEAR))
     needs = sine < _PARALLEL
     before = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, every))[:-1]])
     before[before < 0] = -1 if needs.all() else int(np.argmin(needs))
@@ -100,7 +98,7 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     in_root = np.einsum("nij,nj->ni", rotation[m.base[before]], x[before])
     last = np.einsum("nji,nj->ni", rotation[m.base], in_root)
     last[before < 0] = np.nan
-    last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned to where it travelled
+    last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned into the direction of travel
     return last, needs
 
 
@@ -110,7 +108,7 @@ def _towards_spindle(sample: Toolpath, axis: str) -> Array:
 
 
 def _square_to(z: Array, travel: Array) -> tuple[Array, Array]:
-    """Return unit vectors (n, 3) along the part of the travel that is square to z, and its length (n,)."""
+    """Return unit vectors (n, 3) along the component of the travel perpendicular to z, and its length (n,)."""
     across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
     length = norm(across)
     return across / np.where(length > 0.0, length, 1.0)[:, None], length

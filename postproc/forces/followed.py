@@ -1,9 +1,9 @@
-"""Where a FEED force swings round: pieces of arcs, and places of lines that turn the tool.
+"""Subdivide arcs, and lines that turn the tool, where the axes of a FEED force swing.
 
-Where the travel comes near the direction of the spindle, FEED axes turn by up to half a turn within a short part of the
-arc: pieces of one size for the whole arc would be very many. So each piece is halved as long as its circle would miss
-the displacement by the force at its quarters. That asks for the wrench alone; what the robot then does is found by the
-simulation of the written program.
+Near the direction of the spindle, FEED axes turn by up to half a turn within a short part of the arc. Pieces of one
+size for the whole arc would be too many, so each piece is halved as long as its circle deviates from the displacement
+by the force at its quarters. That needs only the wrench; the simulation of the written program finds the response of
+the robot.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from postproc.program import LIN, Ints
 from postproc.toolpath import DisplacementEstimate, Pieces, at, circle_through
 
 _SHORTEST = 1e-7
-"""Length [m] and share of the arc below which no piece is halved: the text of the program tells no shorter ones."""
+"""Length [m] and share of the arc below which no piece is halved: the decimals of a program resolve none shorter."""
 _TURNS = 1e-6
-"""A motion that turns the tool by less than this [rad] does not turn it."""
+"""Rotations of the tool below this [rad] count as none."""
 _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 def followed(
     forces: PathForces, arcs: Pieces, estimate: DisplacementEstimate, softness: tuple[float, float], limit: float
 ) -> Pieces:
-    """Return the pieces, halved where the force swings round, until their circles follow it or nothing can.
+    """Return the pieces, halved where the force swings, until their circles follow it or the pieces are too short.
 
-    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
-    :param limit: what may be missed [m].
+    :param softness: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    :param limit: permitted deviation [m].
     """
     found = estimate.round[arcs.motion]
     if not found.any():
@@ -52,10 +52,10 @@ def followed(
 def swung(forces: PathForces, softness: tuple[float, float], limit: float) -> tuple[Ints, Array]:
     """Return places of straight motions, motion (n,) and t (n,), between which the displacement by the force is linear.
 
-    They are asked for where the tool turns through the direction of travel, or near it: FEED axes swing round there.
+    They are needed where the tool axis passes near the direction of travel: FEED axes swing there.
 
-    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
-    :param limit: what may be missed between two places [m].
+    :param softness: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    :param limit: permitted deviation between two places [m].
     """
     program, path = forces.axes.program, forces.axes.path
     turns = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > _TURNS) & (path.length > 0.0)
@@ -81,7 +81,7 @@ def swung(forces: PathForces, softness: tuple[float, float], limit: float) -> tu
 
 
 def _missed(forces: PathForces, arcs: Pieces, softness: tuple[float, float]) -> Array:
-    """Return what circles through start, middle and end of pieces (n,) would miss at their quarters, about [m]."""
+    """Return the largest deviation (n,) [m] of circles through start, middle and end at the quarters of pieces."""
     spots = []
     for share in _QUARTERS:
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))

@@ -1,4 +1,4 @@
-"""Wrenches along motions, piecewise linear: what every source of forces gives."""
+"""Piecewise linear wrenches along motions, the common format of all sources of forces."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Knots(Struct, frozen=True, eq=False):
     that has no knot has no force.
 
     :param motion: (K,) row of `Motions`, never decreasing.
-    :param t: (K,) place on it in [0, 1], increasing along a motion.
+    :param t: (K,) position on it in [0, 1], increasing along a motion.
     :param wrench: (K, 6) Fx…Mz on the tool at its tip [N, N·m], in the axes that `frame` names.
     :param frame: (K,) `BASE`, `TOOL` or `FEED`; one for a motion.
-    :param sigma: (K, 6) standard deviations of `wrench`, each taken for independent of the others at its knot, and for
-        fully correlated with itself along the path.
-    :param ramped: (K,) True for the only knot of a motion whose force comes up from that of the motion before over the
-        first `force_ramp_mm` of it; elsewhere the force is as given from the start of the motion on.
-    :param issues: what the user should know of them.
+    :param sigma: (K, 6) standard deviations of `wrench`: components are assumed independent of each other at a knot,
+        and each is assumed fully correlated with itself along the path.
+    :param ramped: (K,) True for the only knot of a motion whose force changes from that of the motion before over its
+        first `force_ramp_mm`; otherwise the force is as given from the start of the motion.
+    :param issues: warnings and notes for the user.
     """
 
     motion: Ints
@@ -43,13 +43,13 @@ class Knots(Struct, frozen=True, eq=False):
 
     @classmethod
     def throughout(cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
-        """Return one wrench (n, 6) for the whole of each motion (n,), which comes up over the ramp of the cell."""
+        """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start."""
         sigma = np.zeros_like(wrench) if sigma is None else sigma
         return cls(motion, np.ones(len(motion)), wrench, frame, sigma, np.ones(len(motion), dtype=np.bool_))
 
     @classmethod
     def along(cls, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
-        """Return wrenches (n, 6) at places of motions, which act as they are, without a ramp."""
+        """Return wrenches (n, 6) at places of motions, without a ramp."""
         sigma = np.zeros_like(wrench) if sigma is None else sigma
         return cls(motion, t, wrench, frame, sigma, np.zeros(len(motion), dtype=np.bool_))
 
@@ -61,7 +61,7 @@ class Knots(Struct, frozen=True, eq=False):
         return Knots(*(values[rows] for values in self._arrays().values()))
 
     def over(self, other: Knots) -> Knots:
-        """Return these knots, and those of others for motions that have none here; without the issues."""
+        """Return these knots, plus those of `other` for motions without a knot here; without the issues."""
         kept = other.take(~np.isin(other.motion, self.motion))
         order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
         mine, others = self._arrays(), kept._arrays()
@@ -75,18 +75,24 @@ class Knots(Struct, frozen=True, eq=False):
         """Return these knots if they can be used for a program.
 
         :param name: of the source, for messages.
-        :raises ForceError: they are not in order, of a motion that the program does not have, no finite numbers or too
-            large, or in several frames on one motion.
+        :raises ForceError: knots are not in order, name a motion that the program does not have, are not finite or
+            too large, or have several frames on one motion.
         """
         count, shapes = len(self.motion), [np.shape(getattr(self, one)) for one in ("t", "frame", "ramped")]
         if shapes != [(count,)] * 3 or [np.shape(one) for one in (self.wrench, self.sigma)] != [(count, 6)] * 2:
-            raise ForceError(f"the arrays of the source of forces {name} do not have one row a knot")
+            raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
         same = np.diff(self.motion) == 0
         for wrong, problem in (
             ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
             (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
-            (any_column(~(np.abs(self.wrench) <= MOST_FORCE)), "no finite force, or one that no arm carries"),
-            (any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE))), "no finite standard deviation"),
+            (
+                any_column(~(np.abs(self.wrench) <= MOST_FORCE)),
+                "a force that is not finite, or larger than any robot carries",
+            ),
+            (
+                any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE))),
+                "a standard deviation that is not finite, negative or too large",
+            ),
             ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),
             (np.append(np.diff(self.motion) < 0, False), "motions out of order"),
             (np.append(same & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),
@@ -97,22 +103,22 @@ class Knots(Struct, frozen=True, eq=False):
                 motion = int(self.motion[int(np.argmax(wrong))])
                 line = int(program.motions.line[motion]) if 0 <= motion < len(program.motions) else None
                 text = f"the source of forces {name} gives {problem}"
-                raise ForceError(text, file=program.documents[0].name, line=line, advice="This is a fault of it.")
+                raise ForceError(text, file=program.documents[0].name, line=line, advice="Report this to its author.")
         return self
 
 
 class ForceSource(Protocol):
-    """Where forces come from: a file, the process and the stock, a measurement."""
+    """A source of forces: a file, the process and the stock, a measurement."""
 
     @property
     def name(self) -> str:
-        """What messages call it: the name of its file, say."""
+        """Name in messages, e.g. of its file."""
 
     def along(self, program: Program, path: Segments) -> Knots:
-        """Return the forces along the motions of a program that this source knows something of.
+        """Return the forces along those motions of a program that this source covers.
 
-        Comments in the program hold for the others. Rapid moves carry no force, whatever is given for them.
+        Comments in the program apply to the others. Forces on rapid moves are ignored.
 
-        :param path: where the motions start, and how long they are.
-        :raises ForceError: it cannot be given to the motions of this program.
+        :param path: geometry of the motions.
+        :raises ForceError: the forces do not match the motions of this program.
         """

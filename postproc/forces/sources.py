@@ -1,4 +1,4 @@
-"""Which kind of file is read as which source of forces: here, and by packages that add their own."""
+"""Readers of force files by extension: built-in ones, and those that other packages add."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 READERS = {".csv": "postproc.forces.table:read_force_csv"}
-"""What reads the files of `--forces`, by their extension: module and function, imported when such a file is named."""
+"""Readers of `--forces` files by extension, as module:function; imported when such a file is given."""
 GROUP = "postproc.forces"
-"""Entry points by which other packages add readers: each is named by its extension, as in ``".xlsx"``."""
+"""Entry-point group in which other packages add readers; entries are named by extension, e.g. ``".xlsx"``."""
 
 
 def extensions() -> list[str]:
-    """Return the extensions of the files that are read, lower case: our own first, then those that packages add."""
+    """Return the readable file extensions, lower case: built-in ones first, then those that packages add."""
     from importlib.metadata import entry_points
 
     return [*READERS, *sorted({entry.name.lower() for entry in entry_points(group=GROUP)} - set(READERS))]
@@ -29,13 +29,13 @@ def extensions() -> list[str]:
 def read(path: Path) -> ForceSource:
     """Read a file of forces with the reader for its extension.
 
-    A file of any other extension is taken for CSV.
+    Any other file is read as CSV.
 
-    :raises ForceError: it is unusable, or the reader of another package is.
+    :raises ForceError: the file is unusable, or the reader of another package fails.
     """
     extension = path.suffix.lower()
     if extension not in READERS:
-        from importlib.metadata import entry_points  # needed where a file is not of our own kinds
+        from importlib.metadata import entry_points  # slow to import, needed only for other extensions
 
         added = {entry.name.lower(): entry for entry in entry_points(group=GROUP)}
         if extension in added:
@@ -46,16 +46,16 @@ def read(path: Path) -> ForceSource:
 
 
 def _read_by(entry: EntryPoint, path: Path) -> ForceSource:
-    """Read a file with the reader of another package, whose faults are told as such."""
+    """Read a file with the reader of another package; errors name that package."""
     package = entry.dist.name if entry.dist is not None else entry.value
     try:
         source: ForceSource = entry.load()(path)
     except PostprocError:
         raise
-    except Exception as cause:
+    except (Exception, SystemExit) as cause:
         fault = f"{type(cause).__name__}: {cause}"
         raise ForceError(
-            f"the reader of {entry.name} files that comes with {package} does not work: {fault}",
+            f"the reader of {entry.name} files from {package} does not work: {fault}",
             file=str(path),
             advice=f"Update or remove {package}, or give the forces as a CSV file.",
         ) from cause

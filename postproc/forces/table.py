@@ -28,10 +28,10 @@ class ForceTable(Struct, frozen=True, eq=False):
 
     :param file: its name.
     :param row: (R,) its line in that file.
-    :param first: (R,) first source line that it is for, and `last` (R,) the last one.
-    :param t: (R,) place on the move; NaN for the whole of it.
+    :param first: (R,) first source line to which it applies, and `last` (R,) the last one.
+    :param t: (R,) position on the move in [0, 1]; NaN for the whole move.
     :param wrench: (R, 6) [N, N·m].
-    :param frame: (R,) place in `FORCE_FRAMES`.
+    :param frame: (R,) index in `FORCE_FRAMES`.
     :param sigma: (R, 6) standard deviations of the wrench.
     """
 
@@ -53,7 +53,7 @@ class ForceTable(Struct, frozen=True, eq=False):
         """Return the forces of the motions that start on lines of the table, see `ForceSource`.
 
         :raises ForceError: a row names lines on which no motion starts.
-        :raises ProgramError: one names the line of a call of what cuts and is not followed.
+        :raises ProgramError: a row names the line of a call of a routine that cuts and is not followed.
         """
         for each in program.unfollowed:
             if np.any(self.wrench[(self.first <= each.line) & (each.line <= self.last)]):
@@ -73,7 +73,7 @@ class ForceTable(Struct, frozen=True, eq=False):
         return Knots(np.repeat(motion, count), t, self.wrench[row], self.frame[row], self.sigma[row], throughout)
 
     def _find_each(self, program: Program) -> None:
-        """Every row must name at least one line on which a motion starts."""
+        """Check that every row names at least one line on which a motion starts."""
         lines = np.sort(np.concatenate([program.motions.line, program.still]))
         empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
         if empty.any():
@@ -84,16 +84,16 @@ class ForceTable(Struct, frozen=True, eq=False):
                 f"no motion starts on line {first[0]} of {program.documents[0].name}{more if others else ''}",
                 file=self.file,
                 line=row[0],
-                advice="Line numbers are those of the file, counted from 1, not N words. A force file that was written "
-                "beside a corrected program is for that program, not for the one it was made from.",
+                advice="Give line numbers of the file, counted from 1, not N words. A force file that was written with "
+                "a corrected program applies to that program, not to the original.",
             )
 
 
 def read_force_csv(path: Path) -> ForceTable:
     """Read `line,Fx,Fy,Fz[,Mx,My,Mz][,frame][,line_end][,t][,sFx,sFy,sFz…|,sigma_percent]`.
 
-    :raises ForceError: missing or unknown column, a value that is no finite number or out of range, a line number that
-        is no positive whole number, `line_end` before `line`, an unknown frame, two rows for one line without t, places
+    :raises ForceError: missing or unknown column, a value that is not finite or out of range, a line number that
+        is not a positive integer, `line_end` before `line`, an unknown frame, two rows for one line without t, places
         t that do not increase along a line, standard deviations below zero or given twice; all of them together
         (`errors.together`).
     """
@@ -116,7 +116,7 @@ def read_force_csv(path: Path) -> ForceTable:
 
 
 class _Columns(Struct, frozen=True, eq=False):
-    """Columns of a force CSV as read, checked one theme at a time; what is found is added to `wrong`."""
+    """Columns of a force CSV as read. Each method checks some of them and adds errors to `wrong`."""
 
     file: str
     row: Ints
@@ -125,7 +125,7 @@ class _Columns(Struct, frozen=True, eq=False):
     wrong: list[ForceError]
 
     def lines(self) -> tuple[Array, Array, Bools]:
-        """Return first and last line of each row (n,), and (n,) True where they can be used."""
+        """Return first and last line of each row (n,), and (n,) True where they are valid."""
         first = self.numbers["line"]
         last = self.numbers.get("line_end", first)
         last = np.where(np.isnan(last), first, last)
@@ -133,7 +133,7 @@ class _Columns(Struct, frozen=True, eq=False):
         for label, column, new in (("line", first, True), ("line_end", last, last != first)):
             bad = (column != np.floor(column)) | ~((column >= 1.0) & (column <= _MOST_LINES))
             wrong = bad & new & np.isfinite(column)
-            self.check(wrong, f"{label} is {{:g}}", column, "Lines of the program are counted from 1.")
+            self.check(wrong, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1.")
             usable &= ~bad
         self.check(usable & (last < first), "line_end is before line", last)
         return first, last, usable
@@ -144,7 +144,7 @@ class _Columns(Struct, frozen=True, eq=False):
         for index, name in enumerate(WRENCH):
             if name in self.numbers:
                 wrench[:, index] = self.numbers[name]
-                advice = "No arm carries that: give newtons and newton metres."
+                advice = "This is more than any robot carries: give newtons and newton metres."
                 self.check(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
         percent = self.numbers.get("sigma_percent", np.full(len(self.row), np.nan))
         self.check(~((percent >= 0.0) | np.isnan(percent)), "sigma_percent is {:g}", percent, _NOT_NEGATIVE)
@@ -157,7 +157,7 @@ class _Columns(Struct, frozen=True, eq=False):
             )
             twice |= np.isfinite(given) & np.isfinite(percent)
             sigma[:, index] = np.where(np.isnan(given), sigma[:, index], given)
-        self.check(twice, "standard deviations beside sigma_percent = {:g}", percent, "Give one or the other.")
+        self.check(twice, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other.")
         return wrench, sigma
 
     def frame(self) -> Ints:
@@ -169,14 +169,14 @@ class _Columns(Struct, frozen=True, eq=False):
         return frame
 
     def places(self) -> Array:
-        """Return places along the moves (n,); NaN where a row is for the whole of them."""
+        """Return positions along the moves (n,); NaN where a row applies to the whole move."""
         t = self.numbers.get("t", np.full(len(self.row), np.nan))
-        advice = "It is a place along the move: 0 at its start, 1 at its end."
+        advice = "Give a position along the move: 0 at its start, 1 at its end."
         self.check(~((t >= 0.0) & (t <= 1.0) | np.isnan(t)), "t is {:g}", t, advice)
         return t
 
     def check_order(self, order: Ints, values: tuple[Ints, Ints, Array, Ints], usable: Bools) -> None:
-        """Rows of one line must follow each other in t and have one frame; no other rows may share a line."""
+        """Check that rows of one line are in order of t and have one frame, and that no other rows share a line."""
         begin, end, t, frame = (column[order] for column in values)
         usable = usable[order]
         together = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)
@@ -186,7 +186,7 @@ class _Columns(Struct, frozen=True, eq=False):
         step = np.diff(t, prepend=0.0)
         for wrong, problem, column, advice in (
             (again, "a second row for line {:g}", begin, None),
-            (usable & together & (step <= 0.0), "t = {:g} is not behind that of the row before", t, _STEP),
+            (usable & together & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _STEP),
             (usable & together & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
         ):
             back = np.zeros(len(order), dtype=np.bool_)
@@ -196,11 +196,11 @@ class _Columns(Struct, frozen=True, eq=False):
             self.check(back, problem, shown, advice)
 
     def check(self, wrong: Bools, problem: str, values: Sequence[object] | Array, advice: str | None = None) -> None:
-        """Add an error for each row that is wrong."""
+        """Add an error for each wrong row."""
         for place in np.flatnonzero(wrong)[: MOST + 1].tolist():
             text = problem.format(values[place])
             self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=advice))
 
 
-_NOT_NEGATIVE = "It is a standard deviation: not below zero, in newtons, newton metres or percent."
-_STEP = "Along a move the rows stand in order; give a step as two places close to each other."
+_NOT_NEGATIVE = "Give a standard deviation, 0 or larger, in newtons, newton metres or percent."
+_STEP = "Sort the rows of a move by t; give a step as two positions close to each other."

@@ -1,11 +1,11 @@
-"""Forces that travel with a program: what acts on each piece of the written one, as it must be given to that.
+"""Forces for the written program: the wrench on each of its pieces.
 
-Every piece that is written is a motion of its own. Where the force of a motion comes up over the ramp, that of a piece
-comes up over its own beginning and acts in full at its end: so each target gets the wrench that acts there. A force
-that is given along a motion is given along each of its pieces too.
+Every written piece is a motion of its own. If the force of a motion is ramped, the force of a piece is ramped at the
+start of the piece and acts in full at its end: so each target gets the wrench that acts there. A force that is given
+along a motion is also given along each of its pieces.
 
-The axes are those of `$BASE`, in which a straight piece has the same force throughout; a FEED force on an arc, and FEED
-and TOOL forces on a motion that turns the tool, keep theirs, as these turn along the piece.
+The axes are those of `$BASE`, in which the force on a straight piece is constant. A FEED force on an arc, and FEED and
+TOOL forces on a motion that turns the tool, keep their axes, which turn along the piece.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from postproc.program import CIRC, Ints, TargetForces, Targets
 from postproc.toolpath import at
 
 _TURNS = 1e-6
-"""A motion that turns the tool by less than this [rad] does not turn it."""
+"""Rotations of the tool below this [rad] count as none."""
 _APART = 1e-9
-"""Places on a motion nearer than this are one."""
+"""Positions on a motion that differ by less count as one."""
 _SAME = 1e-6
-"""Change of a force [N, N·m] that is none: the file has three decimals."""
+"""Changes of the force below this [N, N·m] count as none: the file has three decimals."""
 
 
 def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Array) -> TargetForces:
-    """Return the wrench at each target as a comment of the written program must give it.
+    """Return the wrench at each target for the comments of the written program.
 
     :param forces: those of the program as read.
-    :param targets: what is to be written.
+    :param targets: the targets to write.
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`.
-    :param wrench: (K, 6) what acts there [N, N·m], `$BASE` axes.
+    :param wrench: (K, 6) wrench that acts there [N, N·m], `$BASE` axes.
     """
     frame = np.where(any_column(wrench != 0.0), _frame(forces, targets), BASE)
     out = wrench.copy()
@@ -51,10 +51,10 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Arra
 
 
 def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, written: Axes, row: Ints) -> Knots:
-    """Return the wrench along each piece as a CSV file for the written program must give it.
+    """Return the wrench along each piece for the CSV file of the written program.
 
-    :param forces: those of the program as read, and `targets` what was written of it.
-    :param at_end: what acts at the targets, see `of_targets`.
+    :param forces: those of the program as read, and `targets` the written targets.
+    :param at_end: the wrench at the targets, see `of_targets`.
     :param written: the axes of forces along the program as written.
     :param row: (K,) motion of the written program that ends at each target.
     :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
@@ -77,9 +77,9 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, writte
 
 
 def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
-    """Return where on the pieces the force is given: row of the target (p,) and place on its piece.
+    """Return the places on the pieces where the force is given: row of the target (p,) and position on its piece.
 
-    That is its end where the force comes up over the ramp, else its start, its end and the knots between.
+    That is the end of the piece if the force is ramped, else its start, its end and the knots between.
     """
     begin, end = targets.begin, targets.t
     low = np.searchsorted(forces.place, targets.motion + begin + _APART)
@@ -94,7 +94,7 @@ def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
 
 
 def _shortened(knots: Knots) -> Knots:
-    """Return the knots without those of pieces along which the force stays as it is at their end."""
+    """Return the knots, with only the last one for pieces on which the force is constant."""
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
     end = last[np.searchsorted(last, np.arange(len(knots)))]
     differs = largest(np.hstack([knots.wrench - knots.wrench[end], knots.sigma - knots.sigma[end]])) > _SAME
@@ -106,7 +106,7 @@ def _shortened(knots: Knots) -> Knots:
 
 
 def _frame(forces: PathForces, targets: Targets) -> Ints:
-    """Return in which frame the force on each piece (K,) is the same throughout, or changes linearly."""
+    """Return the frame in which the force on each piece (K,) is constant or changes linearly."""
     frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
     turns = turn > _TURNS
     turning = (frame == FEED) & ((targets.kind == CIRC) | turns) | (frame == TOOL) & turns

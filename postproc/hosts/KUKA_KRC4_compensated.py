@@ -3,7 +3,7 @@
 Put where RoboDK looks for posts by ``postproc install-post robodk``. RoboDK calls the methods of `RobotPost` one by one
 and `ProgSave` at the end. What they say is written as plain KRL, which `ProgSave` hands to ``postproc convert``;
 nothing is computed here. Frames, tools and joint angles are RoboDK's own; robot model and tolerances are those of a
-cell file: the one that POSTPROC_CELL names, else cell.toml beside the programs, or in the folder above.
+cell file: the one that POSTPROC_CELL names, else cell.toml in the folder of the programs, or its parent.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class RobotPost:
         self._line(f"$ACC.CP={accel_mmss / 1000.0:.6f}")
 
     def setSpeedJoints(self, speed_degs: float) -> None:
-        """Set the speed of the joints, in deg/s: KRL knows shares of the largest, which RoboDK does not tell."""
+        """Set the speed of the joints, in deg/s: KRL needs a share of the maximum, which RoboDK does not state."""
         self.addlog(f"Speed of the joints ({speed_degs:g} deg/s) is left to the controller.")
 
     def setAccelerationJoints(self, accel_degss: float) -> None:
@@ -278,9 +278,9 @@ def _compare_postures(done: Converted, joints: dict[int, list[float]]) -> None:
                 for path in done.files:
                     path.unlink()
                 raise HostError(
-                    f"Line {row['source_line']}: RoboDK stands there with A1-A6 {_rounded(given)}, a robot that comes "
-                    f"from [start] of the cell with {_rounded(found)}. Begin the program with a MoveJ, or state the "
-                    "joint angles before its first motion under [start]."
+                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_rounded(given)}, but from "
+                    f"[start] of the cell it arrives with {_rounded(found)}. Begin the program with a MoveJ, or state "
+                    "the joint angles before its first motion under [start]."
                 )
 
 

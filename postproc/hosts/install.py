@@ -52,7 +52,7 @@ HOSTS = {
         "KUKA_KRC4_compensated.py",
         ("C:/RoboDK/Posts", "~/RoboDK/Posts", "/opt/RoboDK/Posts", "/Applications/RoboDK.app/Contents/MacOS/Posts"),
         "Right-click the robot, 'Select Post Processor', KUKA_KRC4_compensated; the cell file is found as CELL.toml "
-        "or cell.toml beside the station, or as the environment variable POSTPROC_CELL names it.",
+        "or cell.toml in the folder of the station, or by the environment variable POSTPROC_CELL.",
     ),
 }
 

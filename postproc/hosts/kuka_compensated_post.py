@@ -24,7 +24,7 @@ from postproc_host.safe_text import one_line
 del sys.path[0]
 
 TOOLTIP = """
-KUKA KRL whose path stays true under cutting forces: postproc predicts how far the robot gives way at each pose and
+KUKA KRL whose path stays true under cutting forces: postproc predicts the deflection of the robot at each pose and
 corrects the targets. Writes NAME.src, NAME.report.html, NAME.targets.csv and NAME.report.json, all or none.
 Needs a cell file (robot, base, tool): --cell CELL.toml. Forces: --material NAME, computed from stock, tools, speeds
 and feeds of the job (NAME.process.toml says what was taken); or --process FILE.toml; or comments such as
@@ -91,13 +91,13 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
         raise HostError("Arguments of the post: --forces, --process and --material exclude each other.")
     flags += [("--forces", _file(options.forces, document))] if options.forces else []
     flags += [("--process", _file(options.process, document))] if options.process else []
-    beside: dict[str, bytes] = {}
+    more_files: dict[str, bytes] = {}
     if options.material:
-        beside = _process(_job(document, objects), name, options.material)
+        more_files = _process(_job(document, objects), name, options.material)
         flags.append(("--process", f"{name}.process.toml"))
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
     flags += [("--nominal", "")] if options.nominal else []
-    done = convert(blocks, folder, name, "nc", flags, beside)
+    done = convert(blocks, folder, name, "nc", flags, more_files)
     for warning in done.warnings:
         FreeCAD.Console.PrintWarning(f"{warning}\n")
     program = done.files[0]
@@ -108,7 +108,7 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
 
 
 def _result(summary: dict[str, Any]) -> str:
-    """Return in a sentence what the correction did, from report.json."""
+    """Return a sentence on the effect of the correction, from report.json."""
     before, after = (summary[when]["max_mm"] for when in ("before", "after"))
     if before < _ROUNDING_MM:
         why = "no cutting move carries a force" if summary["max_force_N"] == 0.0 else "the forces do not move the tool"
@@ -127,16 +127,16 @@ def _show(FreeCAD: Any, message: str) -> None:
 
 
 def _options(argstring: str) -> argparse.Namespace:
-    """Return the arguments of the job; paths of Windows may stand in them as they are."""
+    """Return the arguments of the job; Windows paths need no escapes."""
     return _parser.parse_args(shlex.split(argstring, posix="\\" not in argstring))
 
 
 def _file(path: str, document: Any) -> str:
-    """Return a path of the user as an absolute one; a relative one is beside the document."""
+    """Return a path as absolute; a relative one starts at the folder of the document."""
     if not path:
         return ""
-    beside = Path(document.FileName).parent if document is not None and document.FileName else Path.cwd()
-    return str((beside / path.strip("\"'")).resolve())
+    folder = Path(document.FileName).parent if document is not None and document.FileName else Path.cwd()
+    return str((folder / path.strip("\"'")).resolve())
 
 
 def _where(options: argparse.Namespace, filename: str, document: Any, objects: list[Any]) -> tuple[Path, str]:
@@ -175,7 +175,7 @@ def _output_file(document: Any, objects: list[Any]) -> Path | None:
 
 
 _SHAPES = {"endmill": "flat", "ballend": "ball", "bullnose": "bull", "drill": "drill"}
-"""What FreeCAD calls its tools."""
+"""Tool shapes of FreeCAD and their names in a process file."""
 _ENOUGH = 4e6
 """Cells of the map of the stock."""
 
@@ -214,11 +214,11 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
 def _tool(controller: Any) -> list[str]:
     """Return the lines of [tools.n]: shape, diameter, flutes."""
     tool, who = controller.Tool, f"--material: tool {int(controller.ToolNumber)}, {controller.Label}"
-    told = next((str(getattr(tool, key)) for key in ("ShapeName", "ShapeID", "ShapeType") if hasattr(tool, key)), "")
-    shape = _SHAPES.get(re.sub("[^a-z]", "", told.lower()))
+    name = next((str(getattr(tool, key)) for key in ("ShapeName", "ShapeID", "ShapeType") if hasattr(tool, key)), "")
+    shape = _SHAPES.get(re.sub("[^a-z]", "", name.lower()))
     if shape is None:
         raise HostError(
-            f"{who}: forces of the shape {told!r} are not known, but of {', '.join(_SHAPES)}. Give --process FILE.toml."
+            f"{who}: forces of the shape {name!r} are not known, but of {', '.join(_SHAPES)}. Give --process FILE.toml."
         )
     diameter, flutes = _number(tool, "Diameter"), int(_number(tool, "Flutes"))
     if diameter <= 0.0 or flutes < 1:

@@ -1,4 +1,4 @@
-"""What a station of RoboDK says about a cell, asked of RoboDK itself: its files are binary and nowhere described.
+"""Cell data from a RoboDK station, queried from RoboDK itself: its files are binary and undocumented.
 
 Needs RoboDK on this machine and its package `robodk`. Frames are those that RoboDK's own posts write: the active
 reference frame in the base of the robot is `$BASE`, the active tool in the flange is `$TOOL`.
@@ -28,14 +28,14 @@ _INSTEAD = "Or give --base, --tool and --start."
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Station:
-    """The robot of a station as it stands there.
+    """The robot of a station, with its frames and current joint angles.
 
     :param robot: its name in RoboDK.
     :param base: X…C of its active reference frame in its base [mm, deg].
     :param tool: X…C of its active tool in the flange [mm, deg].
     :param start: A1…A6 [deg].
-    :param flange: (3,) where the flange stands there, base of the robot [mm].
-    :param remarks: what is not taken over.
+    :param flange: (3,) position of the flange at `start`, in the base of the robot [mm].
+    :param remarks: warnings about parts of the station that are ignored.
     """
 
     robot: str
@@ -52,14 +52,14 @@ class Station:
         return known.get(wanted, known.get(f"kuka{wanted}"))
 
     def beside(self, model: RobotModel) -> str | None:
-        """Return a warning where the flange of a robot model does not stand where it does in RoboDK."""
+        """Return a warning if the flange of a robot model is not where it is in RoboDK, else None."""
         q = np.array([self.start]) * RAD_PER_DEG
-        stands = kinematics.tcp(model.nominal, q, np.eye(4))[0][0, :3, 3] * MM_PER_M
-        off = float(np.linalg.norm(stands - self.flange))
+        flange = kinematics.tcp(model.nominal, q, np.eye(4))[0][0, :3, 3] * MM_PER_M
+        off = float(np.linalg.norm(flange - self.flange))
         if off <= _SAME_MM:
             return None
         return (
-            f"with these joint angles the flange of {model.title} stands {off:.4g} mm from where {self.robot} has it "
+            f"with these joint angles the flange of {model.title} is {off:.4g} mm away from that of {self.robot} "
             "in RoboDK: is it the same arm, or one that RoboDK has calibrated?"
         )
 

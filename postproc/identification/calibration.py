@@ -21,7 +21,7 @@ from postproc.identification import record
 from postproc.identification.fit import LENGTH_95, NORMAL_95
 from postproc.identification.measurements import Measurements
 from postproc.identification.placement import Placement, kabsch
-from postproc.robot import GEAR_TERMS, LINK_AXES, Chain, RobotModel, assemble, waves
+from postproc.robot import GEAR_TERMS, LINK_AXES, PER_URAD, Chain, RobotModel, assemble, waves
 from postproc.robot.model_file import (
     JOINTS,
     Displacement,
@@ -30,7 +30,6 @@ from postproc.robot.model_file import (
     ModelFile,
     TransmissionEntry,
 )
-from postproc.robot.parameter import PER_URAD
 
 _AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
@@ -200,14 +199,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             float(np.sqrt(np.mean(np.sum(solution.residual**2, axis=2)))),
             float(np.sqrt(np.mean(held))),
         )
-    order = list(fits)
-    best = min(order, key=lambda label: fits[label][1].mean())
-    taken = best
-    for label in order:
-        difference = fits[label][1] - fits[best][1]
-        if difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)):
-            taken = label
-            break
+    taken = simplest({label: held for label, (_, held) in fits.items()})
     solution = fits[taken][0]
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
     usual = _usual(solution.parameters)
@@ -225,6 +217,19 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         u95,
         tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * NORMAL_95 * u),
     )
+
+
+def simplest(squares: dict[str, Array]) -> str:
+    """Return the first variant that is no worse than the best by more than one standard error of the difference.
+
+    :param squares: squares (C,) of the cross-validation errors of each variant, simple to rich.
+    """
+    best = min(squares, key=lambda label: squares[label].mean())
+    for label, square in squares.items():
+        difference = square - squares[best]
+        if difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)):
+            return label
+    return best
 
 
 def _error_95(held_out: Array, data: Measurements) -> float:
@@ -316,7 +321,7 @@ def _column(parameter: GeometryParameter, inside: Array, chain: Chain, q: Array)
 
 
 def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return the flange (C, 4, 4) without load, sagged if the model says so, and where joints stand there (C, 6)."""
+    """Return flange poses (C, 4, 4) without load, with sag if the model predicts it, and joint angles (C, 6) there."""
     x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
     if robot.subtract_reference:
         return kinematics.tcp(robot.actual, x, np.eye(4))[0], x[:, joints]
@@ -337,7 +342,7 @@ def _placed(frames: Array, points: Array) -> Array:
 
 
 def _held_out(solution: _Solution, data: Measurements) -> Array:
-    """Return (C,) mean square distance [m²] of the points of each configuration when it was left out."""
+    """Return the mean square cross-validation error (C,) [m²] of each configuration."""
     rows = 3 * len(data.points)
     readings = len(data.q) * rows
     folds = min(_FOLDS, len(data.q))

@@ -119,16 +119,16 @@ def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
     wanted: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
     if robot.compensator is not None:
         wanted.append(CompensatorSize())
-    return (parameter for parameter in wanted if parameter.spread(robot) > 0.0)
+    return (parameter for parameter in wanted if robot.prior_sigma(parameter) > 0.0)
 
 
 def has_compensator(robot: RobotModel, data: Measurements) -> bool:
-    """Return whether K_c and s₀ may be free: three levels of q2 show how joint 2 changes along its range."""
+    """Return whether K_c and s₀ can be identified: there is a compensator, and three levels of q2 or more."""
     return robot.compensator is not None and int(levels_of(data).max()) >= 2
 
 
 def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
-    """Return names and kinds of parameters of the structures that are tried, simple to rich.
+    """Return the structures to try, from simple to rich: name, and kinds of parameters.
 
     Masses and compensator at rest are part of every structure with gears that are not linear.
     """

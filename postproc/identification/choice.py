@@ -248,7 +248,7 @@ def _mean(settled: _Settled, compensator: bool) -> Mean:
 
 
 def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Array:
-    """Return what is left (rows,) of each configuration by fits to those of other folds; `fold` (C,)."""
+    """Return the residuals (rows,) of each configuration from fits to the other folds; `fold` (C,)."""
     out = np.empty(len(equations.target))
     for index in np.unique(fold):
         rows = fold[equations.config] == index
@@ -273,7 +273,7 @@ def _stacked(equations: Linearised, members: Sequence[Member], among: Ints) -> A
 
 
 def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placement) -> Choice:
-    # once more at the mean: the effect of what is not linear depends on it a little
+    # once more at the mean: the effect of nonlinear parameters depends on it a little
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
     equations, parameters = mean.equations, mean.structure.parameters
     values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
@@ -284,7 +284,7 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
         left[rows] = equations.residual(without[index], rows)
     apart = without - without.mean(axis=0)
     wider = 2.0 * posterior + (len(apart) - 1) / len(apart) * apart.T @ apart
-    # springs of links that are zero cost a coordinate each: those that remain stand in for them
+    # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link))
     onto = projection(equations, keep, spread)
@@ -323,7 +323,7 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
 
 
 def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:
-    """Return (kept, p) how kept parameters stand in for all: those that are not kept by what imitates them best.
+    """Return (kept, p) the combination of kept parameters that best replaces each of all parameters.
 
     :param spread: (p,) prior standard deviations: nothing is imitated by more than the prior of what imitates it.
     """

@@ -2,7 +2,7 @@
 
 Source: Klimchik et al., Eq. (6), (7), with the corrections of print noted at `joint_axis_radius` and `swivel_axis`.
 
-The plane of the mechanism is found from the readings, so the tracker may stand anywhere. Its axes: origin P2, x towards
+The plane of the mechanism is found from the readings, so the tracker may be anywhere. Its axes: origin P2, x towards
 P1 at q2 = 0, y towards P1 at q2 = +90° (KUKA sign, so y points down when x points ahead). In these axes P1 is
 L·(cos q2, sin q2), and Eq. (3) holds for P0 = −(a_x, a_y): the spring is longest at q2 = α.
 """
@@ -430,7 +430,7 @@ def read(path: Path) -> MarkerReadings:
         repeats = numbers["repeat"][rows]
         if len(np.unique(repeats)) < len(rows):
             raise MeasurementError(
-                f"marker {name} at q2 = {angle:g}°: a repeat stands twice", file=where, line=int(lines[rows[-1]])
+                f"marker {name} at q2 = {angle:g}°: a repeat is given twice", file=where, line=int(lines[rows[-1]])
             )
     groups, warnings = _without_outliers(groups, position, lines)
     mean = {key: position[rows].mean(axis=0) for key, rows in groups.items()}
@@ -465,7 +465,7 @@ def _check_angles(angles: Array, where: str) -> None:
 
 
 def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_Groups, tuple[str, ...]]:
-    """Leave out readings that stand far from the other repeats of the same point (three or more repeats)."""
+    """Leave out readings that are far from the other repeats of the same point (three or more repeats)."""
     deviation = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
     pooled = np.abs(np.concatenate([d.ravel() for key, d in deviation.items() if len(d) >= 3] or [np.zeros(0)]))
     if len(pooled) == 0:

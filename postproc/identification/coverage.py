@@ -21,18 +21,19 @@ from postproc.robot import JOINTS, RobotModel
 
 SIGNS = ("negative", "positive")
 LEAST_TORQUE = 1.0
-"""Torque [N·m] from which on it has a direction."""
+"""Smallest torque [N·m] that counts as having a sign."""
 ENOUGH = 5
-"""Configurations that cover a direction: so many, all inside, bound the share inside from below by one half (95 %)."""
+"""Configurations needed to cover one sign of torque. If all of them are inside the bound, the share inside is above one
+half, with 95 % confidence."""
 
 
 class Coverage(Struct, frozen=True, eq=False):
-    """Torques of loads on the joints, by sign (column 0 negative, 1 positive).
+    """Torques that the readings covered, by joint and sign (column 0 negative, 1 positive).
 
-    :param largest: (6, 2) largest torque in that direction, as a positive number; 0 where there is none [N·m].
-    :param configurations: (6, 2) number of configurations with a torque in that direction.
-    :param refuted: (6, 2) whether the readings in that direction contradict the model.
-    :param least: torque of a load on its most loaded joint, over `largest`, down to which readings were taken.
+    :param largest: (6, 2) largest torque of that sign, as a positive number; 0 where there is none [N·m].
+    :param configurations: (6, 2) number of configurations with a torque of that sign.
+    :param refuted: (6, 2) whether the readings with that sign contradict the model.
+    :param least: smallest load that was measured: torque on its most loaded joint, divided by `largest`.
     """
 
     largest: Array
@@ -42,19 +43,19 @@ class Coverage(Struct, frozen=True, eq=False):
 
     @property
     def covered(self) -> Bools:
-        """Whether (6, 2) enough configurations cover a direction, and none of them contradict the model there."""
+        """Whether (6, 2) a sign of torque has enough configurations, and none that contradict the model."""
         return np.asarray((self.configurations >= ENOUGH) & ~self.refuted)
 
 
 class Outside(Struct, frozen=True):
-    """Why a share of a job is not covered. The shares of several reasons may overlap."""
+    """A reason why a share of a job is not covered. Shares of several reasons may overlap."""
 
     reason: str
     share: float
 
 
 class JobShare(Struct, frozen=True):
-    """Share of the cutting path of a program whose torques are inside those covered, and why the rest is not."""
+    """Share of a program's cutting path whose torques are covered, and the reasons for the rest."""
 
     program: str
     share: float
@@ -62,9 +63,9 @@ class JobShare(Struct, frozen=True):
 
 
 def coverage(torque: Array, config: Ints, refuted: Bools | None = None) -> Coverage:
-    """Return what loads cover.
+    """Return the torques that loaded states cover.
 
-    :param torque: (L, 6) of each loaded state [N·m].
+    :param torque: (L, 6) joint torques of each loaded state [N·m].
     :param config: (L,) configuration of each state.
     """
     sides = signed(torque)
@@ -80,7 +81,7 @@ def coverage(torque: Array, config: Ints, refuted: Bools | None = None) -> Cover
 
 
 def of_readings(robot: RobotModel, data: Measurements) -> Coverage:
-    """Return what the loads of readings cover."""
+    """Return the torques that readings cover."""
     return coverage(joint_torques(robot, data), data.state_config[data.loaded])
 
 
@@ -90,15 +91,15 @@ def signed(torque: Array) -> Array:
 
 
 def inside(torque: Array, covered: Coverage) -> Bools:
-    """Return which torques (T, 6) [N·m] are covered, on all joints and down to the level of the smallest loads."""
+    """Return (T,) whether torques (T, 6) [N·m] are covered on all joints, and not below the smallest loads."""
     missing, beyond, low = _faults(torque, covered)
     return np.asarray(~((missing | beyond).any(axis=(1, 2)) | low))
 
 
 def share(program: str, torque: Array, weight: Array, covered: Coverage) -> JobShare:
-    """Return which share of a program is covered.
+    """Return the covered share of a program, with reasons for the rest.
 
-    :param torque: (T, 6) of the cutting forces at places along its cutting moves [N·m].
+    :param torque: (T, 6) joint torques of the cutting forces at places along its cutting moves [N·m].
     :param weight: (T,) share of the cutting path of each place, sum 1.
     """
     missing, beyond, low = _faults(torque, covered)
@@ -119,16 +120,14 @@ def share(program: str, torque: Array, weight: Array, covered: Coverage) -> JobS
 
 
 def _faults(torque: Array, covered: Coverage) -> tuple[Bools, Bools, Bools]:
-    """Return three faults of torques (T, 6): a sign that is not covered (T, 6, 2), a size beyond it (T, 6, 2), and all
-    below the smallest loads (T,).
-    """
+    """Return why torques (T, 6) are not covered: by sign (T, 6, 2), too large (T, 6, 2), all too small (T,)."""
     sides, good = signed(torque), covered.covered
-    felt = sides > LEAST_TORQUE
-    return felt & ~good, felt & good & (sides > covered.largest), _level(sides, covered.largest) < covered.least
+    acts = sides > LEAST_TORQUE
+    return acts & ~good, acts & good & (sides > covered.largest), _level(sides, covered.largest) < covered.least
 
 
 def _level(sides: Array, largest: Array) -> Array:
-    """Return the torque (N,) on the most loaded joint, over the largest one covered in that direction."""
+    """Return the torque (N,) on the most loaded joint, divided by the largest one covered with that sign."""
     scaled = np.divide(sides, largest, out=np.zeros_like(sides), where=largest > 0.0)
     return np.asarray(scaled.max(axis=(1, 2)))
 
@@ -142,9 +141,9 @@ def as_record(covered: Coverage) -> list[record.TorqueRange]:
 
 
 def table(covered: Coverage, identified: Sequence[record.TorqueRange]) -> list[str]:
-    """Return lines for a terminal: by joint and sign what the readings cover, and what the identification had.
+    """Return a table for the terminal: covered torques by joint and sign, next to those of the identification.
 
-    :param identified: of the model's readings; empty where the model does not record it.
+    :param identified: torques that the model was identified with; empty if the model does not record them.
     """
     lines = [f"torques that the loads put on the joints, N·m; in brackets: configurations, {ENOUGH} cover a direction"]
     head = f"{'':>4}{'negative':>16}{'positive':>16}"
@@ -177,7 +176,7 @@ def _cell(covered: Coverage, joint: int, side: int) -> str:
 
 
 def job_lines(jobs: Sequence[JobShare]) -> list[str]:
-    """Return lines for a terminal: which share of each program is covered, and why the rest is not."""
+    """Return lines for the terminal: covered share of each program, and the reasons for the rest."""
     lines = []
     for job in jobs:
         lines.append(f"{job.program}: {job.share:.0%} of the cutting path is inside these torques")

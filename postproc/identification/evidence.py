@@ -1,10 +1,10 @@
-"""Regression of the readings on parameters with priors; how wide the priors are is learned by evidence.
+"""Bayesian linear regression of the readings, with widths of the priors chosen by maximum evidence.
 
 Given readings y of unit variance, derivatives D and a prior N(m, S²) of the parameters, y is normal about D·m with
-covariance φ·1 + D S² Dᵀ. The factors in S (`priors.FACTORS`) and the noise factor φ ≥ 1, what the structure leaves
-beyond noise, maximise the density of y times that of the factors (evidence, type-II maximum likelihood: MacKay, Neural
-Computation 4, 1992). The values are the most probable ones that are not negative. As the posterior covariance
-(DᵀD/φ + S⁻²)⁻¹ never exceeds S², what the readings do not excite is known as well as its prior, and no worse.
+covariance φ·1 + D S² Dᵀ. The factors in S (`priors.FACTORS`) and the noise factor φ ≥ 1 (residual
+beyond noise) maximise the density of y times that of the factors (evidence, type-II maximum likelihood: MacKay, Neural
+Computation 4, 1992). The values are the most probable ones that are not negative. The posterior covariance
+(DᵀD/φ + S⁻²)⁻¹ never exceeds S²: a parameter that the readings do not excite keeps its prior.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from postproc.program import Bools, Ints
 _NARROWEST, _WIDEST = -6.0, 4.0
 """Limits of the logarithms of factors."""
 _MOST_NOISE = 4.0
-"""Largest logarithm of φ, and `_NOISE_SPREAD` the standard deviation with which it is expected to be zero."""
+"""Largest logarithm of φ; its prior is normal about 0 with standard deviation `_NOISE_SPREAD`."""
 _NOISE_SPREAD = 0.5
 
 
 class Regression(Struct, frozen=True, eq=False):
-    """Some parameters as functions of the readings.
+    """Regression of the readings on n of the p parameters.
 
-    :param columns: (n,) which of the p parameters of the equations.
+    :param columns: (n,) their indices among the p parameters of the equations.
     :param mean: (n,) prior mean, SI.
     :param spread: (n,) prior standard deviation, SI.
-    :param signed: (n,) may be negative.
+    :param signed: (n,) whether the parameter may be negative.
     :param noise: φ.
     :param evidence: logarithm of the density of the readings and the factors.
     :param size: p.
@@ -73,7 +73,7 @@ class Regression(Struct, frozen=True, eq=False):
         return out
 
     def influence(self, equations: Linearised, values: Array) -> Array:
-        """Return the derivatives (p, rows) of the values by the whitened readings; zero of parameters that are zero."""
+        """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero."""
         on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
         rows = equations.design[:, self.columns[on]] * self.spread[on] * (equations.weight / self.noise)[:, None]
@@ -82,20 +82,23 @@ class Regression(Struct, frozen=True, eq=False):
         return out
 
     def degrees_of_freedom(self, equations: Linearised, values: Array) -> float:
-        """Return how many numbers the readings determine: tr 1 − (DᵀD/φ + S⁻²)⁻¹S⁻² of parameters that are not zero."""
+        """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero."""
         on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
         return float(len(on) - np.trace(np.linalg.inv(normal[np.ix_(on, on)])))
 
     def _normal(self, equations: Linearised, without: Ints | None = None) -> tuple[Array, Array]:
-        """Return the normal equations (n, n), (n,) of the values over their spread."""
+        """Return the normal equations (n, n), (n,) for the values divided by their prior standard deviation."""
         square, right, _ = equations.normal(self.columns, without)
         normal = square * np.outer(self.spread, self.spread) / self.noise + np.eye(len(self.columns))
         return normal, right * self.spread / self.noise + self.mean / self.spread
 
 
 def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
-    """Return the regression on some parameters, its factors and noise those of largest evidence."""
+    """Return the regression whose prior widths and noise factor maximise the evidence.
+
+    :param columns: (n,) indices of the parameters to use, among those of the equations.
+    """
     from scipy.optimize import minimize
 
     size, mean = prior.size[columns], prior.mean[columns]
@@ -116,7 +119,7 @@ def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
         return factor
 
     def cost(logs: Array) -> tuple[float, Array]:
-        """Return −log evidence but for constants, and its derivatives."""
+        """Return −log evidence, up to a constant, and its derivatives by the logarithms of factors and φ."""
         factor, noise = factors(logs), float(np.exp(logs[-1]))
         normal = np.eye(len(columns)) + factor[:, None] * square * factor / noise
         lower = np.linalg.cholesky(normal)

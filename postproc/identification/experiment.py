@@ -1,4 +1,4 @@
-"""`experiment.toml`: what is measured on the robot, and, for `postproc plan`, where and how it is loaded.
+"""`experiment.toml`: the measurement on a robot and, for `postproc plan`, its site and its loads.
 
 Mm and degrees as in the file; positions and boxes in the robot root.
 """
@@ -25,7 +25,7 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """What loads the arm: a weight that hangs, or pulls over a pulley at up to an angle from the vertical.
 
-    `rope_mm` and `weight_radius_mm` say how much room rope and weight need beside the load point; a rope over a pulley
+    `rope_mm` and `weight_radius_mm` give the space that rope and weight need at the load point; a rope over a pulley
     (`max_angle_deg` > 0) needs `rope_mm` of free run. `max_torque_Nm`: static torque limits of A1…A6, if the URDF has
     none.
     """
@@ -38,7 +38,7 @@ class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Tracker(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Where the measuring device stands; how far a marker may be turned away from it (where it has a normal)."""
+    """Place of the measuring device; how far a marker may be turned away from it (where it has a normal)."""
 
     X: float
     Y: float
@@ -95,7 +95,7 @@ class Marker(FlangePoint, frozen=True):
 
 
 class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What the flange carried in all readings, beside the load: kg, and its centre of mass in the flange frame, mm."""
+    """Payload in all readings, in addition to the load: kg, and its centre of mass in the flange frame, mm."""
 
     mass_kg: Positive
     X: float = 0.0

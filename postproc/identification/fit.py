@@ -164,7 +164,7 @@ def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> 
 def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
     """Return parameters, values and covariance of a fit as `model.toml` holds them, in its units.
 
-    k1…k6 are compliances at small torque, fading parts included; s₀ stands for K_c·s₀.
+    k1…k6 are compliances at small torque, fading parts included; s₀ comes from K_c·s₀.
 
     :raises MeasurementError: a value or its variance is not finite.
     """

@@ -25,7 +25,7 @@ _NOT_DETERMINED = "   (not determined: the interval is larger than the value)"
 
 
 class Choices(Struct, frozen=True, kw_only=True):
-    """What is identified, and how.
+    """Inputs and options of an identification.
 
     :param compensator: file of `identify compensator`, whose geometry is taken; None = that of the robot.
     :param method: see `procedure.identify`.
@@ -76,7 +76,7 @@ def identify_folder(
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
-    :param progress: told what is being done.
+    :param progress: called with the name of each step.
     :param render: makes `report.html` from the content of `identification.json` and the name of the model.
     :raises MeasurementError: the files are unusable.
     :raises InputError: the folder cannot be written.

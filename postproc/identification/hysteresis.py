@@ -1,7 +1,7 @@
-"""Loads up and down: gears with backlash or friction give way differently when a larger load was on before.
+"""Loads up and down: gears with backlash or friction deflect differently after a larger load.
 
 Where a configuration is measured under the same load twice, a larger one between, the difference of the two readings is
-what the joints did not give back. It is told by joint; as an error of configurations left out it is in the bound
+the hysteresis of the joints. It is reported by joint; as an error of configurations left out it is in the bound
 already.
 """
 
@@ -21,7 +21,7 @@ from postproc.robot import JOINTS, RobotModel
 _SAME_LOAD, _LARGER = 0.02, 1.2
 """Difference of two loads that are one, and what a load is larger by, as a share."""
 _TORQUE = 0.05
-"""Torque over the largest on a joint that tells to which flank its gear lies."""
+"""Share of the largest torque on a joint above which the flank of its gear is known."""
 _CERTAIN = 4.0
 """Standard errors beyond which a loop is no noise."""
 _LEAST = 1e-5
@@ -29,7 +29,7 @@ _LEAST = 1e-5
 
 
 def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
-    """Return what loads up and down tell of each joint, as sentences; nothing where no load was measured both ways."""
+    """Return the hysteresis of each joint in sentences; none where no load was measured both ways."""
     from scipy.optimize import nnls
 
     up, down = up_and_down(data)

@@ -32,7 +32,7 @@ from postproc.robot.model_file import (
     PayloadEntry,
 )
 
-_COMMENT = f"Written by `postproc identify`. Units stand in the names; every entry names its source. {WITH_LINKS}."
+_COMMENT = f"Written by `postproc identify`. Units are in the names; every entry names its source. {WITH_LINKS}."
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:

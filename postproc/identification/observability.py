@@ -62,7 +62,7 @@ def not_observable(fit: Fit, data: Measurements, scaled: bool = False) -> list[N
     for index, parameter in enumerate(fit.structure.parameters):
         if not isinstance(parameter, JointCompliance):
             continue
-        prior = robot.compliance[parameter.row(robot)]
+        prior = robot.compliance[robot.row(parameter)]
         half = float(fit.ci95[index] * wider)
         # an interval against the larger of value and prior: a noisy small value must not look determined
         if half <= UNCERTAIN * max(abs(fit.values[index]), prior) and fit.values[index] > 0.0:
@@ -145,7 +145,7 @@ def _joint_reason(
             advice = "Pull the arm sideways too, for instance by a cable over a pulley."
         elif joint == 5:
             reason += " (they act on its axis)"
-            advice = "Hang the load beside the axis of A6: on a bracket, with another load point."
+            advice = "Hang the load at a distance from the axis of A6: on a bracket, with another load point."
         else:
             advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
         return NotObservable(parameter, reason, advice)
@@ -157,7 +157,7 @@ def _joint_reason(
         reason = "the configurations leave it open"
     if others.max() > 0.9:
         reason += (
-            f", and it can hardly be told from {partner} (correlation {correlation[index, np.argmax(others)]:.2f})"
+            f", and it can hardly be separated from {partner} (correlation {correlation[index, np.argmax(others)]:.2f})"
         )
     return NotObservable(parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
 
@@ -187,7 +187,7 @@ def held_by_prior(fit: Fit, missing: list[NotObservable]) -> Fit:
     design[:, :old] = fit.design
     for joint in joints:
         index = order.index(joint)
-        values[index] = joint.of(robot)
+        values[index] = robot.value(joint)
         covariance[index] = covariance[:, index] = 0.0
         covariance[index, index] = _stated(robot, joint) ** 2
     structure = replace(fit.structure, parameters=order)
@@ -200,4 +200,4 @@ def _stated(robot: RobotModel, joint: Parameter) -> float:
     if known is not None and joint in known.parameters:
         index = known.parameters.index(joint)
         return float(np.sqrt(known.matrix[index, index])) / joint.per_si
-    return _PUBLISHED * joint.of(robot)
+    return _PUBLISHED * robot.value(joint)

@@ -20,7 +20,7 @@ _GROSS = 6.0
 
 
 def model_free(data: Measurements) -> tuple[Measurements, list[str]]:
-    """Leave out readings that contradict their repeats or the rigid body; return what is left and their names."""
+    """Leave out readings that contradict their repeats or the rigid body; return the others, and the names of these."""
     found: list[str] = []
     sigma = max(data.sigma, _robust_sigma(data))
     bad: list[int] = []
@@ -34,7 +34,7 @@ def model_free(data: Measurements) -> tuple[Measurements, list[str]]:
             if 0 < len(wrong) < 0.5 * len(rows):
                 bad += wrong.tolist()
                 found += [
-                    f"{data.name(int(row))} stands {far * MM_PER_M:.2f} mm from its repeats: left out"
+                    f"{data.name(int(row))} is {far * MM_PER_M:.2f} mm from its repeats: left out"
                     for row, far in zip(wrong, off[off > _GROSS * 1.5 * sigma], strict=True)
                 ]
     data = data.without(bad)
@@ -88,7 +88,7 @@ def against_model(data: Measurements, placement: Placement, fit: Fit) -> tuple[M
     """Leave out the reading behind the largest residual of a fit, if it is a gross error.
 
     A residual is gross if it exceeds six standard deviations and six times what the others usually are. Whether the
-    loaded or the unloaded reading is wrong is told by the unloaded one's distance from the geometry.
+    loaded or the unloaded reading is wrong follows from the unloaded one's distance from the geometry.
     """
     white = whiten(whitening(data), fit.residual)
     size = np.linalg.norm(white, axis=2)

@@ -86,7 +86,7 @@ def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -
         scale = 1.0 / np.sqrt(np.diag(normal))
         if np.linalg.cond(normal * np.outer(scale, scale)) > 1e10:
             raise MeasurementError(
-                "base transform and reference points cannot be told apart from these configurations",
+                "base transform and reference points cannot be separated with these configurations",
                 file=data.file,
                 advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
             )
@@ -100,7 +100,7 @@ def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -
 
 
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:
-    """Return where the flange (C, 4, 4) stands without load [m]: sagged, if the geometry is a weightless robot's."""
+    """Return the pose (C, 4, 4) of the flange without load [m]: sagged, if the geometry is a weightless robot's."""
     if robot.subtract_reference:
         return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0]
     return elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6))).pose

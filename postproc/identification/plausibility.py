@@ -86,7 +86,7 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     if without[worst] < _FAR:
         first = np.flatnonzero(data.state_config[data.state] == worst)[0]
         raise MeasurementError(
-            f"config {data.config[worst]:g}: the readings without load stand far from where A1…A6 put the points",
+            f"config {data.config[worst]:g}: the readings without load are far from the points that A1…A6 predict",
             file=data.file,
             line=int(data.line[first]),
             advice="Check its angles (degrees, KUKA signs) and its readings, or leave it out.",
@@ -136,7 +136,7 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             file=data.file,
             advice="Give Fx, Fy, Fz in N, Mx, My, Mz in N·m, X, Y, Z in mm.",
         )
-    # along what is expected and by size: where links give way otherwise than the joints, one of the two is far off
+    # along the expected direction and by size: where links deflect other than the joints, one of the two is far off
     far = np.sqrt(np.sum(seen**2, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2)))
     # against the force only if it is nearly opposite: links may deflect across what the joints would
     far = np.where(ratio < _OPPOSITE * far, -far, far)

@@ -80,17 +80,6 @@ def _equilibrium(
     structure: Structure, robot: RobotModel, active: list[int], q: Array, tool: Array, wrench: Array
 ) -> tuple[Array, Array]:
     """Return the pose (L, 4, 4) of the load point under load and its derivative (L, 6, p), a twist per parameter."""
-    found, x0 = elastostatics.deflect(robot, q, tool, wrench), elastostatics.coordinates(robot, q)
-    state = elastostatics.Balance.at(
-        robot,
-        (x0 + found.theta).T,
-        elastostatics.held(robot, x0.T),
-        kinematics.components(tool),
-        wrench.T,
-    )
-    reach = state.reach()
-    twist = np.empty((len(x0), 6, len(active)))
-    for column, index in enumerate(active):
-        parameter = structure.parameters[index]
-        twist[:, :, column] = elastostatics.moved_by(state, reach, parameter, x0.T)
+    parameters = [structure.parameters[index] for index in active]
+    found, twist = elastostatics.deflection_by_parameter(robot, q, tool, wrench, parameters)
     return found.pose, twist

@@ -92,7 +92,7 @@ def prior_of(structure: Structure) -> Prior:
 
 def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
     """Return the kind of a parameter and its size, SI; `FIXED` where the robot states the spread."""
-    stated = parameter.spread(robot)
+    stated = robot.prior_sigma(parameter)
     if not isinstance(parameter, JointCompliance) and np.isfinite(stated):
         return FIXED, stated
     joints = np.maximum(robot.compliance[list(robot.actuated)], _LEAST_COMPLIANCE)

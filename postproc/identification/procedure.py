@@ -1,4 +1,4 @@
-"""From measurements to an identified robot: the order of the steps, and what is done when one says no."""
+"""From measurements to an identified robot: the steps in their order, and what follows if one fails."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def identify(
 
     progress("joint springs and compensator")
     found = _joints(prior, data, placement)
-    if not prior.subtract_reference:  # where the robot stands without load depends on the springs
+    if not prior.subtract_reference:  # the pose without load depends on the springs
         placement = locate(found.fit.robot, data)
         found = _joints(prior, data, placement)
     if _unexplained(found.fit):
@@ -204,7 +204,7 @@ def _still_missing(choice: Choice, data: Measurements, missing: list[NotObservab
 
 
 class _Joints(Struct, frozen=True, eq=False):
-    """Joint springs and compensator: the fit, the paper's two steps on the way to it, and what is left open."""
+    """Joint springs and compensator: the fit, the paper's two steps, and what remains unidentified."""
 
     fit: Fit
     levels: Levels | None
@@ -261,7 +261,7 @@ def _unexplained(fit: Fit) -> bool:
 def _cleaned(
     prior: RobotModel, data: Measurements, placement: Placement, fit: Fit
 ) -> tuple[Measurements, Fit, list[str]]:
-    """Leave out gross errors against the joint model, one at a time, as long as that is what is wrong."""
+    """Leave out gross errors against the joint model, one at a time, as long as they explain the misfit."""
     names: list[str] = []
     most = max(1, int(_MOST_OUTLIERS * len(data.state)))
     if not _explained_without(fit, most * (len(data.loaded) // len(data.q))):

@@ -1,6 +1,6 @@
 """`measurements.csv`, read and checked.
 
-Formats: FORMATS.md, "Measurements". What can be told from the numbers alone is checked here; what needs the robot's
+Formats: docs/reference. What the numbers alone show is checked here; what needs the robot's
 kinematics (swapped points, a moved tracker, forces in kg) in `plausibility`.
 """
 
@@ -32,7 +32,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     """Read `measurements.csv` and check that it is complete.
 
     :param loads: False if readings without load are enough (calibration of the geometry).
-    :raises MeasurementError: a reading is missing, stands twice, is not a number, belongs to a point that the
+    :raises MeasurementError: a reading is missing, given twice, not a number, belongs to a point that the
         experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
     """
     numbers, texts, lines = files.read_csv(path, COLUMNS, (), MeasurementError, ("point",))
@@ -129,7 +129,7 @@ def _check_complete(data: Measurements, where: str, loads: bool) -> None:
         state, point, repeat = keys[np.argmax(counts)]
         rows = np.flatnonzero((data.state == state) & (data.point == point) & (data.repeat == repeat))
         raise MeasurementError(
-            f"{data.name(int(rows[1])).partition(': ')[2]} stands twice (also line {int(data.line[rows[0]])})",
+            f"{data.name(int(rows[1])).partition(': ')[2]} is given twice (also line {int(data.line[rows[0]])})",
             file=where,
             line=int(data.line[rows[1]]),
             advice="Is a point name wrong?",

@@ -1,4 +1,4 @@
-"""The content of `identification.json`, typed. What is None is left out of the file, but for values and intervals."""
+"""The content of `identification.json`, typed. Fields that are None, but for values and intervals, are left out."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Unexplained(Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        """The level in words."""
+        """Return the cross-validation error at this load, as a sentence."""
         return (
             f"cross-validation error at {self.load_N:.0f} N: {self.held_out_mm:.3f} mm RMS of the mean of the points; "
             f"measurement noise {self.noise_mm:.3f}, parameter uncertainty {self.own_mm:.3f}, unmodelled error below "

@@ -1,4 +1,4 @@
-"""What was identified, as `identification.json` tells it."""
+"""The results of an identification for `identification.json`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from postproc.identification.measurements import Measurements
 from postproc.identification.observability import joint_torques
 from postproc.identification.placement import describe, describe_points
 from postproc.identification.procedure import Identification, before_and_after
-from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, Parameter
-from postproc.robot.parameter import PER_URAD
+from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, PER_URAD, Parameter
 
 
 def report_data(result: Identification) -> record.Identified:
@@ -109,8 +108,8 @@ def _entries_of(result: Identification, given: dict[Parameter, tuple[float, floa
     """Return the parameters as `identification.json` holds them: k1…k6, K⁰_θ2, K_c, s₀ always, the others if found."""
     prior, unknown = result.prior, {entry.parameter for entry in result.missing}
     springs = COMPENSATOR if prior.compensator is not None else ()
-    of_prior: dict[Parameter, float] = {p: p.of(prior) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
-    about = {p: p.of(prior) for p in given if np.isfinite(p.spread(prior))}
+    of_prior: dict[Parameter, float] = {p: prior.value(p) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
+    about = {p: prior.value(p) for p in given if np.isfinite(prior.prior_sigma(p))}
     always = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
     entries: dict[str, record.Parameter] = {}
 

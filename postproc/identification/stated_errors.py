@@ -45,6 +45,6 @@ def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influ
 
 def _share(parameter: Parameter) -> float:
     """Return by how much of its value a parameter is wrong for each share that the loads are."""
-    if isinstance(parameter, Backlash | LinkMass | CompensatorSize):  # torques; what is stated holds those at rest
+    if isinstance(parameter, Backlash | LinkMass | CompensatorSize):  # torques; the stated values contain those at rest
         return 0.0
     return -1.0 if isinstance(parameter, CompensatorTorque) else 1.0

@@ -1,4 +1,4 @@
-"""The elastic model as a function of its parameters: which springs it has, and which of their values are looked for."""
+"""The elastic model as a function of its parameters: its springs, and the values to be identified."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from postproc.program import Ints
 from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
 
 LEAST = 1e-12
-"""Smallest joint compliance [rad/(N·m)] the equilibrium is solved with; fits may pass through zero."""
+"""Smallest joint compliance [rad/(N·m)] for which the equilibrium is solved; fits may pass through zero."""
 
 
 class LevelCompliance(JointCompliance, frozen=True):
@@ -23,17 +23,17 @@ class LevelCompliance(JointCompliance, frozen=True):
 
     @property
     def name(self) -> str:
-        """Return e.g. ``k2#3``: in messages only, no file holds it."""
+        """Return e.g. ``k2#3``; used in messages only, never in files."""
         return f"k{self.index + 1}#{self.level}"
 
 
 class Structure(Struct, frozen=True, eq=False, dict=True):
-    """Which springs the model has and which of their values are looked for.
+    """The springs of a model and the parameters to be identified.
 
-    :param parameters: (p,) that are identified.
+    :param parameters: (p,) to be identified.
     :param prior: robot, without springs of links, that gives all other values (and geometry, masses, compensator).
     :param levels: (C,) level of q2 of each configuration, for `LevelCompliance`.
-    :param in_gears: stiffening gears feel weights and compensator at rest, not the load alone.
+    :param in_gears: stiffening gears follow the torque of weights and compensator too, not the load alone.
     """
 
     parameters: tuple[Parameter, ...]
@@ -43,12 +43,12 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def template(self) -> RobotModel:
-        """The robot with a coordinate for every spring; its gears do not stiffen."""
+        """The prior with a coordinate for every spring to be identified, and linear gears."""
         plain = replace(self.prior, terms=(), carries_weight=self.in_gears)
         return plain.with_link_springs(p for p in self.parameters if isinstance(p, LinkSpring))
 
     def active(self, level: int | None) -> list[int]:
-        """Return which parameters count at a level of q2."""
+        """Return the indices of the parameters that act at a level of q2."""
         return [
             index
             for index, parameter in enumerate(self.parameters)
@@ -59,7 +59,7 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         """Return the robot with these values of the parameters.
 
         :param values: (p,) SI.
-        :param level: which `LevelCompliance` holds for joint 2.
+        :param level: level of q2 whose `LevelCompliance` applies to joint 2; None: no levels.
         """
         robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active(level)})
         joints = list(robot.actuated)
@@ -73,18 +73,18 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         return replace(robot, compensator=None, subtract_reference=True)
 
     def usual(self) -> Array:
-        """Return usual sizes (p,) of the parameters, SI."""
+        """Return typical magnitudes (p,) of the parameters, SI, for scaling."""
         return np.array([parameter.usual for parameter in self.parameters])
 
     @cached_property
     def stated(self) -> tuple[Array, Array]:
-        """Values (p,) about which parameters are looked for, and the standard deviations of what the prior states.
+        """Prior means (p,) and prior standard deviations (p,), SI.
 
-        Zero and infinite for those of which the prior says nothing.
+        A parameter whose uncertainty the prior does not state has mean 0 and an infinite standard deviation.
         """
-        spread = np.array([parameter.spread(self.prior) for parameter in self.parameters])
+        spread = np.array([self.prior.prior_sigma(parameter) for parameter in self.parameters])
         return np.where(np.isfinite(spread), self.start(), 0.0), spread
 
     def start(self) -> Array:
-        """Return values (p,) to start from: the prior's, zero for what it does not have."""
-        return np.array([parameter.of(self.template) for parameter in self.parameters])
+        """Return start values (p,), SI: those of the prior, 0 for springs that it does not have."""
+        return np.array([self.template.value(parameter) for parameter in self.parameters])

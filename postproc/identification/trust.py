@@ -27,7 +27,7 @@ _MOST_HELD_OUT = 4.0
 _FEWEST = 5
 """Fewest configurations that show how configurations differ."""
 _NUMBERS = {1: 3, 2: 5}
-"""Numbers that the displacement of so many points under a load determines; three and more, the six of a rigid body."""
+"""Numbers that the displacements of one, two, three points determine; three and more give the six of a rigid body."""
 _SPARE = 2.0
 """Least numbers measured for each parameter: with fewer a model describes the readings and not the robot."""
 _PLAY = 1e-5

@@ -4,7 +4,7 @@ The share of displacements inside the bound is estimated from a limited number o
 of Clopper and Pearson (Biometrika 26, 1934) for the number of independent displacements that the scatter between
 configurations implies (Korn and Graubard, Survey Methodology 24, 1998): an error of a configuration shows at all its
 points. They have 95 % confidence for all levels of loads together (Bonferroni). A model does not hold if the upper
-limit is below what is promised; it holds if nearly all displacements are inside and the lower limit leaves most of
+limit is below the promised share; it holds if nearly all displacements are inside and the lower limit leaves most of
 them; otherwise more configurations are needed.
 
 The verdict is valid for the torques that the loads put on the joints (`coverage`), and for the share of a job that
@@ -45,7 +45,7 @@ _DOUBT = 0.05
 _NARROW = 2.0
 """Errors over the bound up to which it is just too narrow."""
 _SEEN = 2.0
-"""Standard errors by which what is left must exceed the noise for a factor to be stated; else its least value is."""
+"""Standard errors by which the residual must exceed the noise for a factor to be stated; else its least value is."""
 _SAME_ANGLE = 1e-4
 _SAME_LOAD = 0.01
 """Largest differences [rad, share] between states that are one."""
@@ -58,7 +58,7 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     :param measured: RMS of the displacements measured [m].
     :param left: RMS of what the model leaves of them [m].
     :param noise: RMS of the noise in that [m].
-    :param doubt: standard error of the mean square of what is left, by configurations [m²].
+    :param doubt: standard error of the mean square residual, by configurations [m²].
     :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
     :param limits: limits of the share of all displacements.
     :param reach: 95 % quantile of the errors over bound and noise.
@@ -143,7 +143,7 @@ class Validation(Struct, frozen=True, eq=False):
             return self._held(share)
         if not refuted:
             return (
-                f"IT CANNOT BE TOLD whether the model holds: {share}; {_PROMISED:.0%} are promised. The readings "
+                f"IT IS NOT KNOWN whether the model holds: {share}; {_PROMISED:.0%} are promised. The readings "
                 "do not contradict it: measure more configurations."
             )
         widest = max(level.reach for level in refuted)
@@ -166,9 +166,8 @@ class Validation(Struct, frozen=True, eq=False):
         open_ = [job.program for job in self.jobs if job.share < _PROMISED]
         measure = f" Measure under the torques that {', '.join(open_)} needs, listed below." if open_ else ""
         if not parts:
-            return (
-                f"IT CANNOT BE TOLD whether the model holds for {', '.join(open_)}: the readings cover none of it."
-                + (measure)
+            return f"IT IS NOT KNOWN whether the model holds for {', '.join(open_)}: the readings cover none of it." + (
+                measure
             )
         return f"the model holds for {', '.join(parts)}: {share}.{measure}"
 
@@ -229,7 +228,7 @@ class _Compared(Struct, frozen=True, eq=False):
     :param config: (L,) configuration, and `load` (L,) force and moment in one [N, N·m].
     :param moved: (L, P) measured, `left` what the model leaves of it, and its `bound` [m].
     :param noise: (L, P) mean square of the noise [m²].
-    :param scaled: (L, P) what is left over bound and noise.
+    :param scaled: (L, P) residual over bound and noise.
     :param stated: whether the model states a bound.
     """
 

@@ -22,7 +22,7 @@ SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Shares of the largest load measured."""
 _POSES = 100
 _WITHIN = 0.95
-"""Share of the poses at which bound over deflection is below what is stated."""
+"""Share of the poses at which bound over deflection is below the stated value."""
 _LOADED = 0.02
 """Largest torque on a joint over the largest on any, below which the readings do not load it."""
 _CLEARANCE = 0.25

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from os.path import relpath
 from pathlib import Path
 
@@ -20,6 +21,13 @@ from postproc.jobs.settings import load_robot
 from postproc.robot import JOINTS, RobotModel
 
 Numbers = tuple[float, ...]
+CLEARANCE_MM = 200.0
+"""Z of `$BASE` to which programs retract unless something else is given: usual CAM set-ups are below it [mm]."""
+PART_TOLERANCE_MM = 0.5
+"""Tolerance of the part unless something else is given: ISO 2768-m for lengths of 120 to 400 mm [mm]."""
+LARGEST_MM = 1e6
+BY_HAND, NO_LINES = "hand", "none"
+"""Tool changes: the program stops, or does nothing; anything else is a line of the cell."""
 _ZERO = (0.0,) * 6
 _TURNS = (0.0, 90.0, 180.0, -90.0)
 
@@ -34,6 +42,10 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param axis: of the tool frame that points from the spindle to the tip.
     :param start: A1…A6 where programs start [deg].
     :param config_dat: `$config.dat` of the controller, for frames by number.
+    :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm].
+    :param tool_change: `BY_HAND`, `NO_LINES`, or the line that calls the tool changer, with {T}.
+    :param tools: T number → `$TOOL` in the flange frame, as `tool`; none: `tool` holds for all.
+    :param part_tolerance: what the part may be off, 95 % [mm].
     :param overwrite: replace a file that is there.
     """
 
@@ -44,6 +56,10 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     start: Numbers
     axis: ToolAxis = "+Z"
     config_dat: Path | None = None
+    clearance: float = CLEARANCE_MM
+    tool_change: str = BY_HAND
+    tools: Mapping[int, Numbers] = {}
+    part_tolerance: float = PART_TOLERANCE_MM
     overwrite: bool = False
 
 
@@ -65,20 +81,25 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         joint = int(np.argmax(beyond))
         low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
         raise InputError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
+    if not 0.0 < request.part_tolerance <= LARGEST_MM:
+        raise InputError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
+    if not abs(request.clearance) <= LARGEST_MM:
+        raise InputError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
     base = _frame("BASE_DATA", request.base, request, robot)
     tool = _frame("TOOL_DATA", request.tool, request, robot)
     config = None if request.config_dat is None else _way(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
-    text = _text(place, robot, cell, turn, config)
+    tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
+    text = _text(place, robot, cell, turn, config, request, tools)
     files.write_whole(folder, {request.output.name: text.encode()})
     load(request.output)
     return remarks
 
 
 def _way(folder: Path, path: Path) -> str:
-    """Return a path as seen from a folder; as it stands where there is no way, from one drive of Windows to another."""
+    """Return a path as seen from a folder; unchanged if there is none, as between two drives of Windows."""
     try:
         return Path(relpath(path, folder)).as_posix()
     except ValueError:
@@ -143,9 +164,9 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
 
 
 def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
-    """Return the quarter turn of the tool about its axis that is nearest to how the arm starts, and what is wrong.
+    """Return the quarter turn of the tool about its axis that is nearest to how the arm starts, and the problems found.
 
-    Looked at: the tool standing on the origin of `$BASE`, the arm on the branch of its start.
+    The pose is that of the tool upright on the origin of `$BASE`, the arm on the branch of its start.
     """
     form = kinematics.closed_form(robot)
     start = cell.start_joints
@@ -160,7 +181,7 @@ def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]
     best = int(np.argmin(away))
     if np.isfinite(away[best]):
         return _TURNS[best], ()
-    return 0.0, ("out of reach: the origin of $BASE, with the tool standing on it. Check [base], [tool] and [start].",)
+    return 0.0, ("out of reach: the origin of $BASE, with the tool upright on it. Check [base], [tool] and [start].",)
 
 
 _LINES = {
@@ -168,27 +189,36 @@ _LINES = {
 # spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {S}: speed in rpm
 # spindle_off = ["$OUT[1]=FALSE"]
 # coolant_on = ["$OUT[2]=TRUE"]
-# coolant_off = ["$OUT[2]=FALSE"]
-# tool_change = ["; tool {T} by hand", "HALT"]""",
+# coolant_off = ["$OUT[2]=FALSE"]""",
     "rapid": """\
 # spindle_on = ["SetAO aoSpindle,{S};", "SetDO doSpindle,1;"]    # RAPID for M3; {S}: speed in rpm
 # spindle_off = ["SetDO doSpindle,0;"]
 # coolant_on = ["SetDO doCoolant,1;"]
-# coolant_off = ["SetDO doCoolant,0;"]
-# tool_change = ["! tool {T} by hand", "Stop;"]""",
+# coolant_off = ["SetDO doCoolant,0;"]""",
 }
 """Examples of lines by the language of the robot's controller."""
+_TOOL_BY_HAND = {"krl": ["; tool {T} by hand", "HALT"], "rapid": ["! tool {T} by hand", "Stop;"]}
 
 
-def _text(place: str, robot: RobotModel, cell: Cell, turn: float, config: str | None) -> str:
+def _text(
+    place: str,
+    robot: RobotModel,
+    cell: Cell,
+    turn: float,
+    config: str | None,
+    request: CellRequest,
+    tools: Mapping[int, Frame],
+) -> str:
     language = robot.language if robot.language in _LINES else "krl"
     config_line = (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
         else f"config_dat = {_quoted(config)}    # KRL: frames that programs name by number"
     )
+    change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
+    change_line = f"tool_change = [{', '.join(map(_quoted, change))}]"
     return f"""\
-# Cell file of postproc: mm, degrees, N. Every key is described in FORMATS.md; what stands behind # is optional.
+# Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
 robot = {_quoted(place)}    # {robot.title}
 {config_line}
 
@@ -200,28 +230,43 @@ robot = {_quoted(place)}    # {robot.title}
 axis = "{cell.tool.axis}"                      # axis of the tool frame that points from the spindle to the tip
 
 [start]
-joints = [{", ".join(map(_number, cell.start.joints))}]    # A1 to A6 where programs start: fixes how the arm stands
+joints = [{", ".join(map(_number, cell.start.joints))}]    # A1 to A6 where programs start: fixes the branch of the arm
 
 [output]
 tolerance_mm = 0.01              # what the predicted path may leave the nominal one by
 max_correction_mm = 8.0          # a larger correction is an error
+
+[part]
+tolerance_mm = {_number(request.part_tolerance)}               # error allowed on the part (95 %)
 
 [gcode]                          # how G-code becomes {language.upper()}
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
 corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
+{change_line}    # M6; {{T}}: number of the tool
 {_LINES[language]}
 
-# [machine]                      # what G28, G30 and G53 mean, by which most CAM systems retract; else errors
-# clearance_Z = 200.0            # Z of $BASE: G53 Z… retracts to it, G28 goes there first
+[machine]                        # G28, G30 and G53, by which most CAM systems retract
+clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
 # home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there
-
+{_tools(tools)}
 # [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
 # X = 0.0
 
 # [payload]                      # carried in addition to the state that the robot model was calibrated in
 # mass_kg = 0.0
+"""
+
+
+def _tools(tools: Mapping[int, Frame]) -> str:
+    """Return the tables of tools, or an example of one."""
+    if tools:
+        tables = "\n".join(f"\n[tools.{number}]\n{_keys(frame)}" for number, frame in tools.items())
+        return f"\n# $TOOL after T1 M6 and so on{tables}\n"
+    return """
+# [tools.1]                      # $TOOL after T1 M6; without [tools] the [tool] above holds for all
+# Z = 350.0
 """
 
 

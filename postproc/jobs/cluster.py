@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from postproc.errors import PostprocError
 from postproc.jobs.settings import FAILED, Outcome, Settings
 from postproc.jobs.shared_files import Task
+from postproc.version import VERSION
 
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
@@ -116,7 +117,29 @@ def _connected(cluster: Cluster) -> Any:
             f"the Dask scheduler at {address} has no workers. Start some on the machines that shall do the work: "
             f"dask worker {address}"
         ) from cause
+    _check_versions(client, cluster)
     return client
+
+
+def _check_versions(client: Any, cluster: Cluster) -> None:
+    """Refuse workers with another version of postproc: their results would not be those of this one."""
+
+    def version() -> str:  # sent as code: an older postproc need not know it
+        try:
+            from postproc import version as there
+        except ImportError:
+            return ""
+        return there.VERSION
+
+    other = {worker: found for worker, found in client.run(version).items() if found != VERSION}
+    if other:
+        client.close(timeout=2)
+        worker, found = min(other.items())
+        which = f"postproc {found}" if found else "no postproc"
+        raise PostprocError(
+            f"the worker {worker} of the Dask cluster at {cluster.address} has {which}, this machine has postproc "
+            f"{VERSION}. Install the same version on all of them."
+        )
 
 
 def _security(cluster: Cluster) -> Any:

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from msgspec import Struct
-from msgspec.structs import replace
 
-from postproc import correction, forces, provenance
+from postproc import forces, provenance
 from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
-from postproc.errors import InputError, PostprocError
+from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
 from postproc.jobs.conversion import read_program
-from postproc.jobs.marking import marked, origin_of, with_options
+from postproc.jobs.marking import origin_of
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import Job
-from postproc.jobs.settings import EXCEEDED, GOOD, Settings, as_stated, load_setup
-from postproc.program import Document, Program
+from postproc.jobs.settings import EXCEEDED, GOOD, Settings, load_setup
+from postproc.program import Program
 from postproc.report import to_json
 from postproc.report.comparison import (
     ComparisonSummary,
@@ -31,22 +28,17 @@ from postproc.report.comparison import (
     comparison_summary,
     pairs_csv,
 )
-from postproc.robot import RobotModel
-from postproc.version import VERSION
-
-_FEW, _SHARE = 4, 0.1
-"""So many lines, or this share of them, may have been changed since; else it was not written by these options."""
 
 
 class CompareRequest(Struct, frozen=True, kw_only=True):
-    """Which programs are compared, and where the comparison is written.
+    """Two programs to compare, and where to write the comparison.
 
     :param nominal: the program as it should be cut: G-code, or a robot program.
     :param corrected: the robot program that is compared with it.
     :param cell: cell file.
-    :param forces: CSV file of cutting forces, by lines of the nominal program, or process.toml they are computed from.
+    :param forces: CSV file of cutting forces, by lines of the nominal program, or process.toml to compute them from.
     :param output: folder to write into; None = a folder `corrected` beside the nominal program.
-    :param keep_unresolved: read motions of KRL that only the running robot knows, and tell that they are not compared.
+    :param keep_unresolved: read KRL with motions that are known at run time only, and list them as not compared.
     :param overwrite: replace files that postproc did not write.
     """
 
@@ -60,18 +52,18 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
 
     @property
     def settings(self) -> Settings:
-        """How both programs are read."""
+        """Settings for reading both programs."""
         return Settings(self.cell, keep_unresolved=self.keep_unresolved)
 
     def reads(self) -> list[Path]:
-        """Return the files that are read."""
+        """Return the input files."""
         programs = (self.nominal, self.corrected)
         beside = [path for each in programs for path in registry.of_file(each).companions(each)]
         return [*programs, *beside, self.cell, *([] if self.forces is None else [self.forces])]
 
 
 class ComparisonFiles(Struct, frozen=True):
-    """A comparison as it was written.
+    """A comparison and its files.
 
     :param code: exit code: 0 good, 3 a tolerance is exceeded or the corrected program was changed.
     :param summary: content of `part.compare.report.json`.
@@ -84,7 +76,7 @@ class ComparisonFiles(Struct, frozen=True):
 
 
 def compare_programs(request: CompareRequest) -> ComparisonFiles:
-    """Compare two programs and write what differs, whole or not at all.
+    """Compare two programs and write the results: all of them or none.
 
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
@@ -93,7 +85,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     corrected = read_program(request.corrected, robot, cell)
     if not corrected.keeps_text:
         raise InputError(
-            "the second program is compared as the robot drives it, and this one is G-code",
+            "the second program must be a robot program, and this one is G-code",
             file=str(request.corrected),
             advice="Give the nominal program first and the robot program second.",
         )
@@ -107,8 +99,8 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     if not request.overwrite:
         refuse(foreign(folder, names, record))
     source = _source(request, cell)
-    found = compare(nominal, corrected, robot, cell, source)
-    made = _made_from(request, cell, robot, nominal, corrected)
+    made = _made_from(request, cell, nominal, corrected)
+    found = compare(nominal, corrected, robot, cell, source, same_origin=made.same_origin)
     content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
     contents: dict[str, bytes | Iterable[bytes]] = {
         pairs: pairs_csv(found),
@@ -124,17 +116,17 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
 
 def _source(request: CompareRequest, cell: Cell) -> ForceSource | None:
-    """Return the forces of the nominal program: from a file, or computed from a process.toml."""
+    """Return the forces of the nominal program: from a file, or computed for a process.toml."""
     if request.forces is None or request.forces.suffix.lower() != ".toml":
         return None if request.forces is None else forces.read(request.forces)
-    from postproc.jobs import process_forces  # what a cutter does is imported with it
+    from postproc.jobs import process_forces  # imports the cutting models
 
     return process_forces.read(request.forces, cell)
 
 
 def _refuse_part(path: Path, program: Program) -> None:
-    """Raise for a file that is but a part of a divided program: where the robot stands before it is said elsewhere."""
-    whole = _said_by(program).part_of
+    """Raise for a file that is only a part of a divided program."""
+    whole = _origin(program).part_of
     if whole:
         raise InputError(
             f"this file is a part of {whole}, which calls it", file=str(path), advice=f"Name {whole} instead."
@@ -142,111 +134,41 @@ def _refuse_part(path: Path, program: Program) -> None:
 
 
 def _refuse_corrected(path: Path, program: Program) -> None:
-    """Raise for a nominal program that postproc corrected, or that calls one: its targets are commands already."""
+    """Raise for a nominal program that postproc corrected, or that calls one: its targets are corrected already."""
     writer = registry.by_name(program.dialect).writer
     if writer is None:
         return
-    for file, said in (
+    for file, origin in (
         (str(path), writer.origin(program.documents)),
         *((document.name, writer.origin([document])) for document in program.documents[1:]),
     ):
-        if said.mode == "corrected":
+        if origin.mode == "corrected":
             raise InputError(
-                f"this program, which is to be the nominal one, was corrected by postproc {said.version}: its targets "
-                "are commands, and not those of the part",
+                f"the nominal program was corrected by postproc {origin.version}: its targets are corrected poses",
                 file=file,
-                line=said.line,
+                line=origin.line,
                 advice="Give the program that it was made from as NOMINAL, and this one as CORRECTED.",
             )
 
 
-def _said_by(program: Program) -> provenance.Provenance:
+def _origin(program: Program) -> provenance.Provenance:
     writer = registry.by_name(program.dialect).writer
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 
-def _made_from(
-    request: CompareRequest, cell: Cell, robot: RobotModel, nominal: Program, corrected: Program
-) -> MadeFrom:
-    """Return what is known of where the second program comes from."""
-    said = _said_by(corrected)
-    if not said.sums:
-        return MadeFrom(said, {})
+def _made_from(request: CompareRequest, cell: Cell, nominal: Program, corrected: Program) -> MadeFrom:
+    """Return what is known of the origin of the second program."""
+    origin, first = _origin(corrected), _origin(nominal)
+    if not origin.sums:
+        return MadeFrom(origin, {})
     here = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
     sums = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
-    agrees = {name: said.sums.get(key) == getattr(here, key) for name, key in sums.items()}
-    if said.state != "changed" or said.version != VERSION or not all(agrees.values()):
-        return MadeFrom(said, agrees, () if said.state == "intact" else None)
-    try:
-        settings = with_options(request.settings, said.options)
-    except ValueError:  # written by who knows what
-        return MadeFrom(said, agrees)
-    found = []
-    for name in dict.fromkeys([corrected.name, request.nominal.stem]):  # the file may have been renamed since
-        try:
-            again = _written_again(request, settings, cell, robot, said.mode, name)
-        except PostprocError:
-            continue
-        if len(again) == len(corrected.documents):
-            found.append(_changed(again, corrected.documents, said.line))
-    few = max(_FEW, _SHARE * sum(len(document.text.splitlines()) for document in corrected.documents))
-    edited, missing = min(found, key=lambda each: len(each[0]) + each[1], default=((), 0))
-    if not found or len(edited) + missing > few:
-        return MadeFrom(said, agrees)
-    return MadeFrom(said, agrees, edited, missing)
-
-
-def _changed(
-    written: Sequence[Document], documents: Sequence[Document], line: int
-) -> tuple[tuple[tuple[str, int], ...], int]:
-    """Return the lines, with their files, that are not as they were written, and how many are not there any more.
-
-    :param line: of the main file that says where the program comes from, and what its text was: it is not looked at.
-    """
-    edited: list[tuple[str, int]] = []
-    missing = 0
-    by_name = {document.name: document for document in written}
-    for at_same_place, new in zip(written, documents, strict=True):
-        old = by_name.get(new.name, at_same_place)  # a program that was renamed has other names
-        lines, fewer = _edited(old.text, new.text)
-        edited += [(new.name, number) for number in lines if new is not documents[0] or number != line]
-        missing += fewer
-    return tuple(edited), missing
-
-
-def _written_again(
-    request: CompareRequest, settings: Settings, cell: Cell, robot: RobotModel, mode: str, name: str
-) -> tuple[Document, ...]:
-    """Return the files that `convert` writes from the same inputs with some settings, as a program of that name."""
-    settings = replace(settings, mode="nominal" if mode == "nominal" else "convert")
-    cell = as_stated(cell, settings)
-    read_as, to = (registry.of_file(path).name for path in (request.nominal, request.corrected))
-    job = Job(request.nominal, read_as, request.corrected.parent, request.forces, name, to)
-    source = _source(request, cell)
-    program = read_program(request.nominal, robot, cell, name=None if job.keeps_text else name)
-    linearize = settings.linearize_arcs
-    result = correction.process(program, robot, cell, source, settings.mode, linearize_arcs=linearize, to=job.to)
-    if job.keeps_text and request.nominal.stem != name:
-        result = replace(result, documents=job.writer.renamed(result.documents, name))
-    return marked(result, job, settings, cell).documents
-
-
-def _edited(written: str, text: str) -> tuple[list[int], int]:
-    """Return the lines of a text that are not as they were written, and how many lines it has no more."""
-    old, new = written.splitlines(), text.splitlines()
-    same = 0
-    while same < min(len(old), len(new)) and old[same] == new[same]:
-        same += 1
-    behind = 0
-    while behind < min(len(old), len(new)) - same and old[-1 - behind] == new[-1 - behind]:
-        behind += 1
-    lines: list[int] = []
-    missing = 0
-    matcher = difflib.SequenceMatcher(
-        None, old[same : len(old) - behind], new[same : len(new) - behind], autojunk=False
-    )
-    for what, first, last, begin, end in matcher.get_opcodes():
-        if what != "equal":
-            lines += range(same + begin + 1, same + end + 1)
-            missing += max(0, (last - first) - (end - begin))
-    return lines, missing
+    agrees = {name: origin.sums.get(key) == getattr(here, key) for name, key in sums.items()}
+    if first.state == "intact" and first.mode == "nominal":  # both were written from one program
+        agrees |= {
+            name: first.sums.get(sums[name]) == origin.sums.get(sums[name]) for name in ("program", "force file")
+        }
+    without_forces = request.forces is None and not agrees["force file"]
+    if without_forces:
+        del agrees["force file"]
+    return MadeFrom(origin, agrees, origin.state == "intact" and all(agrees.values()), without_forces)

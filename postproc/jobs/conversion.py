@@ -115,15 +115,15 @@ def _result(
 
 
 def _with_file_beside(issue: Issue, job: Job) -> Issue:
-    """Return an issue that forces are missing with the name of a force file that lies beside the program."""
-    beside = job.program.with_name(f"{job.program.stem}.forces.csv")
-    if issue.kind != "no-force" or not beside.is_file():
+    """Return an issue that forces are missing with the name of a force file next to the program."""
+    found = job.program.with_name(f"{job.program.stem}.forces.csv")
+    if issue.kind != "no-force" or not found.is_file():
         return issue
-    return replace(issue, message=f"{issue.message} ({beside.name} lies beside: give --forces {beside})")
+    return replace(issue, message=f"{issue.message} (give --forces {found} to use {found.name}, which is next to it)")
 
 
 class _Made(Struct, frozen=True, eq=False):
-    """What is to be written for a program.
+    """Output of a program, before it is written.
 
     :param summary: content of `report.json`.
     :param contents: file name → content.
@@ -142,7 +142,7 @@ class _Made(Struct, frozen=True, eq=False):
 def _made(
     task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result, process: ProcessForces | None
 ) -> _Made:
-    """Return what is to be written.
+    """Return the output.
 
     :raises InputError: files of subprograms would replace those of another program.
     """
@@ -150,7 +150,6 @@ def _made(
     stated = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
     result, called, copies = _with_subprograms(task, settings, cell, robot, result)
-    content = report.summary(result, tolerance, cell.part_tolerance)
     name = job.report(mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
@@ -167,7 +166,8 @@ def _made(
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
         for ending, made in (("ply", ply), ("glb", glb)):
             contents[f"{stem}surface.{ending}"] = made(surface, cell.tolerance)
-    contents[f"{stem}report.html"] = report.page(result, tolerance, surface, process, cell.part_tolerance)
+    content = report.summary(result, tolerance, cell.part_tolerance, surface)
+    contents[f"{stem}report.html"] = report.page(result, tolerance, surface, process, cell.part_tolerance, stem)
     if process is not None:
         from postproc.jobs import process_forces
 
@@ -255,5 +255,5 @@ def failure(job: Job, cause: Exception) -> Outcome:
         )
     if isinstance(cause, OSError):  # of the machine, not of postproc
         return Outcome(program, FAILED, message=f"{program}: {cause}")
-    told = "".join(traceback.format_exception(cause))
-    return Outcome(program, FAILED, message=f"{program}: unexpected {type(cause).__name__}: {cause}", traceback=told)
+    text = "".join(traceback.format_exception(cause))
+    return Outcome(program, FAILED, message=f"{program}: unexpected {type(cause).__name__}: {cause}", traceback=text)

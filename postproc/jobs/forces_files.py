@@ -30,9 +30,9 @@ class ForcesRequest(Struct, frozen=True, kw_only=True):
 
     :param program: file.
     :param process: process.toml.
-    :param output: CSV file to write; a JSON file of the same name beside it.
+    :param output: CSV file to write; a JSON file of the same name is written next to it.
     :param stock: mesh, instead of the stock of the process.
-    :param stock_out: file for what is left of the stock.
+    :param stock_out: file for the remaining stock.
     :param base_axes: wrenches in `$BASE` axes, not FEED.
     """
 
@@ -77,7 +77,6 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
             path,
             process,
             place.spindle,
-            place.ramp,
             stock=request.stock,
             base_axes=request.base_axes,
             progress=progress,
@@ -88,7 +87,9 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, *rows)}
     if request.stock_out is not None:
         if found is None:
-            raise InputError("--stock-out without [material]", advice="What is left is known where the tool is swept.")
+            raise InputError(
+                "--stock-out without [material]", advice="The remaining stock is known only where the tool is swept."
+            )
         mesh = as_trimesh(*found.mesh())
         contents[names[1]] = bytes(mesh.export(file_type=request.stock_out.suffix[1:].lower()))
     issues = () if found is None else found.issues

@@ -62,7 +62,7 @@ def identify_elastostatics(
 ) -> IdentifiedFolder:
     """Identify compliances, and write the model folder with its report.
 
-    :param progress: told what is being done.
+    :param progress: called with the name of each step.
     :raises PostprocError: the readings are unusable, or the folder must not be replaced.
     """
     if not request.overwrite:

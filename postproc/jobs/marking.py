@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,13 +17,8 @@ from postproc.jobs.settings import Settings
 from postproc.program import Document
 from postproc.version import VERSION
 
-_OPTIONS: dict[str, Callable[[str], object]] = {
-    "tolerance_mm": float,
-    "lines_per_file": int,
-    "linearize_arcs": bool,
-    "keep_unresolved": bool,
-}
-"""Settings that a written program depends on beside its files, and how their texts are read."""
+_OPTIONS = ("tolerance_mm", "lines_per_file", "linearize_arcs", "keep_unresolved")
+"""Settings that a written program depends on in addition to its files."""
 
 
 def options_of(settings: Settings) -> dict[str, str]:
@@ -31,16 +26,6 @@ def options_of(settings: Settings) -> dict[str, str]:
     given = {name: getattr(settings, name) for name in _OPTIONS}
     given = {name: value for name, value in given.items() if value is not None and value is not False}
     return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in given.items()}
-
-
-def with_options(settings: Settings, said: Mapping[str, str]) -> Settings:
-    """Return settings with those that a written program says.
-
-    :raises ValueError: it says others, or values that are none.
-    """
-    if unknown := set(said) - set(_OPTIONS):
-        raise ValueError(f"options that are not known: {unknown}")
-    return replace(settings, **{name: _OPTIONS[name](value) for name, value in said.items()})
 
 
 def marked(

@@ -191,7 +191,7 @@ class OutputPlan:
         return same_folder and (reports[1] in one.partners or reports[0] in other.partners)
 
     def _replaced(self, group: Sequence[_Complete]) -> list[Outcome]:
-        """Put the files of programs in their places, and return the outcomes."""
+        """Move the staged files of programs to their places together; return the outcomes."""
         folder = group[0].task.job.output
         staged = [each.outcome.staged for each in group if each.outcome.staged is not None]
         written = {name for each in staged for name in each.names}
@@ -361,7 +361,7 @@ class _Folder:
 
 
 def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
-    """Refuse to write over what is read; names that differ in case are one.
+    """Raise an `InputError` if an output would overwrite an input; case of names is ignored.
 
     :param inputs: files that are read.
     :param folder: folder that is written into.

@@ -29,8 +29,7 @@ from postproc.plan.krl_program import krl_program
 from postproc.plan.milling import TestPoses
 from postproc.plan.planning import Progress
 from postproc.plan.site import site_of
-from postproc.report.plan import plan_page
-from postproc.report.plan_data import plan_csv, plan_json
+from postproc.report.plan import plan_csv, plan_json, plan_page
 from postproc.robot import RobotModel
 
 
@@ -40,7 +39,7 @@ class PlanRequest(Struct, frozen=True, kw_only=True):
     :param experiment: how it is measured: experiment.toml with [rig].
     :param cell: of the programs.
     :param programs: what will be milled: files, folders, patterns; or none and `poses`.
-    :param output: CSV file to write; `.src`, `.html` and `.json` beside it.
+    :param output: CSV file to write; `.src`, `.html` and `.json` are written next to it.
     :param forces: CSV file of cutting forces, or a folder of such files.
     :param poses: CSV file of test poses.
     :param measured: readings so far.
@@ -90,7 +89,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
 
     Ctrl-C ends the search; the best plan so far is written.
 
-    :param progress: told how far the work is.
+    :param progress: called with step and share done.
     :raises PostprocError: an input is unusable, no pose can be measured, or an output must not be written.
     """
     setup = read_experiment(request.experiment)
@@ -116,8 +115,8 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     if robot.language in ("", KRL.name):
         contents[src] = krl_program(result, cell, PurePath(src).stem).to_bytes()
     else:
-        told = f"no {src}: the controller of {robot.title} reads {robot.language}, and only KRL is written for plans"
-        result = replace(result, warnings=(*result.warnings, told))
+        note = f"no {src}: the controller of {robot.title} reads {robot.language}, and only KRL is written for plans"
+        result = replace(result, warnings=(*result.warnings, note))
     contents[html] = plan_page(result, stem)
     written = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
     return PlanFiles(result, tuple(written))

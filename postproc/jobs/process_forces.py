@@ -1,4 +1,4 @@
-"""Forces of a process: the cut depends on how the tool gives way. Imported only where a process is given."""
+"""Forces of a process: the cut depends on the deflection of the tool. Imported only where a process is given."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from postproc import correction, machining
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.errors import Issue
-from postproc.frames import M_PER_MM, Array, norm
+from postproc.frames import Array, norm
 from postproc.machining import ProcessForces, ProcessSource, Shift
 from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.robot import RobotModel
 
 _ROUNDS = 8
-_HALF = 0.5
-"""By this share of what the tip moves it is moved in a round: a whole step may go to and fro at walls cut again."""
+_FIRST = 0.9
+"""Share of the deflection on the nominal path that is tried first: the tool that deflects cuts less."""
+_STEPS = 0.2, 1.0
+"""Bounds of the share of the residual by which the tip is moved in a round: a larger step may oscillate at walls."""
 _SETTLED = 2e-6
-"""Force and deflection agree when the tip moves by less than this [m] RMS from one round to the next,"""
+"""Force and deflection agree when the deflection is known to this [m] RMS,"""
 _SHARE = 0.03
-"""or by less than this share of the deflection: the cells of the map make about that."""
+"""or to this share of it: the cells of the map make about that."""
 
 
 def read(path: Path, cell: Cell) -> ProcessSource:
@@ -31,18 +33,18 @@ def read(path: Path, cell: Cell) -> ProcessSource:
 
     :raises ForceError: it is unusable.
     """
-    return ProcessSource(machining.load(path), cell.tool.axis, cell.output.force_ramp_mm * M_PER_MM)
+    return ProcessSource(machining.load(path), cell.tool.axis)
 
 
 def stock(found: ProcessForces) -> bytes:
-    """Return what is left of the stock, as GLB."""
+    """Return the remaining stock as GLB."""
     return bytes(as_trimesh(*found.mesh()).export(file_type="glb"))
 
 
 def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSource) -> tuple[Result, ProcessSource]:
     """Predict a program whose tool cuts where it really is: force and deflection are iterated until they agree.
 
-    What the tool gives way by leaves material or takes more; the force is that of this cut, and so is what is left.
+    The deflection of the tool leaves material or removes more; force and remaining stock are those of this cut.
 
     :returns: the result, and the source that holds the cut.
     """
@@ -50,26 +52,43 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     if nominal.failed or source.found is None:
         return nominal, source
     result, cut, rounds, settled = nominal, source, 0, False
-    shift = Shift(result.motion, result.t, result.deviation_before)
+    residual, step = nominal.deviation_before, _FIRST
+    shift = Shift(nominal.motion, nominal.t, step * residual)
+    before, moved = Shift(nominal.motion, nominal.t, residual), shift.offset
     while rounds < _ROUNDS and not settled:
         rounds += 1
         cut = source.shifted(shift)
         result = correction.process(program, robot, cell, cut, "predict")
         if result.failed:
             return result, cut
-        moved = result.deviation_before - shift.at(result.motion, result.t)
-        settled = _rms(moved) < max(_SETTLED, _SHARE * _rms(result.deviation_before))
-        shift = Shift(result.motion, result.t, result.deviation_before - (1.0 - _HALF) * moved)
+        here = result.motion, result.t
+        residual = result.deviation_before - shift.at(*here)
+        step = _secant(Shift(shift.motion, shift.t, moved).at(*here), residual - before.at(*here), step)
+        # the deflection is nearer to its limit than the tip that was assumed is, by the rate of the contraction
+        left = max(1.0 - step, _STEPS[0]) * _rms(residual)
+        settled = left < max(_SETTLED, _SHARE * _rms(result.deviation_before))
+        before, moved = Shift(*here, residual), step * residual
+        shift = Shift(*here, shift.at(*here) + moved)
     one, other = (float(norm(each.wrench[:, :3]).max(initial=0.0)) for each in (nominal, result))
     removed = [0.0 if each.found is None else each.found.removed * 1e9 for each in (source, cut)]
     message = (
-        f"the tool cuts where it gives way to ({rounds} rounds): largest force {other:.0f} N, {one:.0f} N on the "
+        f"forces of the deflected tool ({rounds} rounds): largest force {other:.0f} N, {one:.0f} N on the "
         f"nominal path; removed {removed[1]:.0f} mm³ of {removed[0]:.0f}. The corrected program has the nominal "
         "engagement."
     )
-    told = Issue("info" if settled else "warning", "real-cut", message)
+    note = Issue("info" if settled else "warning", "real-cut", message)
     hits = [issue for issue in nominal.issues if issue.kind == "rapid-in-material"]
-    return replace(result, issues=(*result.issues, *hits, told)), cut
+    return replace(result, issues=(*result.issues, *hits, note)), cut
+
+
+def _secant(moved: Array, change: Array, step: float) -> float:
+    """Return the share of the residual to move by next: dynamic relaxation by Irons and Tuck, 1969.
+
+    :param moved: (n, 3) last step; change: (n, 3) change of the residual by it; step: the share before.
+    """
+    square = float(np.sum(change * change))
+    found = -float(np.sum(moved * change)) / square if square > 0.0 else step
+    return float(np.clip(found, *_STEPS))
 
 
 def _rms(vectors: Array) -> float:

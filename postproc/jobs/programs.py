@@ -28,7 +28,7 @@ class Job(Struct, frozen=True):
     :param dialect: name of the format to read it in.
     :param output: folder to write into.
     :param forces: CSV file with its forces, or process.toml from which they are computed, or None.
-    :param name: of the written program, and of the files beside it; None = that of the file.
+    :param name: of the written program and of its other files; None = that of the file.
     :param to: name of the format to write it in; None = its own if that is written, else KRL.
     :param named: whether the user named the file, and not only its folder or a pattern.
     :param callers: programs of the same run that call it, which is then corrected with them and not by itself.
@@ -50,7 +50,7 @@ class Job(Struct, frozen=True):
 
     @property
     def stem(self) -> str:
-        """Return what the written files are called, without extension."""
+        """Return the name of the written files, without extension."""
         return self.program.stem if self.name is None else self.name
 
     @property
@@ -59,7 +59,7 @@ class Job(Struct, frozen=True):
         return self.forces if self.forces is not None and self.forces.suffix.lower() == _PROCESS else None
 
     def reads(self) -> list[Path]:
-        """Return the files that are read for this program, beside the cell."""
+        """Return the files that are read for this program, without the cell."""
         beside = registry.by_name(self.dialect).companions(self.program)
         return [self.program, *beside, *([] if self.forces is None else [self.forces])]
 

@@ -59,7 +59,7 @@ def convert_all(
 ) -> Iterator[Outcome]:
     """Convert or predict programs; yield each outcome as soon as it is known (not in the order of the jobs).
 
-    A program that fails does not stop the others. After an interrupt (Ctrl-C) what is being computed is dropped; what
+    A program that fails does not stop the others. After an interrupt (Ctrl-C) unfinished programs are dropped; what
     is in its place is whole, and `KeyboardInterrupt` is raised when it has been yielded. Other runs into the same
     folders wait until this one is done. At the end a folder of several programs gets an overview, `index.html`.
 
@@ -131,7 +131,7 @@ def _outcomes_of(
     try:
         begin()
         while running:
-            interrupted = interrupts.came()  # then what is converted already is put in its place, and no more
+            interrupted = interrupts.came()  # then only the programs converted already are put in place
             try:
                 future = results.get(not interrupted, _POLL)
             except Empty:

@@ -31,7 +31,7 @@ def copy_samples(folder: Path, *, overwrite: bool = False) -> list[Path]:
 
 
 def shipped_samples() -> Path:
-    """Return where the samples stand: in the package as installed, beside it in a checkout."""
+    """Return the folder of the samples: in the installed package, or next to it in a checkout."""
     package = Path(__file__).parent.parent
     inside = package / "samples"
     return inside if inside.is_dir() else package.parent / "samples"

@@ -1,4 +1,4 @@
-"""What is to be done with several programs, and what came of each."""
+"""Options of a run over several programs, and the outcome of each."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ GOOD, FAILED, EXCEEDED = 0, 1, 3
 
 
 class Settings(Struct, frozen=True):
-    """What is to be done with every program.
+    """Options for every program of a run.
 
     :param cell: cell file.
     :param mode: see `correction.process`.
-    :param tolerance_mm: replaces that of the cell; what the written program exceeds it by is told by the exit code.
+    :param tolerance_mm: replaces that of the cell; if the written program exceeds it, the exit code says so.
     :param part_tolerance_mm: what the part may be off, 95 %; replaces that of the cell.
     :param lines_per_file: replaces that of the cell.
     :param linearize_arcs: write arcs as lines.
@@ -50,10 +50,10 @@ class Outcome(Struct, frozen=True):
 
     :param program: its file as the user named it.
     :param code: 0 good, 1 nothing was written, 3 written, but the verdict is "failed": a stated tolerance is exceeded,
-        or the expected error is larger than what is corrected.
+        or the expected error is larger than the correction.
     :param summary: content of `report.json`; None if nothing was written, with code 0 where nothing was to be.
-    :param message: why nothing was written, where that is not told by `issues`.
-    :param issues: what stands against the program, where it was read but not written.
+    :param message: why nothing was written, if `issues` do not state it.
+    :param issues: problems of the program, if it was read but not written.
     :param written: files written.
     :param copied: those of them that it needs, and that are as they were.
     :param earlier: what became of the results of an earlier run, where there are none of this one.

@@ -34,8 +34,8 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
     :param axes: (3, 3) rows: ahead, across, up, in root axes.
     :param base: (3,) a point of the A1 axis at the height of A2.
-    :param aside: how far the wrist centre stands from the plane through the A1 axis.
-    :param shoulder: how far A2 stands ahead of the A1 axis.
+    :param aside: distance of the wrist centre from the plane through the A1 axis.
+    :param shoulder: distance of A2 ahead of the A1 axis.
     :param upper_arm: from A2 to A3.
     :param forearm: from A3 to the wrist centre.
     :param tilt: (2,) of upper arm and forearm against the vertical [rad].
@@ -65,7 +65,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
         return float(_wrapped(self.sign[2] * (self.tilt[0] - self.tilt[1])))
 
     def reach(self, q: Array) -> Array:
-        """Return how far ahead of the A1 axis the wrist centre stands (N,) [m] at angles (N, 6); negative: overhead."""
+        """Return the distance (N,) [m] of the wrist centre ahead of the A1 axis at angles (N, 6); overhead < 0."""
         upper = self.tilt[0] + self.sign[1] * q[:, 1]
         fore = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
         (upper, _), (fore, _) = sine_and_cosine(upper), sine_and_cosine(fore)
@@ -141,8 +141,6 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     flange = zero.pose[..., 0]
     up = np.array([0.0, 0.0, 1.0])
     across = axis[1]
-    if abs(across @ up) > _SAME or abs(abs(axis[0] @ up) - 1.0) > _SAME:
-        raise _no_closed_form(robot)
     ahead = np.cross(across, up)
     if (origin[1] - origin[0]) @ ahead < 0.0:
         across, ahead = -across, -ahead
@@ -170,15 +168,11 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     with np.errstate(divide="ignore", invalid="ignore"):
         found = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
     if not np.abs(_wrapped(found - q)).max() < _SAME:
-        raise _no_closed_form(robot)
+        raise ModelError(
+            f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
+            advice="Only such arms (all common KUKA six-axis robots) are supported.",
+        )
     return form
-
-
-def _no_closed_form(robot: RobotModel) -> ModelError:
-    return ModelError(
-        f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
-        advice="Only such arms (all common KUKA six-axis robots) are supported.",
-    )
 
 
 def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
@@ -195,5 +189,8 @@ def _wrapped(angle: Array) -> Array:
 
 
 def status_of(robot: RobotModel, q: Array) -> Ints:
-    """Return KUKA S (N,) of configurations (N, 6): their branch, but that bit 2 is the sign of A5 to the last digit."""
+    """Return KUKA's status S (N,) of joint angles (N, 6) [rad].
+
+    Bits 0 and 1 are those of the branch. Bit 2 is set if A5 is negative, without the tolerance of `branch_of`.
+    """
     return np.asarray(closed_form(robot).branch_of(q) & 3 | (q[:, 4] < 0.0) * 4)

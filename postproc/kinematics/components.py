@@ -1,7 +1,7 @@
 """Poses by components, the sample index LAST: (3, 4, n), the columns X, Y, Z of the rotation and the position.
 
-Each component is then one array, and an operation on all samples runs through contiguous memory. What is the same for
-all samples has n = 1; its zeros cost nothing.
+Each component is then one array, and an operation on all samples runs through contiguous memory. Values that are the
+same for all samples have n = 1; their zeros cost nothing.
 """
 
 from __future__ import annotations

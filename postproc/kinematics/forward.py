@@ -1,8 +1,8 @@
 """Forward kinematics, Jacobian and torques of the weights of a chain, for many configurations at once.
 
 The chain is walked once for all samples, each component of a vector an array with the sample index LAST (`components`).
-Between two joints stands what Denavit and Hartenberg (1955) found to be enough: an offset, a tilt about X and a turn
-about Z, which adds to the angle of the joint; made from the model once. The tests hold it against Pinocchio.
+Two joints are connected by the transform of Denavit and Hartenberg (1955): an offset, a tilt about X and a turn about
+Z, which adds to the angle of the joint. It is made from the model once, and tested against Pinocchio.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class _Step(Struct, frozen=True, eq=False):
 
     :param offset: (3, 1) [m].
     :param tilt: (2, 2, 1) rows: the new Y and Z by the old ones.
-    :param turn: what is added to the joint's angle [rad].
+    :param turn: constant added to the joint's angle [rad].
     :param turns: whether the joint turns; else it slides.
     :param mass: of the link that the joint carries [kg].
     :param centre: (3, 1) its centre of mass in the joint's frame [m].
@@ -61,7 +61,7 @@ class Posture(Struct, frozen=True, eq=False):
 
     @property
     def point(self) -> Array:
-        """(3, n) where the tool stands [m]."""
+        """(3, n) position of the tool [m]."""
         return combination(self.frame[:3], self.tool[:, 3]) + self.frame[3]
 
     @property
@@ -70,7 +70,7 @@ class Posture(Struct, frozen=True, eq=False):
         return product(self.frame, self.tool)
 
     def jacobian(self) -> Array:
-        """Return (6, nv, n): how the tool moves and turns with each coordinate."""
+        """Return the Jacobian (6, nv, n) of the tool: position [m] and rotation [rad] by each coordinate."""
         point = self.point
         out = np.zeros((6, len(self.axis), point.shape[-1]))
         for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):

@@ -81,8 +81,8 @@ def follow(
     unreached = np.flatnonzero(any_column(np.isnan(q)))
     if len(unreached):
         raise UnreachableError(unreached.tolist())
-    told = np.flatnonzero(~by_axes & (turn >= 0))
-    q[jumps[told]] = _turned(robot, q[jumps[told]], turn[told])
+    given = np.flatnonzero(~by_axes & (turn >= 0))
+    q[jumps[given]] = _turned(robot, q[jumps[given]], turn[given])
     return JointPath(_continuous(start, q, jumps[by_axes | (turn >= 0)]), branch)
 
 

@@ -1,4 +1,4 @@
-"""How far configurations are from joint limits and singularities."""
+"""Margins of joint angles to joint limits and to singular poses."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from postproc.kinematics.forward import tcp
 from postproc.robot import RobotModel
 
 _LOOKED_AT = 2_000
+"""Rows of a path that are evaluated in the first pass."""
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:
-    """Return how near each joint comes to a limit, (6,) [rad]; negative beyond it. q: (N, 6), N ≥ 1."""
+    """Return the smallest distance (6,) [rad] of each joint to its limits, negative beyond them; q: (N, 6), N ≥ 1."""
     low, high = np.array([(angle.min(), angle.max()) for angle in q.T]).T  # much faster than along short rows
     return np.asarray(np.minimum(low - robot.lower, robot.upper - high))
 
@@ -20,10 +21,10 @@ def joint_margin(robot: RobotModel, q: Array) -> Array:
 def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     """Return the smallest singular value of the tool's Jacobian along a path: metres and radians per radian.
 
-    Along a dense path it changes slowly: of more than some thousand rows only every n-th is looked at first, then
-    all around the smallest.
+    It changes slowly along a dense path. Of more than `_LOOKED_AT` rows, every n-th is evaluated first, then all rows
+    around the smallest.
 
-    :param q: (N, 6) joint angles [rad]; NaN is returned for none.
+    :param q: (N, 6) joint angles [rad]; the result is NaN if N is 0.
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     """
     if len(q) == 0:

@@ -1,7 +1,7 @@
-"""What a cutter does to its stock, and the stock to the cutter: engagement and cutting forces along a program.
+"""Engagement of the cutter in the stock, and cutting forces along a program.
 
 `estimate` sweeps the tools of a program through its stock and returns forces along the motions; `by_operation` takes
-them from a small table instead. Both start from `load`, which reads process.toml.
+them from a small table instead. Both use the process that `load` reads from process.toml.
 """
 
 from postproc.machining.by_lines import one_move_a_line

@@ -1,4 +1,4 @@
-"""Forces by lines: a force CSV gives one course of a force for all moves that one line of the program makes."""
+"""Forces by line: a force CSV has one force profile for all moves that one line of the program makes."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from postproc.program import LIN, Ints, Program
 from postproc.toolpath import Segments, tangent
 
 _SAME = 2e-3
-"""Difference of forces [N, N·m] that is none: the file has three decimals."""
+"""Forces that differ by less [N, N·m] count as equal: the file has three decimals."""
 _ALONG = 1.0 - 1e-6
-"""Cosine between a move and the spindle above which it goes along it."""
+"""Cosine of the angle between a move and the spindle above which the move is along it."""
 _COMMENT = re.compile(r"\([^)]*\)|;.*")
 _CALL = re.compile(r"M[ \t]*0*98(?![\d.])|CALL", re.IGNORECASE)
-_ADVICE = "Leave the CSV out: `convert --process process.toml` and `predict --process` give each move its own force."
+_ADVICE = "Omit the CSV: `convert --process process.toml` and `predict --process` give each move its own force."
 
 Places = tuple[Ints, Array, Array, Ints, Array]
-"""K places along motions: row of `Motions`, never decreasing; place on it, increasing, or NaN for the whole of it;
+"""K places along motions: row of `Motions`, never decreasing; position t on it, increasing, or NaN for all of it;
 wrench (K, 6) [N, N·m] in the axes that the frame (K,) names, and standard deviations (K, 6)."""
-_Course = tuple[Array, Array, Ints]
+_Profile = tuple[Array, Array, Ints]
 
 
 def one_move_a_line(program: Program, path: Segments, axis: str, places: Places) -> Places:
-    """Return the places that stand for their lines in a force CSV: those of one move for each line.
+    """Return the places of one representative move for each line, as a force CSV needs them.
 
-    All cutting moves of a line must have the same force along them: a line that is executed several times makes several
-    moves, and so does a call of a routine of another file. Of the holes of a drilling cycle, and their pecks, the one
-    with the largest force stands for all.
+    All cutting moves of a line must have the same force along them. A line makes several moves if it is executed
+    several times, or if it calls a routine of another file. For a drilling cycle, the hole or peck with the largest
+    force represents all of them.
 
-    :param path: where the motions start.
+    :param path: geometry of the motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :raises ForceError: moves of a line have different forces; it is about the first such line.
+    :raises ForceError: moves of a line have different forces; the error is for the first such line.
     """
     motion, t, wrench, frame, sigma = places
     m = program.motions
@@ -50,8 +50,8 @@ def one_move_a_line(program: Program, path: Segments, axis: str, places: Places)
         given = high > low
         if not given.any():
             continue
-        first = _course(places, low[0], high[0])
-        odd = [k for k in range(1, len(moves)) if not _same(first, _course(places, low[k], high[k]))]
+        first = _profile(places, low[0], high[0])
+        odd = [k for k in range(1, len(moves)) if not _same(first, _profile(places, low[k], high[k]))]
         chosen = int(np.argmax(given))
         if odd:
             text = texts[int(m.line[moves[0]]) - 1]
@@ -63,7 +63,7 @@ def one_move_a_line(program: Program, path: Segments, axis: str, places: Places)
     return motion[keep], t[keep], wrench[keep], frame[keep], sigma[keep]
 
 
-def _course(places: Places, low: int, high: int) -> _Course:
+def _profile(places: Places, low: int, high: int) -> _Profile:
     """Return places on a move (k,), wrenches with standard deviations (k, 12) and their frames (k,); zero if none."""
     if low == high:
         return np.zeros(1), np.zeros((1, 12)), np.zeros(1, dtype=np.int64)
@@ -71,8 +71,8 @@ def _course(places: Places, low: int, high: int) -> _Course:
     return t[low:high], np.hstack([wrench[low:high], sigma[low:high]]), frame[low:high]
 
 
-def _same(one: _Course, other: _Course) -> bool:
-    """Whether two forces along moves are one: linear between their places."""
+def _same(one: _Profile, other: _Profile) -> bool:
+    """Whether the forces along two moves, linear between their places, are equal."""
     (t, values, frame), (t_, values_, frame_) = one, other
     if np.abs(values).max() <= _SAME and np.abs(values_).max() <= _SAME:
         return True
@@ -86,7 +86,7 @@ def _same(one: _Course, other: _Course) -> bool:
 
 
 def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: str) -> bool:
-    """Whether a line is one of a drilling cycle: rapid moves and cuts along the spindle, at one go, without a call."""
+    """Whether a line is a drilling cycle: consecutive rapid moves and cuts along the spindle, without a call."""
     m = program.motions
     if program.keeps_text or _CALL.search(_COMMENT.sub("", text)):
         return False

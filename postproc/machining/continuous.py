@@ -1,11 +1,16 @@
-"""Forces along motions without steps: where a motion begins, its force comes up from that of the one before."""
+"""Forces along motions without steps: at the start of a motion the force changes within half the feed per tooth.
+
+The mean force is the mean over the tooth pitch, and after a change of engagement the next tooth cuts the new chip. So
+at the start of a motion the force changes from its last value to the new one in much less than a turn. It drops to zero
+at once when the tool is retracted.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
 
-from postproc.frames import Array
+from postproc.frames import Array, norm
 from postproc.machining.ways import home_base
 from postproc.program import CIRC, Bools, Ints, Program
 from postproc.toolpath import Segments, tangent
@@ -22,7 +27,6 @@ class AlongMotions(Struct, frozen=True, eq=False):
     :param wrench: (K, 6) force [N] and moment [N·m] on the tool at its tip, in the axes that `frame` names.
     :param frame: (K,) `BASE` or `FEED`; one for a motion.
     :param sigma: (K, 6) standard deviations of the wrench.
-    :param steady: (K,) True on motions along which the force is the same, once it has come up.
     """
 
     motion: Ints
@@ -30,7 +34,6 @@ class AlongMotions(Struct, frozen=True, eq=False):
     wrench: Array
     frame: Ints
     sigma: Array
-    steady: Bools
 
     @classmethod
     def joined(cls, parts: list[AlongMotions]) -> AlongMotions:
@@ -38,26 +41,33 @@ class AlongMotions(Struct, frozen=True, eq=False):
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__struct_fields__))
 
 
+_SHARE = 0.01
+"""Changes at the start below this share of the largest force and moment of a motion extend over the whole motion,"""
+_LEAST = 1.0, 0.1
+"""and so do changes below this [N, N·m]."""
+
+
 def without_steps(
     program: Program,
     path: Segments,
     stations: tuple[Ints, Array, Array],
     map_in_base: Array,
-    ramp: float,
-    sigma: float,
+    rise: Array,
+    sigma: tuple[float, float],
     *,
     base_axes: bool,
 ) -> AlongMotions:
     """Return wrenches that are continuous from motion to motion.
 
-    The force of a motion comes up over the ramp from that at the end of the motion before, zero after a rapid one, and
-    then is as given; at the end of the motion it acts in full.
+    At the start of a motion the force changes from that at the end of the motion before, zero after a rapid one, to
+    its own; at the end of the motion it acts in full.
 
     :param stations: rows of `Motions` (n,), places on them, and wrenches (n, 6) in FEED axes; on moves along the
         spindle in those of the map.
     :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion: z to the spindle.
-    :param ramp: [m].
-    :param sigma: standard deviation as a share of the wrench.
+    :param rise: (M,) length over which the force changes at the start of a motion [m].
+    :param sigma: standard deviation as a share of the wrench, and that of the axial force as a share of the force
+        across the axis, in addition (0 where axial coefficients are known).
     :param base_axes: give them in `$BASE`; else in FEED, but for moves along the spindle.
     """
     motion, t, wrench = stations
@@ -70,18 +80,22 @@ def without_steps(
     before = np.zeros((len(own), 6))
     starts, _ = _axes(program, path, own[follows], np.zeros(len(follows)), map_in_base)
     before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
-    reach = np.minimum(1.0, ramp / np.maximum(path.length[own], 1e-9))
-    # at 0 the force of the motion before, at the end of the ramp its own, then its stations, and its own at the end
-    row = np.repeat(np.arange(len(own)), last - first + 1)
-    inner = (t > reach[row] + 1e-9) & (t < 1.0) & ~single[row]
-    ramps, ends_ = np.arange(len(own)), np.flatnonzero(~single & (reach < 1.0))
-    which = np.concatenate([ramps, ramps, row[inner], ends_])
-    places = np.concatenate([np.zeros(len(own)), reach, t[inner], np.ones(len(ends_))])
+    reach = np.minimum(1.0, rise[own] / np.maximum(path.length[own], 1e-9))
+    every = np.arange(len(own))
+    reach[_alike(before, _at(motion, t, wrench, own, reach), wrench, first)] = 1.0
+    # at 0 the force of the motion before, within a turn its own, then its stations, and its own at the end
+    row = np.repeat(every, last - first + 1)
+    inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~single[row]
+    inner &= (reach < 1.0)[row] | (path.length[own] > rise[own])[row]
+    soon = np.flatnonzero(reach < 1.0)
+    which = np.concatenate([every, soon, row[inner], every])
+    places = np.concatenate([np.zeros(len(own)), reach[soon], t[inner], np.ones(len(own))])
     order = np.lexsort((places, which))
     which, places = which[order], places[order]
     values = _at(motion, t, wrench, own[which], places)
     begins = np.flatnonzero(np.diff(which, prepend=-1))
     values[begins] = before
+    missing = sigma[1] * norm(values[:, :2])
     count = np.diff(begins, append=len(which))
     motions = own[which]
     axes, along = _axes(program, path, motions, places, map_in_base)
@@ -89,7 +103,19 @@ def without_steps(
     turning = steady & (program.motions.kind[motions] == CIRC)  # the same in FEED axes: in $BASE it turns
     in_base = (along[np.repeat(np.cumsum(count) - 1, count)] | base_axes) & ~turning
     values[in_base] = _turn(_to_base(program, motions[in_base], map_in_base) @ axes[in_base], values[in_base])
-    return AlongMotions(motions, places, values, np.where(in_base, BASE, FEED), np.abs(values) * sigma, steady)
+    deviation = np.abs(values) * sigma[0]
+    # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
+    deviation[:, 2] = np.hypot(deviation[:, 2], missing)
+    return AlongMotions(motions, places, values, np.where(in_base, BASE, FEED), deviation)
+
+
+def _alike(before: Array, own: Array, wrench: Array, first: Ints) -> Bools:
+    """Return which motions begin with a force (k, 6) that is about that at the end of the motion before."""
+    out = np.ones(len(own), dtype=bool)
+    for half, least in zip((slice(0, 3), slice(3, 6)), _LEAST, strict=True):
+        largest = np.maximum.reduceat(norm(wrench[:, half]), first)
+        out &= norm(own[:, half] - before[:, half]) <= np.maximum(_SHARE * largest, least)
+    return out
 
 
 def _at(motion: Ints, t: Array, wrench: Array, own: Ints, places: Array) -> Array:

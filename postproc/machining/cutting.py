@@ -1,4 +1,4 @@
-"""Mean and peak cutting forces over a turn, of edge that is in material.
+"""Mean and peak cutting forces over a turn, from the edge in material.
 
 Axes: x along the feed, z along the spindle from the tip to the spindle, y = z × x; φ from +y, growing clockwise seen
 from the spindle, so that with M3 a tooth enters a slot at φ = 0 on the left. Forces act on the tool. With M4 everything
@@ -12,9 +12,9 @@ Engin and Altintas, Int. J. Mach. Tools Manuf. 41, 2001)
     radial      (Krc h + Kre) b   along −n
     axial       (Kac h + Kae) b   along (cos κ sin φ, cos κ cos φ, sin κ)
 
-The mean over a turn is N/2π ∫ dφ of this over what is in material; on a cylinder (κ = 90°) that is the average force of
-end milling in Altintas, "Manufacturing Automation", 2nd ed., 2012, Eq. (2.31). The end face (κ = 0) cuts where the feed
-goes down: on a plunge this is the force of drilling and plunge milling, torque N R² (Ktc c + Kte)/2 and thrust
+The mean over a turn is N/2π ∫ dφ of this over the edge in material; on a cylinder (κ = 90°) that is the average force
+of end milling in Altintas, "Manufacturing Automation", 2nd ed., 2012, Eq. (2.31). The end face (κ = 0) cuts where the
+feed goes down: on a plunge this is the force of drilling and plunge milling, torque N R² (Ktc c + Kte)/2 and thrust
 N R (Krc c + Kre) (Altintas and Ko, CIRP Annals 55, 2006); with Krc = Ktc/2 the thrust is that of drilling tables,
 Ff = 0.5 kc fn D/2.
 """
@@ -36,7 +36,7 @@ _ONE_THREAD = 200_000
 
 
 class Loads(Struct, frozen=True, eq=False):
-    """What the edge in material of a turn adds up to, at n stations.
+    """Sums over the edge in material in a turn, at n stations.
 
     :param wrench: (n, 6) mean force [N] and moment about the tip [N·m] on the tool, in the axes above.
     :param removal: (n,) volume removed in one turn by one tooth [m³].
@@ -49,7 +49,7 @@ class Loads(Struct, frozen=True, eq=False):
 def chips(turn: Turn, feed: Floats, descent: Floats, other: tuple[Floats, Floats, Floats] | None = None) -> Floats:
     """Return the chip thickness (n, P) [m]: feed per tooth along x (n,) and down (n,) [m].
 
-    :param other: another feed direction (x, y, down), (n,) each: where its chips would be none, neither are these.
+    :param other: another feed direction (x, y, down), (n,) each: chips are 0 where this direction would cut none.
     """
     chip = feed[:, None] * turn.front
     chip += descent[:, None] * turn.down
@@ -111,9 +111,9 @@ def peak(turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter) -> tuple[Arr
 
 
 def times(one: Floats, other: Floats) -> Floats:
-    """Return a product of matrices (n, P) and (P, k), in pieces that a BLAS does not share among its threads.
+    """Return the product of matrices (n, P) and (P, k), in blocks small enough for BLAS to use one thread.
 
-    Threads cost more than they gain at such sizes, and very much more where other processes want the processors too.
+    At such sizes threads cost more than they gain, and much more if other processes need the processors too.
     """
     rows = max(1, _ONE_THREAD // max(1, other.size))
     return np.concatenate([one[k : k + rows] @ other for k in range(0, max(1, len(one)), rows)])

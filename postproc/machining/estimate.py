@@ -1,4 +1,4 @@
-"""From a program and its process to forces along its motions."""
+"""Compute the forces along the motions of a program from its process: material, tools and stock."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from postproc import files
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import M_PER_MM, Array, inverse
 from postproc.machining import stock as stocks
@@ -26,30 +27,33 @@ from postproc.program import Bools, Program
 from postproc.toolpath import Segments
 
 _SAME = np.cos(np.radians(0.5))
-"""Cosine of the angle between directions of the tool that are one."""
+"""Tool directions count as equal if the cosine of the angle between them exceeds this."""
 _INCH = 25.4
 _HOLLOW = 0.02
-"""Of the volume of a stock: more than this share too much in its map is told."""
+"""Warn if the map of the stock exceeds its volume by more than this share."""
 _LARGE = 5.0
-"""A path so many times as large as the stock, in X and in Y, is told."""
+"""Warn if the path is this many times as large as the stock in X and in Y."""
 _DEEP = 4.0
-"""Depths of cut beyond so many diameters are told: no cutter does that."""
+"""Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
+_LEAST_RISE = 2e-5
+"""Minimum length over which the force of a motion builds up [m]."""
 _BATCH = 200_000
-"""So many stations are kept before they are thinned out."""
+"""Number of stations to collect before they are thinned out."""
 
 
 class ProcessForces(Struct, frozen=True, eq=False):
-    """What a process makes of a program.
+    """Forces, engagement and remaining stock of a program.
 
     :param along: the forces along its cutting motions.
-    :param cuts: wrench and engagement at stations on them, as many as show how they change, see `Cuts`.
+    :param cuts: wrench and engagement at stations on them, as many as their changes need, see `Cuts`.
     :param peak: (M, 2) largest force [N] and torque [N·m] within a turn on each motion.
     :param power: (M,) largest mean power of the spindle on each motion [W].
     :param turning: tool and spindle speed of each motion.
-    :param stock: what is left of it, in the frame of `map_in_base`.
+    :param drills: for each of `turning.keys`, whether it is a drill.
+    :param stock: the remaining stock, in the frame of `map_in_base`.
     :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion.
     :param removed: volume [m³].
-    :param issues: what the user should know.
+    :param issues: warnings and notes for the user.
     """
 
     along: AlongMotions
@@ -57,14 +61,18 @@ class ProcessForces(Struct, frozen=True, eq=False):
     peak: Array
     power: Array
     turning: Running
+    drills: tuple[bool, ...]
     stock: Stock
     map_in_base: Array
     removed: float
     issues: tuple[Issue, ...]
 
-    def mesh(self) -> tuple[Array, NDArray[np.int64]]:
-        """Return what is left of the stock as a closed mesh in `$BASE`: vertices (V, 3) [m], faces (F, 3)."""
-        vertices, faces = stocks.mesh_of(self.stock)
+    def mesh(self, most_cells: int = 250_000) -> tuple[Array, NDArray[np.int64]]:
+        """Return the remaining stock as a closed mesh in `$BASE`: vertices (V, 3) [m], faces (F, 3).
+
+        :param most_cells: larger maps are made coarser.
+        """
+        vertices, faces = stocks.mesh_of(self.stock, most_cells)
         return vertices @ self.map_in_base[:3, :3].T + self.map_in_base[:3, 3], faces
 
 
@@ -73,7 +81,6 @@ def estimate(
     path: Segments,
     process: Process,
     axis: str,
-    ramp: float,
     *,
     stock: Path | None = None,
     base_axes: bool = False,
@@ -82,27 +89,29 @@ def estimate(
 ) -> ProcessForces:
     """Return the cutting forces of a program.
 
-    :param path: where its motions start.
+    :param path: geometry of its motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param ramp: over which length the force comes up where a motion begins [m].
     :param stock: mesh of the stock, instead of that of the process.
     :param base_axes: give all wrenches in `$BASE` axes.
     :param shift: displacement of the tip, see `Shift`.
-    :param progress: called with the number of straight ways done, and of all.
+    :param progress: called with the number of straight segments done, and their total number.
     :raises ProgramError: a routine that cuts is not followed.
-    :raises ForceError: what is not in the process, a stock that cannot be used, no contact at all, a spindle that
-        stands still while it cuts, a tool that changes its direction while it cuts.
+    :raises ForceError: missing data in the process, unusable stock, no contact at all, the spindle is off while the
+        tool cuts, the tool changes its direction while it cuts.
     """
     refuse_unseen(program)
     law = process.law()
     turning = running(program, process)
     cell = process.stock.resolution_mm * M_PER_MM
     setups = _setups(program, axis)
-    material, told = _stock(process, setups[0].frame, cell, stock)
+    material, issues = _stock(process, setups[0].frame, cell, stock)
     start, removed = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
     every = ways(program, path, turning, setups[0].frame, cell, shift)
     _check_speed(program, every, turning)
+    teeth = np.array([process.tools[key].flutes for key in turning.keys])[turning.tool]
+    per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(turning.rpm * teeth, 1.0)
+    rise = np.maximum(0.5 * per_tooth, _LEAST_RISE)
     total = len(every.motion)
     done, parts, sweeps, along = 0, [], [], []
     for number, setup in enumerate(setups):
@@ -111,24 +120,28 @@ def estimate(
             left = material.volume()
             material = _turned(material, setups[number - 1].frame, setup.frame, cell)
             start = material.volume()
-            told += _hollows(start, left)
+            issues += _hollows(start, left)
         steps = ways(program, path, turning, setup.frame, cell, shift).of(setup.motions)
         sweep = Sweep(material, process, turning, program.motions.feed, law)
-        cuts = _thinned(sweep, steps, _told_by(progress, done, total))
+        cuts = _thinned(sweep, steps, _offset(progress, done, total))
         done += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
         stations = cuts.motion, cuts.t, cuts.wrench
-        along.append(without_steps(program, path, stations, setup.frame, ramp, law.sigma, base_axes=base_axes))
+        along.append(
+            without_steps(
+                program, path, stations, setup.frame, rise, (law.sigma, law.unknown_axial), base_axes=base_axes
+            )
+        )
     if not any(sweep.contact for sweep in sweeps):
         raise _no_contact(program, every, bounds, process, stock)
     cuts = Cuts.joined(parts)
-    # where a tip stands that comes back from its deflection is no matter of a rapid move
+    # on rapid moves the tip still springs back from its deflection: contact there is no collision
     collided = set[int]() if shift is not None else set[int]().union(*(sweep.collided for sweep in sweeps))
-    stood = set[int]().union(*(sweep.stood for sweep in sweeps))
-    told += kept(program)
-    told += _out_of_scale(every, bounds)
-    told += _told(program, (collided, stood), law, cuts, turning, process)
+    stopped = set[int]().union(*(sweep.stopped for sweep in sweeps))
+    issues += kept(program)
+    issues += _out_of_scale(every, bounds)
+    issues += _issues(program, (collided, stopped), law, cuts, turning, process)
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
@@ -137,19 +150,20 @@ def estimate(
         peak=np.max([sweep.peak for sweep in sweeps], axis=0),
         power=power,
         turning=turning,
+        drills=tuple(process.tools[key].shape == "drill" for key in turning.keys),
         stock=material,
         map_in_base=setups[-1].frame,
         removed=removed + start - material.volume(),
-        issues=tuple(told),
+        issues=tuple(issues),
     )
 
 
-def _told_by(progress: Callable[[int, int], None] | None, before: int, total: int) -> Callable[[int], None] | None:
+def _offset(progress: Callable[[int, int], None] | None, before: int, total: int) -> Callable[[int], None] | None:
     return None if progress is None else lambda done: progress(before + done, total)
 
 
 def _thinned(sweep: Sweep, steps: Ways, progress: Callable[[int], None] | None) -> Cuts:
-    """Return the stations that are needed; stations are thinned out as they come, so that few are kept at a time."""
+    """Return the stations that are needed. They are thinned out batch by batch to limit memory."""
     done: list[Cuts] = []
     open_: list[Cuts] = []
     waiting = 0
@@ -167,7 +181,7 @@ def _thinned(sweep: Sweep, steps: Ways, progress: Callable[[int], None] | None) 
 
 
 class _Setup(Struct, frozen=True, eq=False):
-    """Motions during which the tool keeps its direction.
+    """Motions with one direction of the tool.
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.
     :param motions: (M,) True for those motions.
@@ -178,9 +192,9 @@ class _Setup(Struct, frozen=True, eq=False):
 
 
 def _setups(program: Program, axis: str) -> list[_Setup]:
-    """Return what is cut in one direction of the tool each, in order.
+    """Divide the program into set-ups with one direction of the tool each, in order.
 
-    Motions that turn the tool without cutting belong to none.
+    Motions that turn the tool without cutting belong to no set-up.
 
     :raises ForceError: the tool changes its direction while it cuts, or from one cutting move to the next.
     """
@@ -227,14 +241,14 @@ def _frame(towards: Array) -> Array:
 
 
 def _turned(material: Stock, before: Array, frame: Array, cell: float) -> Stock:
-    """Return what is left of a stock as a map for another direction of the tool."""
+    """Return the remaining stock as a map for another direction of the tool."""
     vertices, faces = stocks.mesh_of(material)
     to_map = inverse(frame) @ before
     return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell)
 
 
 def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> tuple[Stock, list[Issue]]:
-    """Return the map of the stock, and what there is to say of it."""
+    """Return the map of the stock, and warnings about it."""
     table = process.stock
     if given is None and table.box is not None and table.file is not None:
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
@@ -263,13 +277,13 @@ def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> t
 
 
 def _hollows(mapped: float, volume: float) -> list[Issue]:
-    """Tell where the map of a stock holds more than the stock: (volumes in m³)."""
+    """Warn if the map of a stock contains more material than the stock (volumes in m³)."""
     hollow = mapped / max(volume, 1e-18) - 1.0
     if hollow <= _HOLLOW:
         return []
     message = (
-        "the stock has hollows or undercuts, seen along the tool: they are taken for material "
-        f"({100 * hollow:.0f} % more than the mesh holds)"
+        "the stock has hollows or undercuts, seen along the tool: they are treated as material "
+        f"({100 * hollow:.0f} % more than the volume of the mesh)"
     )
     return [Issue("warning", "hollow-stock", message)]
 
@@ -277,30 +291,21 @@ def _hollows(mapped: float, volume: float) -> list[Issue]:
 def _mesh(path: Path) -> Any:
     """Read a closed mesh.
 
-    :raises ForceError: it cannot be read, holds no surface or is not closed.
+    :raises ForceError: it cannot be read, contains no surface or is not closed.
     """
-    import trimesh
-
-    if not path.is_file():
-        raise ForceError("no such file", file=str(path), advice="A stock is a closed mesh in mm: STL, OBJ, PLY, GLB.")
-    try:
-        mesh: Any = trimesh.load(path, force="mesh")
-    except (ValueError, OSError, KeyError, IndexError, TypeError, NotImplementedError) as cause:
-        raise ForceError(f"not a mesh that trimesh reads ({cause})", file=str(path)) from cause
-    if len(getattr(mesh, "faces", [])) == 0 or not np.isfinite(mesh.vertices).all():
-        raise ForceError("the mesh has no surface", file=str(path))
+    mesh = files.read_mesh(path, ForceError, "mesh of the stock")
     if not mesh.is_watertight:
         mesh.merge_vertices()
     if not mesh.is_watertight:
-        advice = "Close it in CAD or with a mesh repair tool: what is inside is not defined by an open surface."
+        advice = "Close it in CAD or with a mesh repair tool: an open surface does not define its inside."
         raise ForceError("the mesh of the stock is not closed", file=str(path), advice=advice)
     return mesh
 
 
 def _check_speed(program: Program, steps: Ways, turning: Running) -> None:
-    """A spindle without a speed cannot cut.
+    """Refuse a program without spindle speed.
 
-    :raises ForceError: no cutting move has one.
+    :raises ForceError: no cutting move has a spindle speed.
     """
     motion = np.unique(steps.motion[steps.cutting])
     if len(motion) and not (turning.rpm[motion] > 0.0).any():
@@ -315,47 +320,76 @@ def _check_speed(program: Program, steps: Ways, turning: Running) -> None:
         raise ForceError(problem, file=name, line=line, advice=advice)
 
 
-def _told(
+def _issues(
     program: Program, met: tuple[set[int], set[int]], law: CuttingLaw, cuts: Cuts, turning: Running, process: Process
 ) -> list[Issue]:
-    """Return what the user should know.
+    """Return warnings and notes for the user.
 
-    :param met: motions that met material: rapid ones, and those during which the spindle stands still.
-    :raises ForceError: the spindle stands still on cutting moves that meet material.
+    :param met: motions in contact with material: rapid ones, and those with the spindle off.
+    :raises ForceError: the spindle is off on cutting moves in contact with material.
     """
     lines, name = program.motions.line, program.documents[0].name
-    collided, stood = met
-    if stood:
-        advice = "Start the spindle (M3 S…) before it cuts, or lift the tool."
+    collided, stopped = met
+    if stopped:
+        advice = "Start the spindle (M3 S…) before the cut, or lift the tool."
         raise together(
-            ForceError(
-                "the tool is moved through material while the spindle stands still", file=name, line=line, advice=advice
-            )
-            for line in sorted({int(lines[motion]) for motion in stood})[: MOST + 1]
+            ForceError("the tool moves through material while the spindle is off", file=name, line=line, advice=advice)
+            for line in sorted({int(lines[motion]) for motion in stopped})[: MOST + 1]
         )
-    told = []
+    issues = []
     if collided:
         hit = sorted({int(lines[motion]) for motion in collided})
         message = (
             f"a rapid move goes through material (line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''})"
         )
-        told.append(Issue("warning", "rapid-in-material", message, hit[0], count=len(hit)))
+        issues.append(Issue("warning", "rapid-in-material", message, hit[0], count=len(hit)))
     if law.warning is not None:
-        told.append(Issue("warning", "material", law.warning))
+        issues.append(Issue("warning", "material", law.warning))
+    if law.unknown_axial:
+        message = (
+            "the material has no axial coefficients: the axial force is missing. Measured axial forces are 40 to 90 % "
+            f"of the force across the feed; the bound includes {100 * law.unknown_axial:.0f} % of it. Give "
+            "axial_ratio, or Kac and Kae, or measure them (identify forces)."
+        )
+        issues.append(Issue("info", "no-axial-force", message))
     diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in turning.keys])
-    deep = np.flatnonzero(cuts.depth > _DEEP * diameter[turning.tool[cuts.motion]])
+    drill = np.array([process.tools[key].shape == "drill" for key in turning.keys])
+    place = turning.tool[cuts.motion]
+    issues += _drilled_by_mills(program, cuts, drill[place])
+    deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
     if len(deep):
         worst = deep[int(np.argmax(cuts.depth[deep]))]
         message = (
-            f"a depth of cut of {cuts.depth[worst] * 1e3:.4g} mm, more than {_DEEP:g} diameters: check place and units "
-            "of the stock (an inch is 25.4 mm)"
+            f"a depth of cut of {cuts.depth[worst] * 1e3:.4g} mm, more than {_DEEP:g} diameters: check position and "
+            "units of the stock (an inch is 25.4 mm)"
         )
-        told.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
-    return told
+        issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
+    return issues
+
+
+def _drilled_by_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]:
+    """Warn of drilling cycles that use a milling tool.
+
+    A cycle is one line that makes rapid moves and cuts along the spindle.
+
+    :param drill: (N,) True at stations of a drill.
+    """
+    m = program.motions
+    cut = np.unique(cuts.motion[cuts.along & ~drill & (cuts.torque > 0.0)])
+    if program.keeps_text or not len(cut):
+        return []
+    in_cycle = np.isin(m.line[cut], np.unique(m.line[m.rapid]))
+    if not in_cycle.any():
+        return []
+    message = (
+        "a drilling cycle with a milling tool of the process file: its forces are those of plunge milling. "
+        'If it is a drill, give shape = "drill" in its [tools] entry.'
+    )
+    return [m.issue("warning", "drilled-by-mill", message, cut[in_cycle])]
 
 
 def _out_of_scale(steps: Ways, bounds: tuple[float, ...]) -> list[Issue]:
-    """Tell where the path is many times as large as the stock, though it meets it."""
+    """Warn if the path is many times as large as the stock, although they touch."""
     x0, x1, y0, y1, _ = bounds
     low = np.minimum(steps.begin, steps.end)[steps.cutting, :2].min(axis=0)
     high = np.maximum(steps.begin, steps.end)[steps.cutting, :2].max(axis=0)
@@ -371,20 +405,20 @@ def _out_of_scale(steps: Ways, bounds: tuple[float, ...]) -> list[Issue]:
 def _no_contact(
     program: Program, steps: Ways, bounds: tuple[float, ...], process: Process, stock: Path | None
 ) -> ForceError:
-    """Return what to say where the tool never meets the stock."""
+    """Return the error for a tool that never touches the stock."""
     x0, x1, y0, y1, top = (1e3 * value for value in bounds)
     cutting = steps.cutting
     low = 1e3 * np.minimum(steps.begin, steps.end)[cutting].min(axis=0)
     high = 1e3 * np.maximum(steps.begin, steps.end)[cutting].max(axis=0)
     problem = (
-        "the tool never meets the stock: cutting moves lie within "
+        "the tool never touches the stock: cutting moves lie within "
         f"X {low[0]:.4g} … {high[0]:.4g}, Y {low[1]:.4g} … {high[1]:.4g}, Z {low[2]:.4g} … {high[2]:.4g} mm, the "
         f"stock within X {x0:.4g} … {x1:.4g}, Y {y0:.4g} … {y1:.4g}, top Z {top:.4g} mm"
     )
-    advice = "Stock and program must be in the same frame ($BASE)."
+    advice = "Give stock and program in the same frame ($BASE)."
     size, reach = np.array([x1 - x0, y1 - y0]), high[:2] - low[:2]
     ratio = float(np.max(reach) / max(float(np.max(size)), 1e-9))
     for factor in (_INCH, 1.0 / _INCH):
-        if 0.3 < ratio / factor < 3.0 and (ratio > 5.0 or ratio < 0.2):
+        if 0.3 < ratio / factor < 3.0:
             advice += f" The stock is {'smaller' if factor > 1 else 'larger'} by about 25.4: is one of them in inches?"
     return ForceError(problem, file=str(stock or process.path), advice=advice)

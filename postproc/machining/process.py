@@ -23,8 +23,8 @@ Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 class ToolTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A cutter.
 
-    :param rpm: spindle speed where the program does not say it (KRL).
-    :param spindle: with `rpm`: which way it turns.
+    :param rpm: spindle speed if the program does not give it (KRL) [1/min].
+    :param spindle: with `rpm`: direction of rotation.
     """
 
     diameter_mm: Positive
@@ -76,14 +76,14 @@ class ProcessFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Process(ProcessFile, frozen=True):
-    """A process; `path` is where its file stands."""
+    """A process; `path` is the path of its file."""
 
     path: str = "process.toml"
 
     def law(self) -> CuttingLaw:
-        """Return how the material cuts.
+        """Return the cutting law of the material.
 
-        :raises ForceError: there is no [material], or it does not say.
+        :raises ForceError: there is no [material], or it is incomplete.
         """
         if self.material is None:
             advice = 'Give [material] name = "…" (postproc forces --materials lists them), or [operations] with forces.'
@@ -91,7 +91,7 @@ class Process(ProcessFile, frozen=True):
         return law(self.material, self.path)
 
     def tool(self, number: int | None) -> tuple[str, ToolTable] | None:
-        """Return the key and the entry of tool number `number` (None: not known), or None if there is none."""
+        """Return the key and the entry of tool number `number` (None: unknown), or None without an entry."""
         key = str(number)
         if key in self.tools:
             return key, self.tools[key]
@@ -124,9 +124,10 @@ box = { X = [0, 100], Y = [0, 80], Z = [-20, 0] }   # $BASE, mm; or file = "stoc
 """
 
 
-def load(path: str | Path) -> Process:
+def load(path: str | Path, *, tools_only: bool = False) -> Process:
     """Read and check a process file.
 
+    :param tools_only: accept a file without [material] and [operations].
     :raises ForceError: it cannot be read, has unknown keys, wrong types or values out of range.
     """
     path = Path(path)
@@ -145,7 +146,7 @@ def load(path: str | Path) -> Process:
         for axis, span in zip("XYZ", (content.stock.box.X, content.stock.box.Y, content.stock.box.Z), strict=True):
             if not span[0] < span[1]:
                 raise ForceError(f"[stock] box {axis}: {list(span)} is not from smaller to larger", file=where)
-    if content.material is None and not content.operations:
+    if content.material is None and not content.operations and not tools_only:
         raise ForceError("neither [material] nor [operations]", file=where, advice=_EXAMPLE)
     return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=where)
 

@@ -1,4 +1,4 @@
-"""Removing what a tool sweeps on straight ways from the map of the stock."""
+"""Remove the volume that a tool sweeps on straight segments from the map of the stock."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from postproc.program import Bools, Ints
 
 _HALVINGS = 18
 _WHOLE = np.float32(0.999)
-"""A cell that is cut to this share is cut."""
+"""A cell that is cut over at least this share of its area counts as fully cut."""
 _CELLS = 200_000
-"""Cells under ways that are looked at together."""
+"""Cells under segments that are processed together."""
 
 
 class _Footprint(Struct, frozen=True, eq=False):
-    """Cells under some ways, one row for each cell and way.
+    """Cells under some segments, one row for each cell and segment.
 
-    :param cell: (n,) place in the flat map of cells that the tool covers wholly; level: (n,) its lower side there [m].
-    :param rim: (r,) cells that its cylinder covers in part; covered: (r,) the share; rim_level: (r,) [m].
+    :param cell: (n,) index in the flat map of cells that the tool covers fully; level: (n,) its lower side there [m].
+    :param rim: (r,) cells that its cylinder covers partly; covered: (r,) the share; rim_level: (r,) [m].
     """
 
     cell: Ints
@@ -35,12 +35,12 @@ class _Footprint(Struct, frozen=True, eq=False):
 
 
 def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> None:
-    """Remove what a tool sweeps from tip positions to others, both (L, 3) [m]; the tool stands along z.
+    """Remove the volume that a tool along z sweeps from tip positions to others, both (L, 3) [m].
 
-    The ways make one surface: where several of them cover a part of one cell, that which covers most of it counts.
+    The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
 
-    :param last: (L,) False: where the tool stands at the end, the half of it that is ahead is left for the way that
-        begins there: its front then sees material as it is, and no cells that the end of this way has cut in part.
+    :param last: (L,) False if the next segment continues here. The half of the tool ahead of the end is then left for
+        it, so that its front meets uncut material and no cells that the end of this segment has partly cut.
     """
     high = stock.high.reshape(-1)
     rims = []
@@ -54,7 +54,7 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) 
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
-    """Return how deep a tool cuts at most on a way from one tip position to another, (3,) [m], in cells it covers."""
+    """Return the largest depth of cut [m] from one tip position to another, (3,) [m], in cells that the tool covers."""
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
     for under in _footprints(stock, cutter, begin[None], end[None], np.ones(1, dtype=bool)):
         cut = high[under.cell] - np.maximum(under.level, floor[under.cell])
@@ -63,7 +63,7 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 
 
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> Iterator[_Footprint]:
-    """Yield the cells under ways, few ways at a time; small ones together, in order of their size."""
+    """Yield the cells under segments, a few segments at a time, small ones first."""
     reach, cell = cutter.radius + stock.cell, stock.cell
     origin = np.array([stock.x, stock.y])
     most = np.array(stock.high.shape[::-1])
@@ -87,10 +87,10 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bo
 
 
 def _under(
-    stock: Stock, cutter: Cutter, ways: tuple[Array, Array, Bools], corner: Ints, window: Ints
+    stock: Stock, cutter: Cutter, segments: tuple[Array, Array, Bools], corner: Ints, window: Ints
 ) -> _Footprint | None:
-    """Return the cells under ways (L, 3), each seen in a window of the map that begins at `corner` (L, 2)."""
-    begin, end, last = ways
+    """Return the cells under segments (L, 3), each within a window of the map that begins at `corner` (L, 2)."""
+    begin, end, last = segments
     cell, columns = stock.cell, stock.high.shape[1]
     column = corner[:, 0, None, None] + np.arange(window[0])
     row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
@@ -119,8 +119,8 @@ def _under(
 
 
 def _tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats, Bools]:
-    """Return for cells at places from the begin of each way their distance from it, (L, h, w) [m], the lowest level of
-    the tool above them [m], and whether they lie ahead of its end.
+    """Return for the cells of each segment, all (L, h, w): their distance from it [m], the lowest level of the tool
+    above them [m], and whether they lie ahead of its end. Positions of cells are relative to the start of the segment.
 
     Above a cell the height of the tool is z + slope·t + height(distance at t), which is convex in t.
     """
@@ -136,7 +136,7 @@ def _tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats)
     away = np.sqrt(square + (along - nearest) ** 2)
     z = np.where(still, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
     slope = np.where(still, 0.0, chord[:, 2] / np.where(still, 1.0, run))
-    up = still & (chord[:, 2] >= 0.0)  # or nowhere: all of it is left for the next way
+    up = still & (chord[:, 2] >= 0.0)  # or no motion: all of it is left for the next segment
     ahead = np.where(still[:, None, None], up[:, None, None], along > length)
     if np.abs(slope).max() < 1e-9:
         return away, np.broadcast_to(z + cutter.height(away).astype(np.float32), away.shape), ahead
@@ -144,7 +144,7 @@ def _tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats)
     half = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
     if cutter.corner == 0.0:
         t = np.where(slope_ < 0.0, along + half, along - half)
-    elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the way
+    elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the segment
         t = along - slope_ / np.sqrt(1.0 + slope_ * slope_) * half
     else:
         t = _lowest(cutter, along, square, half, length, slope_)
@@ -154,7 +154,7 @@ def _tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats)
 
 
 def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length: Floats, slope: Floats) -> Floats:
-    """Return where on the way (t) a tool with a rounded corner is lowest above each cell, by golden section."""
+    """Return the position t on the segment where a bull-nose tool is lowest above each cell, by golden section."""
     a = np.minimum(np.maximum(along - half, 0.0), length).astype(float)
     b = np.minimum(np.maximum(along + half, 0.0), length).astype(float)
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -170,14 +170,14 @@ def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length:
 
 
 def _widest(cell: Ints, covered: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
-    """Return each cell once, with the largest share that a way covers, and the level of that way."""
+    """Return each cell once, with the largest share that a segment covers, and the level of that segment."""
     order = np.lexsort((covered, cell))
     final = order[np.flatnonzero(np.diff(cell[order], append=-1))]
     return cell[final], covered[final], level[final]
 
 
 def _cut_in_part(stock: Stock, at: Ints, covered: Floats, level: Floats) -> None:
-    """Cut shares of cells down to levels: walls of one cell are taken to lie side by side, the deeper one inside."""
+    """Cut shares of cells down to levels. Cut areas of one cell are assumed nested, the smaller inside the larger."""
     own_high, own_low, own_share = (one.reshape(-1) for one in (stock.high, stock.low, stock.share))
     high, low, share = own_high[at], own_low[at], own_share[at]
     cuts = level < high

@@ -1,4 +1,4 @@
-"""How much of the edge of a tool is in material, at places of its front."""
+"""Length of cutting edge in material, at points around the tool."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from postproc.machining.stock import Floats, Stock
 from postproc.machining.turn import Turn
 
 _NOTHING = 1e-6
-"""Less of an edge than this [m] in material is rounding."""
+"""Engaged edge lengths below this [m] are rounding errors."""
 
 
 class Engaged(Struct, frozen=True, eq=False):
-    """Edge in material at n stations, at the P places of a turn.
+    """Engaged cutting edge at n stations, at the P points of a turn.
 
-    :param length: (n, P) length of the piece of edge that is in material [m].
-    :param moment: (n, C) ∫ z dz over what is in material at the C places of the cylinder, z above the tip [m²].
+    :param length: (n, P) length of edge in material [m].
+    :param moment: (n, C) ∫ z dz over the edge in material at the C points on the cylinder, z above the tip [m²].
     """
 
     length: Floats
@@ -27,18 +27,18 @@ class Engaged(Struct, frozen=True, eq=False):
 
 
 class _Corners(Struct, frozen=True, eq=False):
-    """The four cells around each of some points: where they stand in the map, and their weights."""
+    """The four cells around each point: their indices in the flat map, and their weights of interpolation."""
 
     cell: tuple[NDArray[np.int32], ...]
     weight: tuple[Floats, ...]
 
 
 def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
-    """Return what is in material.
+    """Return the cutting edge in material.
 
-    :param x: (n, P) and y: where the places stand in the map [m].
+    :param x: (n, P) and y: coordinates of the points in the map [m].
     :param tip: (n,) height of the tip [m].
-    :param descent: (n,) by which the tool goes down in one turn [m], > 0: what lies within it is cut by the end face.
+    :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
     """
     out = np.zeros(x.shape, dtype=np.float32)
     z = tip[:, None]
@@ -90,7 +90,7 @@ def _around(stock: Stock, x: Floats, y: Floats) -> _Corners:
 
 
 def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
-    """Return the cells that hold points."""
+    """Return the index of the cell that contains each point."""
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
     column = ((x - np.float32(stock.x)) * scale).astype(np.int32)
@@ -103,7 +103,7 @@ def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
 
 
 def _partly(stock: Stock, around: _Corners) -> bool:
-    """Return whether any of the cells is cut in part."""
+    """Return whether any of the cells is partly cut."""
     first = around.cell[0]
     columns = stock.high.shape[1]
     low, high = int(first.min()), int(first.max())
@@ -114,7 +114,7 @@ def _partly(stock: Stock, around: _Corners) -> bool:
 def _blend(
     stock: Stock, around: _Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool
 ) -> Floats:
-    """Return a function of the level, less the same of the floor, as a mean over the cells around each point."""
+    """Return function(level) − function(floor), interpolated between the cells around each point."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
     out = None
     for cell, weight in zip(around.cell, around.weight, strict=True):
@@ -133,9 +133,9 @@ def _blend(
 
 
 def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.float32) -> tuple[Floats, Floats]:
-    """Return the height in material of the cylinder (n, K) [m], and its first moment (n, K) [m²].
+    """Return the engaged height of the cylinder (n, K) [m], and its first moment (n, K) [m²].
 
-    Of the cell that holds each point, by the share of it: a wall that is cut along once more is then in air.
+    The cell that contains the point counts by its share: a second pass along the same wall is then in air.
     """
     high, low, share, floor = (
         one.reshape(-1).take(nearest) for one in (stock.high, stock.low, stock.share, stock.floor)
@@ -151,7 +151,7 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.f
 
 
 def _levels(stock: Stock, around: _Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
-    """Return the level at each point, as a mean over the cells around it, not below the tip."""
+    """Return the level at each point, interpolated between the cells around it, not below the tip."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
     out = None
     for cell, weight in zip(around.cell, around.weight, strict=True):

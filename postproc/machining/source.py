@@ -1,4 +1,4 @@
-"""A process as a source of forces: what `forces.along` puts on the motions of a program."""
+"""A process as a source of forces for `forces.along`."""
 
 from __future__ import annotations
 
@@ -20,31 +20,28 @@ _NONE = np.zeros(0, dtype=np.int64), np.zeros((0, 6)), np.zeros(0, dtype=np.int6
 
 
 class ProcessSource:
-    """The forces that a process makes: from material, tools and stock, and from its table of operations, which wins.
+    """The forces of a process: from material, tools and stock; entries of its table of operations take precedence.
 
-    Fulfils `forces.ForceSource`. The stock is swept once for a program.
+    Implements `forces.ForceSource`. The stock is swept once for a program.
 
-    :ivar found: what was computed last; None before, and where there is no [material].
+    :ivar found: the last result; None before the first, and without [material].
     """
 
-    def __init__(
-        self, process: Process, axis: str, ramp: float, *, stock: Path | None = None, shift: Shift | None = None
-    ) -> None:
-        """Take a process.
+    def __init__(self, process: Process, axis: str, *, stock: Path | None = None, shift: Shift | None = None) -> None:
+        """Store a process.
 
         :param axis: axis of the tool frame that points from the spindle to the tip.
-        :param ramp: over which length the force comes up where a motion begins [m].
         :param stock: mesh of the stock, instead of that of the process.
         :param shift: displacement of the tip, see `Shift`.
         """
-        self._process, self._axis, self._ramp, self._stock, self._shift = process, axis, ramp, stock, shift
+        self._process, self._axis, self._stock, self._shift = process, axis, stock, shift
         self._of: Program | None = None
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
 
     def shifted(self, shift: Shift) -> ProcessSource:
-        """Return the same process for a tip that gives way."""
-        return ProcessSource(self._process, self._axis, self._ramp, stock=self._stock, shift=shift)
+        """Return the same process with a displaced tip."""
+        return ProcessSource(self._process, self._axis, stock=self._stock, shift=shift)
 
     @property
     def name(self) -> str:
@@ -64,7 +61,7 @@ class ProcessSource:
         process = self._process
         computed = None
         if process.material is not None:
-            self.found = estimate(program, path, process, self._axis, self._ramp, stock=self._stock, shift=self._shift)
+            self.found = estimate(program, path, process, self._axis, stock=self._stock, shift=self._shift)
             computed = knots_of(self.found.along, self.found)
         if not process.operations:
             return Knots.throughout(*_NONE) if computed is None else computed
@@ -77,7 +74,5 @@ class ProcessSource:
 
 def knots_of(along: AlongMotions, found: ProcessForces) -> Knots:
     """Return wrenches along motions as knots."""
-    kept = ~along.steady | (along.t > 0.0)  # a steady force comes up over the ramp of itself
-    t = np.where(along.steady, 1.0, along.t)
-    knots = Knots(along.motion, t, along.wrench, along.frame, along.sigma, along.steady).take(kept)
+    knots = Knots.along(along.motion, along.t, along.wrench, along.frame, along.sigma)
     return replace(knots, issues=found.issues)

@@ -1,8 +1,8 @@
-"""The stock as a map of heights, with the part of each cell that was cut deeper.
+"""The stock as a height map with two levels in each cell.
 
-A map of heights alone would know a wall to half a cell, which is several per cent of a force at small widths of cut. So
-each cell holds two levels and the share of its area that is at the lower one: a wall that passes through the cell is
-where the share says. Volumes are right to the second order of the cell, and forces too.
+A plain height map locates a wall to half a cell, an error of several per cent of the force at small widths of cut. So
+each cell has two levels and the share of its area at the lower one, which locates a wall within the cell. The errors of
+volumes and forces are of second order in the width of a cell.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _BORDER = 2
 """Cells of air around the stock."""
 _MOST_CELLS = 60_000_000
 _SUB = 4
-"""Into so many columns and rows a cell is divided to see how much of it a mesh covers."""
+"""Columns and rows into which a cell is divided to find the share of it that a mesh covers."""
 _PAIRS = 4_000_000
-"""Of triangle and cell, looked at together."""
+"""Pairs of triangle and cell that are processed together."""
 
 
 class Stock(Struct, frozen=True, eq=False):
@@ -35,8 +35,8 @@ class Stock(Struct, frozen=True, eq=False):
     :param high: (ny, nx) upper level; the map is changed in place as material is removed.
     :param low: (ny, nx) lower level; counts only where `share` is not 0.
     :param share: (ny, nx) part of the cell's area that is at the lower level, 0 … 1.
-    :param floor: (ny, nx) where the material begins below; it never changes.
-    :param ground: its highest place.
+    :param floor: (ny, nx) lower side of the material; it never changes.
+    :param ground: the largest value of `floor`.
     """
 
     x: float
@@ -60,7 +60,7 @@ class Stock(Struct, frozen=True, eq=False):
 
     @property
     def top(self) -> float:
-        """The highest material [m]; minus infinity where there is none."""
+        """Height of the highest material [m]; minus infinity without material."""
         solid = self.high > self.floor
         return float(self.high[solid].max()) if solid.any() else float("-inf")
 
@@ -75,7 +75,7 @@ def _empty(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, f
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
     if int(count[0]) * int(count[1]) > _MOST_CELLS:
         least = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3
-        advice = f"Take [stock] resolution_mm = {max(1.2 * least, 1e-3):.2g} or more."
+        advice = f"Give [stock] resolution_mm = {max(1.2 * least, 1e-3):.2g} or more."
         raise ForceError(f"the map of the stock would have {count[0]} × {count[1]} cells", file=file, advice=advice)
     return float(lower[0]) - _BORDER * cell, float(lower[1]) - _BORDER * cell, int(count[0]), int(count[1])
 
@@ -132,7 +132,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
 def _columns(
     vertices: Array, faces: NDArray[np.int64], origin: tuple[float, float], step: float, count: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Return the highest and the lowest surface above the points of a grid, (ny, nx) each; −inf, inf without."""
+    """Return the highest and the lowest surface above the points of a grid, (ny, nx) each; −inf, inf if none."""
     nx, ny = count
     upper, lower = np.full(ny * nx, -np.inf), np.full(ny * nx, np.inf)
     for corner, index, triangle in _pairs(vertices[faces], origin, step, count):
@@ -177,9 +177,9 @@ def _pairs(
 
 
 def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.int64]]:
-    """Return what is left of the stock as a closed mesh: vertices (V, 3) [m] and faces (F, 3).
+    """Return the remaining stock as a closed mesh: vertices (V, 3) [m] and faces (F, 3).
 
-    Larger maps are made coarser, so that at most about `most_cells` cells are drawn.
+    Larger maps are made coarser, to about `most_cells` cells at most.
     """
     factor = int(np.ceil(np.sqrt(stock.high.size / most_cells)))
     thick, floor = stock.thickness(), stock.floor.astype(float)
@@ -191,20 +191,20 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
     bottom = (np.pad(np.where(stock.thickness() > 1e-9, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))) / np.maximum(
         solid, 1
     )
-    there = thick > 1e-6
+    filled = thick > 1e-6
     # cells that touch at a corner only would share an edge of four faces: such a mesh is not closed
     diagonal = np.ones(1)
     while diagonal.any():
-        one = there[:-1, :-1] & there[1:, 1:] & ~there[:-1, 1:] & ~there[1:, :-1]
-        other = there[:-1, 1:] & there[1:, :-1] & ~there[:-1, :-1] & ~there[1:, 1:]
+        one = filled[:-1, :-1] & filled[1:, 1:] & ~filled[:-1, 1:] & ~filled[1:, :-1]
+        other = filled[:-1, 1:] & filled[1:, :-1] & ~filled[:-1, :-1] & ~filled[1:, 1:]
         diagonal = one | other
-        there[:-1, :-1] &= ~one
-        there[:-1, 1:] &= ~other
+        filled[:-1, :-1] &= ~one
+        filled[:-1, 1:] &= ~other
     width = stock.cell * factor
-    weight = np.pad(there, 1).astype(float)
+    weight = np.pad(filled, 1).astype(float)
 
     def at_corners(values: Array) -> Array:
-        own = np.pad(np.where(there, values, 0.0), 1)
+        own = np.pad(np.where(filled, values, 0.0), 1)
         total = own[:-1, :-1] + own[1:, :-1] + own[:-1, 1:] + own[1:, 1:]
         number = weight[:-1, :-1] + weight[1:, :-1] + weight[:-1, 1:] + weight[1:, 1:]
         return np.asarray(total / np.maximum(number, 1.0))
@@ -214,10 +214,10 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
     layer = gx.size
     vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (over, under)])
     number = np.arange(layer).reshape(rows + 1, columns + 1)
-    r, c = np.nonzero(there)
+    r, c = np.nonzero(filled)
     quads = [np.stack([number[r, c], number[r, c + 1], number[r + 1, c + 1], number[r + 1, c]], axis=-1)]
     quads.append(quads[0][:, ::-1] + layer)
-    edge = np.pad(there, 1)
+    edge = np.pad(filled, 1)
     for dr, dc, p, q in (
         (-1, 0, (0, 1), (0, 0)),
         (1, 0, (1, 0), (1, 1)),
@@ -234,7 +234,7 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
 
 
 def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
-    """Return a mesh of trimesh in mm."""
+    """Return the mesh as a `trimesh.Trimesh` in mm."""
     import trimesh
 
     return trimesh.Trimesh(vertices * 1e3, faces, process=False)

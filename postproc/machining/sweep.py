@@ -1,8 +1,8 @@
-"""Sweeping tools through the stock: what is in material along the path, and what forces that makes.
+"""Sweep tools through the stock: engagement along the path, and the forces that follow from it.
 
-Ways are taken together as long as they run nearly straight on. The stock as it is before them tells what their front
-finds: a convex tool that moves straight on never meets, with the part of its surface that looks ahead, what it cut on
-this way before. Then their material is removed.
+Segments are processed together as long as the path is nearly straight. Their engagement is found in the stock before
+the first of them: the front of a convex tool on a straight path never reaches material that the tool has just cut.
+Then their material is removed.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from postproc.machining.ways import Ways
 from postproc.program import Bools, Ints
 
 _STRAIGHT = np.cos(np.radians(10.0))
-"""Ways that turn by less are taken together."""
+"""Segments that turn by less are processed together."""
 _LONGEST = 20.0
-"""Ways are taken together over so many radii of the tool at most."""
+"""Maximum length of segments that are processed together, in radii of the tool."""
 _ALONG = 1e-3
-"""Sine of the angle to the spindle below which a way runs along it."""
+"""Sine of the angle to the spindle below which a segment is along it."""
 _ELEMENTS = 200_000
-"""Places of edges that are looked at together."""
+"""Points of edges that are processed together."""
 _SLOPES = 16
-"""Steps of the sine of the slope by which it is known which part of a tool's edge can cut."""
+"""Steps of the sine of the slope for which the part of the edge that can cut is found."""
 _FINE = 0.5
-"""Of a cell: how close the angles stand at the rim where only the cylinder is looked at, cell by cell."""
+"""Distance of sample points at the rim, in cells, if only the cylinder cuts."""
 _ON_LINE = 1e-6
-"""Directions that differ by less are those of one line."""
+"""Directions that differ by less count as one straight line."""
 _LITTLE = 0.05
-"""Less of an edge than this share in material does not count for angles and width of engagement."""
+"""Share of an edge in material below which it does not count for angles and width of engagement."""
 _TOUCHED = 2e-5
-"""A rapid move, or a spindle that stands still, may touch material so deep [m] without being told of."""
+"""Depth [m] to which a rapid move, or a move with the spindle off, may touch material without a warning."""
 
 
 class Cuts(Struct, frozen=True, eq=False):
-    """What was found at N stations of cutting moves, in order. SI.
+    """Engagement and loads at N stations of cutting moves, in order. SI.
 
     :param motion: (N,) row of `Motions`.
-    :param t: (N,) place on it.
+    :param t: (N,) position on it in [0, 1].
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
         axes of the map.
     :param feed: (N, 2) direction of travel across the spindle in the axes of the map; (1, 0) along the spindle.
@@ -57,7 +57,7 @@ class Cuts(Struct, frozen=True, eq=False):
     :param torque: (N,) mean torque of the spindle [N·m].
     :param power: (N,) [W].
     :param enter: (N,) and leave: (N,) smallest and largest angle in material [rad]; NaN in air.
-    :param depth: (N,) axial depth of cut [m].
+    :param depth: (N,) axial depth of cut [m]; of drills the depth of the tip below the surface around the hole.
     :param width: (N,) radial width of cut [m].
     :param rate: (N,) volume removed per time [m³/s].
     """
@@ -81,7 +81,7 @@ class Cuts(Struct, frozen=True, eq=False):
 
     @classmethod
     def joined(cls, parts: list[Cuts]) -> Cuts:
-        """Return stations one after the other."""
+        """Return the stations of several parts, in order."""
         if not parts:
             none = np.zeros(0)
             return cls(none.astype(np.int64), none, np.zeros((0, 6)), np.zeros((0, 2)), none.astype(bool), *[none] * 7)
@@ -89,12 +89,12 @@ class Cuts(Struct, frozen=True, eq=False):
 
 
 class Sweep(Struct, eq=False):
-    """A stock, and tools that go through it.
+    """A stock, and the tools that cut it.
 
-    :ivar collided: motions that are rapid and went through material.
-    :ivar stood: motions that went through material while the spindle stood still.
+    :ivar collided: rapid motions through material.
+    :ivar stopped: cutting motions through material with the spindle off.
     :ivar peak: (M, 2) largest force [N] and torque [N·m] within a turn on each motion.
-    :ivar contact: whether any cutting move met material.
+    :ivar contact: whether any cutting move engaged material.
     """
 
     stock: Stock
@@ -103,7 +103,7 @@ class Sweep(Struct, eq=False):
     feed: Array
     law: CuttingLaw
     collided: set[int] = field(default_factory=set)
-    stood: set[int] = field(default_factory=set)
+    stopped: set[int] = field(default_factory=set)
     peak: Array = field(default_factory=lambda: np.zeros((0, 2)))
     contact: bool = False
     _cutters: dict[int, Cutter] = field(default_factory=dict)
@@ -111,9 +111,9 @@ class Sweep(Struct, eq=False):
     _turns: dict[tuple[int, bool, int, int], Turn] = field(default_factory=dict)
 
     def run(self, ways: Ways, progress: Callable[[int], None] | None = None) -> Iterator[Cuts]:
-        """Yield what is found on the cutting ways in order, and remove their material; see `Cuts`.
+        """Yield engagement and loads on the cutting segments in order, and remove their material; see `Cuts`.
 
-        :param progress: called with the number of ways done.
+        :param progress: called with the number of segments done.
         """
         self.peak = np.zeros((len(self.feed), 2))
         top = self.stock.top
@@ -137,17 +137,17 @@ class Sweep(Struct, eq=False):
                 self._unwanted(ways, begin, end, cutter)
 
     def _unwanted(self, ways: Ways, begin: int, end: int, cutter: Cutter) -> None:
-        """Note rapid moves, and a spindle that stands still, in material; remove it."""
+        """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
         whole = np.ones(1, dtype=bool)
-        if begin > 0 and ways.joined[begin]:  # what its predecessor left for the next way
+        if begin > 0 and ways.joined[begin]:  # material that the segment before left for this one
             remove(self.stock, cutter, ways.begin[[begin]], ways.begin[[begin]], whole)
         for way in range(begin, end):
             if depth_of(self.stock, cutter, ways.begin[way], ways.end[way]) > _TOUCHED:
-                (self.stood if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
+                (self.stopped if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
             remove(self.stock, cutter, ways.begin[[way]], ways.end[[way]], whole)
 
     def _near(self, ways: Ways, top: float) -> Bools:
-        """Return which ways (L,) can meet the stock at all."""
+        """Return which segments (L,) can touch the stock at all."""
         x0, x1, y0, y1 = self.stock.bounds
         reach = np.zeros(len(ways.motion))
         for number in np.unique(self.turning.tool[ways.motion]).tolist():
@@ -157,7 +157,7 @@ class Sweep(Struct, eq=False):
         return np.asarray(near & (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1))
 
     def _groups(self, ways: Ways, near: Bools) -> Iterator[tuple[int, int]]:
-        """Yield ranges of ways that are worked on together."""
+        """Yield ranges of segments that are processed together."""
         motion = ways.motion
         length = np.linalg.norm(ways.end - ways.begin, axis=1)
         along = np.hypot(ways.leave[:, 0], ways.leave[:, 1]) < _ALONG
@@ -188,7 +188,7 @@ class Sweep(Struct, eq=False):
             yield begin, len(motion)
 
     def _in_air(self, ways: Ways, begin: int, end: int) -> Cuts:
-        """Return stations of ways that cannot meet the stock: one each."""
+        """Return stations of segments that cannot touch the stock: one each."""
         n = end - begin
         zero, nothing = np.zeros(n), np.full(n, np.nan)
         t = 0.5 * (ways.first[begin:end] + ways.last[begin:end])
@@ -218,7 +218,7 @@ class Sweep(Struct, eq=False):
             yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows], ways.leave[begin])
 
     def _turn(self, number: int, position: Array, heading: Array) -> Turn:
-        """Return the pieces of edge that can be in material at some positions, and the angles to look at."""
+        """Return the sample points of the edge that can be in material at these positions."""
         cutter, pieces = self._cutter(number), self._edge(number)
         down = bool((heading[:, 2] < -1e-6).any())
         high = self._highest(position, cutter.radius)
@@ -275,6 +275,12 @@ class Sweep(Struct, eq=False):
         self.contact = True
         self._note_peaks(turn, inside, chip, cutter, motion, wrench)
         enter, leave, depth, width = _engagement(turn, cuts)
+        if cutter.drill:
+            # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end
+            bottom = float(position[:, 2].min()) - 0.5 * abs(float(position[-1, 2] - position[0, 2])) / max(
+                1, len(t) - 1
+            )
+            depth = np.where(cuts.any(axis=1), max(self._highest(position, cutter.radius) - bottom, 0.0), 0.0)
         torque = wrench[:, 5] * hand
         return Cuts(
             motion, t, wrench, np.stack([ux, uy], axis=-1), along, torque, torque * rpm * (2.0 * np.pi / 60.0),
@@ -294,7 +300,7 @@ class Sweep(Struct, eq=False):
     def _note_peaks(
         self, turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter, motion: Ints, wrench: Array
     ) -> None:
-        """Keep the largest force and torque within a turn: where the mean force of each motion is largest."""
+        """Record the largest force and torque within a turn, at the largest mean force of each motion."""
         size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
         new = np.flatnonzero(np.concatenate([[True], motion[1:] != motion[:-1]]))
         best = [a + int(np.argmax(size[a:b])) for a, b in zip(new, [*new[1:], len(motion)], strict=True)]
@@ -315,7 +321,7 @@ class Sweep(Struct, eq=False):
 
 
 def _runs(ways: Ways, begin: int, end: int) -> Ints:
-    """Return where ways begin that lie on one line with those after them: they are removed in one go."""
+    """Return the first segment of each straight run: the material of a run is removed at once."""
     chord = ways.end[begin:end] - ways.begin[begin:end]
     chord /= np.linalg.norm(chord, axis=1)[:, None]
     bends = np.abs(np.diff(chord, axis=0)).max(axis=1, initial=0.0) > _ON_LINE

@@ -1,4 +1,4 @@
-"""As few places along each motion as a piecewise linear force needs."""
+"""Reduce the stations along each motion to those that a piecewise linear force needs."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from postproc.frames import Array, norm
 from postproc.program import Ints
 
 _SHARE = 0.01
-"""Of the largest force of a motion, and of its largest moment, what each may be off by between knots,"""
+"""Tolerance between stations as a share of the largest force and of the largest moment of a motion,"""
 _LEAST = 1.0, 0.1
-"""but not less than this [N, N·m]: one newton at 100 mm of tool."""
+"""but at least this [N, N·m]: one newton at 100 mm of tool."""
 
 
 def thinned(motion: Ints, wrench: Array) -> NDArray[np.int64]:
     """Return the rows (K,) of stations that are needed: between them the wrench is linear to within a tolerance.
 
-    The first and the last station of each motion are kept, unless the wrench is the same all along: then one is.
+    The first and the last station of each motion are kept. A motion with a constant wrench keeps one station.
 
     :param motion: (N,) row of `Motions`, never decreasing.
     :param wrench: (N, 6) [N, N·m].
@@ -42,7 +42,7 @@ def thinned(motion: Ints, wrench: Array) -> NDArray[np.int64]:
 
 
 def _places(halves: Array) -> Iterator[int]:
-    """Yield the rows to keep of forces and moments (n, 2, 3), each in units of what it may be off by.
+    """Yield the rows to keep of forces and moments (n, 2, 3), each in units of its tolerance.
 
     Ramer 1972, Douglas and Peucker 1973, over the row number.
     """

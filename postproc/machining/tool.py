@@ -42,10 +42,10 @@ class Edge(Struct, frozen=True, eq=False):
     """S pieces of the edge of one tooth, from the axis outwards and up.
 
     :param part: (S,) `BOTTOM`, `CORNER` or `SIDE`.
-    :param radius: (S,) of the middle of the piece from the axis [m].
+    :param radius: (S,) distance of the middle of the piece from the axis [m].
     :param low: (S,) height of its lower end above the tip [m].
     :param rise: (S,) its height [m]; infinite for `SIDE`; 0 for `BOTTOM`.
-    :param length: (S,) along the edge, without helix [m]; 1 for `SIDE`: by its height.
+    :param length: (S,) along the edge, without helix [m]; 1 for `SIDE`, whose length is its height.
     :param kappa: (S,) angle between the axis and the normal of the cut surface: 90° on the cylinder, 0 below.
     """
 

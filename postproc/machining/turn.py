@@ -1,4 +1,4 @@
-"""The edge of a tooth within a turn, as places at which it is asked for material."""
+"""The edge of a tooth within a turn, as sample points for the engagement."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from postproc.machining.stock import Floats
 from postproc.machining.tool import BOTTOM, CORNER, SIDE, Cutter, Edge
 
 _LEAST = 8
-"""Places of half a turn on small circles."""
+"""Minimum number of sample points in half a turn."""
 
 
 class Turn(Struct, frozen=True, eq=False):
-    """P places of the edge of a tooth within a turn, and what each adds to the wrench.
+    """P sample points of the edge of a tooth within a turn, and the contribution of each to the wrench.
 
-    Places stand about as far apart on small circles as on the rim; those of one kind of edge stand together.
+    Points are about as far apart on small circles as on the rim; points of one kind of edge are contiguous.
 
     :param phi: (P,) angles [rad], the middles of parts of the turn that are `width` (P,) wide.
     :param radius: (P,) distance from the axis [m]; low: (P,) height of the lower end of the piece of edge above the
         tip [m]; rise: (P,) its height [m], 0 on the end face, infinite on the cylinder; length: (P,) along it [m].
-    :param bottom: where places on the end face stand, and round, side: those of the corner and of the cylinder.
+    :param bottom: slice of the points on the end face, and round, side: of the corner and of the cylinder.
     :param front: (P,) and across, down: components of the normal along x, y and −z.
-    :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; of the cylinder without what
-        the height of the force adds to the moment.
+    :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; on the cylinder without the
+        moment due to the height of the force.
     :param rub: (P, 6) the same per engaged length alone [N/m, N].
-    :param phase: (P, B) which of B places of the first tooth within its pitch have a tooth here: 1 or 0.
-    :param tall: (P, A) height of the edge over its length, for each of A angles of the turn that is seen here, else 0.
+    :param phase: (P, B) 1 if a tooth is here for each of B positions of the first tooth within its pitch, else 0.
+    :param tall: (P, A) height of the edge over its length for each of A angles of the turn that the point covers, or 0.
     """
 
     law: CuttingLaw
@@ -52,10 +52,10 @@ class Turn(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, descent: float) -> Turn:
-        """Divide a turn so that places are about `step` [m] apart.
+        """Divide a turn so that points are about `step` [m] apart.
 
-        :param descent: sine of the steepest angle by which the feed goes down, < 0 up: places where no chip can be
-            are left out.
+        :param descent: sine of the steepest downward angle of the feed, < 0 upward: points without a possible chip
+            are omitted.
         """
         half = cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), -(-24 // cutter.teeth))
         piece, phi, width = [], [], []
@@ -71,12 +71,10 @@ class Turn(Struct, frozen=True, eq=False):
         sine, cosine = np.sin(angle), np.cos(angle)
         sk, ck = np.sin(edge.kappa)[own], np.cos(edge.kappa)[own]
         ck = np.where(np.abs(ck) < 1e-12, 0.0, ck)
-        meets = sk * sine * np.sqrt(1.0 - descent**2) + ck * descent > 1e-9
-        if not meets.any():
-            meets[:] = True
-        own, angle, wide_, sine, cosine, sk, ck = (
-            column[meets] for column in (own, angle, wide_, sine, cosine, sk, ck)
-        )
+        cuts = sk * sine * np.sqrt(1.0 - descent**2) + ck * descent > 1e-9
+        if not cuts.any():
+            cuts[:] = True
+        own, angle, wide_, sine, cosine, sk, ck = (column[cuts] for column in (own, angle, wide_, sine, cosine, sk, ck))
         zero, part, rise = np.zeros(len(own)), edge.part[own], edge.rise[own]
         normal = np.stack([sk * sine, sk * cosine, zero - ck], axis=-1)
         tangential = np.stack([zero - cosine, sine, zero], axis=-1)
@@ -104,7 +102,12 @@ class Turn(Struct, frozen=True, eq=False):
 
 
 def _covered(phi: Array, width: Array, number: int, turn: float) -> Floats:
-    """Return how much of each of `number` equal parts of an angle that comes again and again a place covers."""
+    """Return the covered fraction (P, number) of equal parts of a periodic angle.
+
+    :param phi: (P,) centre of the covered interval [rad].
+    :param width: (P,) its width [rad]; beyond `turn` it covers parts more than once.
+    :param turn: period of the angle [rad].
+    """
     middle = (np.arange(number) + 0.5) * (turn / number)
     off = np.abs((middle - phi[:, None] + 0.5 * turn) % turn - 0.5 * turn)
     whole = np.maximum(width / turn, 1.0)[:, None]

@@ -1,4 +1,4 @@
-"""The tool's path through the stock as straight ways, in the frame of the map."""
+"""The path of the tool through the stock as straight segments, in the frame of the map."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from postproc.program import CIRC, PTP, Bools, Ints, Program
 from postproc.toolpath import Segments, positions, tangent
 
 _SAG = 0.1
-"""An arc is cut into chords that leave it by this share of a cell at most,"""
+"""An arc is divided into chords that deviate from it by this share of a cell at most,"""
 _TURN = np.radians(8.0)
 """and that turn by this angle at most."""
 _STILL = 1e-9
 
 
 class Ways(Struct, frozen=True, eq=False):
-    """L straight ways in order; [m], frame of the map (z from the tip to the spindle).
+    """L straight segments in order; [m], frame of the map (z from the tip to the spindle).
 
     :param motion: (L,) row of `Motions`.
-    :param first: (L,) and last: (L,) places t on that motion where the way begins and ends.
+    :param first: (L,) and last: (L,) positions t on that motion where the segment begins and ends.
     :param begin: (L, 3) and end: (L, 3) positions of the tip.
     :param leave: (L, 3) and arrive: (L, 3) unit directions of travel there.
     :param cutting: (L,) False for rapid moves.
-    :param joined: (L,) True where the way begins where the one before ends, with the same tool.
+    :param joined: (L,) True if the segment begins at the end of the one before, with the same tool.
     """
 
     motion: Ints
@@ -40,21 +40,21 @@ class Ways(Struct, frozen=True, eq=False):
     joined: Bools
 
     def of(self, motions: Bools) -> Ways:
-        """Return the ways of some of M motions (M,); what is joined to others is not."""
+        """Return the segments of selected motions (M,); at gaps in the selection `joined` is False."""
         rows = np.flatnonzero(motions[self.motion])
         out = Ways(*(getattr(self, name)[rows] for name in self.__struct_fields__))
         return replace(out, joined=out.joined & (np.diff(rows, prepend=-2) == 1))
 
 
 class Shift(Struct, frozen=True, eq=False):
-    """Where a tip that gives way really is: (n,) motions, t and (n, 3) displacements [m], `$BASE`."""
+    """Displacement of the deflected tip along the path: (n,) motions, t and (n, 3) displacements [m], `$BASE`."""
 
     motion: Ints
     t: Array
     offset: Array
 
     def at(self, motion: Ints, t: Array) -> Array:
-        """Return displacements (k, 3) at places, linear between those given, constant outside of them on a motion."""
+        """Return displacements (k, 3) [m] at places of motions, interpolated linearly, also across ends of motions."""
         key, own = motion + 0.999 * t, self.motion + 0.999 * self.t
         return np.stack([np.interp(key, own, self.offset[:, axis]) for axis in range(3)], axis=-1)
 
@@ -62,11 +62,11 @@ class Shift(Struct, frozen=True, eq=False):
 def ways(
     program: Program, path: Segments, turning: Running, frame: Array, cell: float, shift: Shift | None = None
 ) -> Ways:
-    """Cut the motions of a program into straight ways.
+    """Divide the motions of a program into straight segments.
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
     :param cell: width of a cell [m].
-    :param shift: displacement of the tip; ways are then cut where it is given.
+    :param shift: displacement of the tip; segments are also divided where it is given.
     """
     m = program.motions
     count = np.ones(len(m), dtype=np.int64)
@@ -103,7 +103,7 @@ def ways(
 
 
 def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
-    """Cut ways where displacements are given."""
+    """Divide segments where displacements are given."""
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
     known = np.searchsorted(motion + first, keys, side="right") - 1
     out_motion, out_first, out_last = [], [], []
@@ -134,7 +134,7 @@ def _in_map(
 
 
 def home_base(program: Program) -> int:
-    """Return the row of `Program.bases` in which the stock stands: that of the first cutting motion."""
+    """Return the row of `Program.bases` in which the stock is given: that of the first cutting motion."""
     m = program.motions
     return int(m.base[np.argmax(~m.rapid)])
 

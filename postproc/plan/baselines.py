@@ -31,7 +31,7 @@ def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
 def serial_plan(task: Task) -> Plan:
     """Return the semi-intuitive plan of the serial approach: poses chosen by a kinematic performance measure.
 
-    After Dumas et al. 2011 as the paper tells it: evenly spaced levels of q2; on each, of the fifth of poses in which
+    After Dumas et al. 2011 as quoted in the paper: evenly spaced levels of q2; on each, of the fifth of poses in which
     the Jacobian is best conditioned (lengths over the characteristic one), those farthest apart in joint space.
     """
     candidates = task.candidates

@@ -49,7 +49,7 @@ class Candidates(Struct, frozen=True, eq=False):
 
 
 def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = None) -> tuple[Array, Array]:
-    """Return configurations (count, 6) and tilts (count, 2) at random, feasible or not; no joint turns beyond ±180°."""
+    """Return random joint angles (count, 6) [rad] within ±180° and tilts of the load (count, 2), feasible or not."""
     lower, upper = np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi)
     q = rng.uniform(lower, upper, (count, 6))
     if q2 is not None:
@@ -97,7 +97,7 @@ def draw_candidates(site: Site, readings: Readings, rng: np.random.Generator, fi
             row = np.arange(_PER_LEVEL) % len(found_q)  # repeated where there are fewer
             q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
-    information *= real[:, :, None, None]  # a measured level where nothing can be measured any more tells nothing
+    information *= real[:, :, None, None]  # no information from a level at which nothing can be measured any more
     load = readings.force * direction(tilt.reshape(-1, 2))
     torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * real[:, :, None]
     return Candidates(levels[kept], q, tilt, information, torque)

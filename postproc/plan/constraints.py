@@ -71,7 +71,7 @@ def feasible(site: Site, q: Array, tilt: Array) -> Bools:
 
 
 def passable(site: Site, q: Array) -> Bools:
-    """Return (N,) where the arm can stand without load, whether seen or not."""
+    """Return (N,) True where the unloaded arm can be, visible or not."""
     state = State.of(site, q, None)
     good = within_limits(site, q)
     for group in (_floor, _itself, _room):
@@ -220,7 +220,7 @@ def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """A marker is seen if no part of the arm, of the load, or of an obstacle stands between it and the tracker."""
+    """A marker is seen if no part of the arm, of the load, or of an obstacle is between it and the tracker."""
     if site.tracker is None:
         return
     marker = np.swapaxes(state.posed.point(site.points), 0, 1)  # (P, N, 3)

@@ -67,7 +67,7 @@ class Joint2(Struct, frozen=True, eq=False):
     def from_levels(self, levels: Array, q2: Array) -> Array:
         """Return ∂k2(q2)/∂k2(levels), (n, m): how errors of the levels reach other q2, by Eq. (9) unweighted.
 
-        With fewer than three levels the compensator cannot be told apart and stays at the prior.
+        With fewer than three levels the compensator is not identifiable and stays at the prior.
         """
         here, there = self.relative(q2), self.relative(levels)
         if self.free and len(levels) >= _LEVELS:
@@ -125,7 +125,7 @@ class Criterion(Struct, frozen=True, eq=False):
     :param grouped: as printed, or pooled.
     :param two: place of k2 among the p compliances looked for.
     :param weight: pooled: (p − 1 + m, p − 1 + m) Σ w A₀ᵀA₀ of the extended set; grouped: (p, p).
-    :param spread: (m, p) where each compliance of a group stands in the extended set.
+    :param spread: (m, p) index of each compliance of a group in the extended set.
     :param before: information of what was measured already: pooled in the extended set, grouped (m, p, p).
     """
 

@@ -16,7 +16,7 @@ from postproc.program import Bools, Ints
 from postproc.robot import JOINTS
 
 _OF_POSES = 3
-"""One pose of so many, at least, is to load a joint to a side; from `ENOUGH` poses on a direction is covered."""
+"""At least one of this many poses must load a joint to a side; from `ENOUGH` poses on a direction is covered."""
 _TYPICAL = 0.95
 _RARE = 0.01
 """Share of poses below which a direction counts as out of reach."""
@@ -48,7 +48,7 @@ class Directions(Struct, frozen=True, eq=False):
 
 
 def directions(torque: Array, tests: TestPoses, poses: int, measured: Array | None = None) -> Directions:
-    """Return what is to be loaded.
+    """Return the directions to load.
 
     :param torque: (N, 6) of many poses that can be measured [N·m].
     :param tests: the work.

@@ -1,4 +1,4 @@
-"""Test poses: where the user mills and under which forces, thinned to a few that stand for all.
+"""Test poses: the poses and forces of the user's programs, thinned to a few that represent all.
 
 Source: Klimchik et al., second Eq. (10): q₀ and F₀ "related to a typical machining configuration and force".
 """
@@ -90,14 +90,14 @@ def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: A
 def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceSource | None = None) -> TestPoses:
     """Return test poses all along the cutting moves of a program, weighted by the way cut.
 
-    :param source: forces beside the comments of the program; they win.
+    :param source: forces; they take precedence over the comments of the program.
     :raises PlanError: no cutting move carries a force, or the robot cannot reach one.
     :raises ForceError: forces that cannot be given to the motions.
     """
     name, m = program.documents[0].name, program.motions
     try:
         motions = MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source)
-        path = PathUnderLoad.of(motions, motions.pieces())
+        path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     except ImpossiblePathError as cause:
         raise PlanError(cause.issue.message.rstrip("."), file=name, line=cause.issue.source_line) from None
     motion, distance = path.sample.motion, path.sample.distance
@@ -155,10 +155,10 @@ def joined(parts: Sequence[TestPoses]) -> TestPoses:
 
 
 def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
-    """Return at most `count` poses that stand for all, with weights.
+    """Return at most `count` poses that represent all, with weights.
 
     Clusters (k-means, Lloyd 1982) of what the criterion sees of a pose: A₀ᵀA₀ in units of the robot's compliances, and
-    q2. Of each cluster the pose nearest to its mean stands for it with the weight of all; then the weights are set so
+    q2. Of each cluster the pose nearest to its mean represents it with the weight of all; then the weights are set so
     that Σ w A₀ᵀA₀ keeps its trace.
     """
     if len(tests) <= count:

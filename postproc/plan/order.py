@@ -119,7 +119,7 @@ def ways(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
 
 
 def folded(site: Site) -> Array:
-    """Return joint angles (6,), A1 = 0, in which the arm with its tool reaches least far out; of some at random."""
+    """Return joint angles (6,) [rad] with the smallest horizontal reach of arm and tool, A1 = 0, among random ones."""
     rng = np.random.default_rng(0)
     q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
     q[:, 0] = np.clip(0.0, site.lower[0], site.upper[0])

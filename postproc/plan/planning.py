@@ -287,7 +287,7 @@ def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]
 
 
 def _ordered(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
-    """Round to what is written, order by travel, and look at the ways between."""
+    """Round the plan as printed, order it by travel, and check the paths between its poses."""
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
@@ -300,7 +300,7 @@ def _ordered(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[A
 
 
 def _check_number(options: Options, readings: Readings, points: int, levels: int, known: Measured | None) -> None:
-    """There must be more readings than unknowns, in each group for the criterion as printed."""
+    """Raise a `PlanError` if there are fewer readings than unknowns; with `grouped`, within each level of A2."""
     if known is not None:
         return
     unknowns = len(readings.keep) if options.grouped else len(readings.keep) - 1 + levels

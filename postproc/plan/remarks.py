@@ -21,7 +21,7 @@ NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
 VERTICAL = 0.02
 """Largest angle [rad] of a load that counts as vertical."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
-"""Second load over the weight: less is lost in the noise, more tells no other thing than the weight does."""
+"""Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
 
 
 def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
@@ -46,7 +46,7 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int
             advice = "Pull sideways too, by a cable over a pulley ([rig] max_angle_deg)."
         elif joint == 5:
             reason = "the load acts on the axis of A6"
-            advice = "Hang the load beside that axis, on a bracket ([load_point])."
+            advice = "Hang the load at a distance from that axis, on a bracket ([load_point])."
         name = JOINT_COMPLIANCES[joint].name
         out.append(
             f"{name} is not observable with this rig: {reason}. {advice} As it is, the identification keeps the "

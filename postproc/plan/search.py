@@ -55,10 +55,10 @@ class Plan(Struct, frozen=True, eq=False):
 
 
 class Task(Struct, frozen=True, eq=False):
-    """What is looked for.
+    """Task of the search.
 
     :param site: constraints.
-    :param readings: what measurements tell.
+    :param readings: information of the measurements.
     :param criterion_at: what a plan with given levels is worth.
     :param candidates: to choose from; their first `fixed` levels are kept (they were measured).
     :param count: number of poses.
@@ -147,7 +147,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
 
 
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
-    """Return levels (m,), rows of the candidates: the fixed ones, then evenly spread or random ones, none too near."""
+    """Return levels (m,) of A2 as rows of the candidates: the fixed ones, then evenly spread or random ones."""
     free = np.arange(task.fixed, len(task.candidates))
     wanted = task.levels - task.fixed
     row = list(range(task.fixed))
@@ -167,7 +167,7 @@ def _apart(others: Array, q2: float) -> bool:
 
 
 def _to_both_sides(task: Task, choice: _Choice) -> _Choice:
-    """Replace poses by others of their levels until every joint is loaded to both sides, at the least criterion."""
+    """Replace poses within their levels until each joint is loaded with both signs; the smallest criterion wins."""
     information, row, criterion, level = task.candidates.information, choice.row, choice.criterion, choice.level
     pick, wanted = choice.pick.copy(), task.directions
     sides = wanted.counted(task.candidates.torque[row]).astype(np.int64)
@@ -188,9 +188,9 @@ def _to_both_sides(task: Task, choice: _Choice) -> _Choice:
 
 
 def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
-    """Replace each pose in turn by the best candidate of its level; of any level, where levels are fixed.
+    """Replace each pose in turn by the best candidate of its level, or of any level if the levels are fixed.
 
-    No exchange takes away a side to which a joint is to be loaded.
+    An exchange never reduces the signs of torque with which the joints are loaded.
     """
     information, row, criterion = task.candidates.information, choice.row, choice.criterion
     level, pick, wanted = choice.level.copy(), choice.pick.copy(), task.directions
@@ -215,7 +215,7 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
 
 
 def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
-    """Move one level of q2 to where its group does best."""
+    """Return the choice with one level of q2 moved to the candidate that gives the smallest criterion."""
     candidates, level = task.candidates, choice.level
     members = np.flatnonzero(level == group)
     others = np.delete(choice.row, group)
@@ -241,7 +241,7 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
 
 
 def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Iterator[Plan]:
-    """Yield plans whose poses and levels move freely, each better than the one before."""
+    """Yield plans, each no worse than the one before, with poses and levels moved off the candidates."""
     scale = 0.3
     for _ in range(rounds):
         before = plan.value

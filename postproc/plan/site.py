@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct
 
+from postproc import files
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, inverse
 from postproc.identification.experiment import Box, Experiment, MeshFile
@@ -105,16 +106,8 @@ class MeshShape(Struct, frozen=True, eq=False):
         from scipy.spatial import cKDTree
 
         path = folder / mesh.file.replace("\\", "/")
-        if not path.is_file():
-            raise PlanError("no such file", file=str(path), advice="[[meshes]] file is relative to the experiment.")
-        try:
-            shape = trimesh.load(path, force="mesh")
-        except (ValueError, OSError, KeyError, IndexError, TypeError, NotImplementedError) as cause:
-            raise PlanError(f"not a mesh that trimesh reads ({cause})", file=str(path)) from cause
-        vertices = np.asarray(getattr(shape, "vertices", np.zeros((0, 3))), dtype=float)
-        faces = np.asarray(getattr(shape, "faces", np.zeros((0, 3))), dtype=np.int64)
-        if len(faces) == 0 or not np.isfinite(vertices).all():
-            raise PlanError("the mesh has no surface", file=str(path))
+        shape = files.read_mesh(path, PlanError, "mesh of the obstacle")
+        vertices, faces = np.asarray(shape.vertices, dtype=float), np.asarray(shape.faces, dtype=np.int64)
         vertices = vertices * (M_PER_MM * mesh.scale)
         area = float(trimesh.Trimesh(vertices, faces, process=False).area)
         edge = max(_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
@@ -172,7 +165,7 @@ class Site(Struct, frozen=True, eq=False):
     :param robot: masses, compensator.
     :param arm: geometry.
     :param rig: what loads it.
-    :param start: (6,) joint angles where the robot stands first [rad].
+    :param start: (6,) joint angles at the start [rad].
     :param lower: (6,) joint limits with margin [rad].
     :param upper: (6,) joint limits with margin [rad].
     :param radius: (5,) of column, link 2, elbow, forearm, hand [m].
@@ -187,7 +180,7 @@ class Site(Struct, frozen=True, eq=False):
     :param tracker: (3,) [m], or None.
     :param sigma: noise of one coordinate of one reading [m].
     :param acceptance: largest angle between normal and line of sight [rad].
-    :param torque_limit: (6,) static limits [N·m], or None where nobody states them.
+    :param torque_limit: (6,) static limits [N·m], or None if not stated.
     """
 
     robot: RobotModel
@@ -214,8 +207,8 @@ class Site(Struct, frozen=True, eq=False):
 def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Array, margin: float) -> Site:
     """Put a robot into the place where it is measured.
 
-    :param start: (6,) joint angles where it stands first [rad].
-    :param folder: where the experiment stands; meshes are relative to it.
+    :param start: (6,) joint angles at the start [rad].
+    :param folder: of the experiment; meshes are relative to it.
     :param margin: distance to keep from joint limits [rad].
     :raises PlanError: there is no [rig], a normal is zero, a mesh cannot be read, the margin leaves nothing.
     """

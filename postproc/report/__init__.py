@@ -1,15 +1,13 @@
 """Results as text, JSON, CSV and HTML: pure functions of a result; no file is read or written here."""
 
+from postproc.report.csv_files import FORCE_COLUMNS, TARGET_COLUMNS, forces_csv, targets_csv
 from postproc.report.deviation import page
-from postproc.report.forces import COLUMNS as FORCE_COLUMNS
-from postproc.report.forces import forces_csv
 from postproc.report.summary import Summary, issue_entry, summary, to_json
-from postproc.report.targets import COLUMNS, targets_csv
 from postproc.report.text import issue_line, of_many, of_one
 
 __all__ = [
-    "COLUMNS",
     "FORCE_COLUMNS",
+    "TARGET_COLUMNS",
     "Summary",
     "forces_csv",
     "issue_entry",

@@ -1,4 +1,4 @@
-"""`index.html` of a folder: its programs with their verdicts and worst numbers, those in trouble first."""
+"""`index.html` of a folder: its programs with verdicts and worst numbers, failed ones first."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
-from postproc.report.digits import estimate, rounded
+from postproc.report.formatting import estimate, rounded
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.summary import Distances, Summary
 from postproc.report.text import number, percent
 
 _STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
-"""From the one in most trouble."""
+"""The worst first."""
 _WORDS: dict[str, tuple[str, Kind]] = {
     "nothing": ("nothing written", "error"),
     "failed": ("do not run", "error"),
@@ -29,8 +29,8 @@ class Entry(Struct, frozen=True):
 
     :param name: its file.
     :param page: name of its report, in the folder; empty where there is none.
-    :param content: of its `report.json`; None if nothing came of it.
-    :param message: why nothing came of it.
+    :param content: of its `report.json`; None if it was not written.
+    :param message: why it was not written.
     :param called: it was not to be written by itself.
     """
 
@@ -42,7 +42,7 @@ class Entry(Struct, frozen=True):
 
     @property
     def state(self) -> str:
-        """The verdict, or ``"nothing"``, ``"called"``; ``"no forces"`` where for want of them nothing was corrected."""
+        """The verdict, or ``"nothing"``, ``"called"``, ``"no forces"`` (nothing was corrected for lack of forces)."""
         if self.content is None:
             return "called" if self.called else "nothing"
         state = self.content["verdict"]["state"]
@@ -50,12 +50,12 @@ class Entry(Struct, frozen=True):
 
 
 def index_page(entries: Sequence[Entry], folder: str) -> bytes:
-    """Return the page as HTML in UTF-8: one file that loads nothing, with links to the reports beside it.
+    """Return the page as HTML in UTF-8: one self-contained file, with links to the reports in its folder.
 
     :param entries: in any order.
     :param folder: its name.
     """
-    ordered = sorted(entries, key=_trouble)
+    ordered = sorted(entries, key=_rank)
     written = [entry.content for entry in entries if entry.content is not None]
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
@@ -75,14 +75,14 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     sections = [Section("programs", "Programs", tuple(parts))]
     if failed:
         notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failed)
-        sections.append(Section("failed", "Nothing came of", (Notes(notes, marked=True),)))
+        sections.append(Section("failed", "Not written", (Notes(notes, marked=True),)))
     footer = Note(
         "Deviations are predictions over cutting targets, in millimetres. A name leads to the report of the program."
     )
     return b"".join(Page("Overview", folder, f"{len(entries)} programs", tuple(sections), (footer,)).render())
 
 
-def _trouble(entry: Entry) -> tuple[int, float, str]:
+def _rank(entry: Entry) -> tuple[int, float, str]:
     if entry.content is None:
         return _STATES.index(entry.state), 0.0, entry.name
     bound = entry.content["u95"]
@@ -132,5 +132,5 @@ def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
             )
         )
     targets = sum(content["targets"] for content in written)
-    note = f"{targets} targets in {len(written)} programs; largest values of each. Those in trouble come first."
+    note = f"{targets} targets in {len(written)} programs; largest values of each. Failed ones come first."
     return Table(head, tuple(rows), "Programs of the folder", texts=(1, 2), sortable=True, note=note)

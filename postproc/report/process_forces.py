@@ -24,7 +24,10 @@ _MM3 = 1e9
 
 
 class ToolSummary(TypedDict):
-    """What one tool does at most; `max_force_line` is where."""
+    """Largest values of one tool; `max_force_line` is where.
+
+    `max_depth_mm` of a drill is the depth of its deepest hole; `max_feed_force_N` is given for drills only.
+    """
 
     tool: str
     max_force_N: float
@@ -36,6 +39,7 @@ class ToolSummary(TypedDict):
     max_depth_mm: float
     max_width_mm: float
     max_removal_mm3_per_s: float
+    max_feed_force_N: NotRequired[float]
 
 
 class ForcesSummary(TypedDict):
@@ -75,7 +79,7 @@ def forces_csv(program: Program, motion: Ints, t: Array, wrench: Array, frame: I
 
 
 def summary(program: Program, found: ProcessForces | None, by_operation: int) -> ForcesSummary:
-    """Return what forces.json says.
+    """Return the content of forces.json.
 
     :param found: forces computed from material and stock; None: there are none.
     :param by_operation: moves whose force is from the table of operations.
@@ -103,6 +107,8 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
                 "max_removal_mm3_per_s": round(float(cuts.rate[rows].max()) * _MM3, 1),
             }
         )
+        if found.drills[place]:
+            tools[-1]["max_feed_force_N"] = round(float(np.abs(cuts.wrench[rows, 2]).max()), 1)
     return {
         "program": program.documents[0].name,
         "places": len(cuts.t),
@@ -115,11 +121,11 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
 
 def finished(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
     """Return forces.json."""
-    told = [
+    listed = [
         {"level": i.level, "kind": i.kind, "message": i.message, "source_line": i.source_line, "count": i.count}
         for i in issues
     ]
-    whole = {**content, "version": VERSION, "issues": told, "files": entries}
+    whole = {**content, "version": VERSION, "issues": listed, "files": entries}
     return (json.dumps(whole, indent=2, ensure_ascii=False) + "\n").encode()
 
 
@@ -129,9 +135,16 @@ def as_text(content: ForcesSummary) -> str:
     for tool in content.get("tools", []):
         lines.append(
             f"tool {tool['tool']}: mean force up to {tool['max_force_N']:g} N (line {tool['max_force_line']}), "
-            f"within a turn {tool['peak_force_N']:g} N; torque {tool['max_torque_Nm']:g}, peak "
+            f"within a turn about {tool['peak_force_N']:g} N (measured up to 1.7 times as much); "
+            f"torque {tool['max_torque_Nm']:g}, peak "
             f"{tool['peak_torque_Nm']:g} N·m; power {tool['max_power_W']:g} W"
         )
+        if "max_feed_force_N" in tool:
+            lines.append(
+                f"  drilled up to {tool['max_depth_mm']:g} mm deep, feed force up to {tool['max_feed_force_N']:g} N, "
+                f"torque up to {tool['max_torque_Nm']:g} N·m, {tool['max_removal_mm3_per_s'] * 0.06:.3g} cm³/min"
+            )
+            continue
         lines.append(
             f"  depth of cut up to {tool['max_depth_mm']:g} mm, width {tool['max_width_mm']:g} mm, "
             f"{tool['max_removal_mm3_per_s'] * 0.06:.3g} cm³/min"

@@ -1,24 +1,27 @@
-"""`report.json`: what came of a program in numbers."""
+"""`report.json`: the results of a program in numbers, and the verdict on it."""
 
 from __future__ import annotations
 
 import json
 import math
 from pathlib import Path
-from typing import NotRequired, TypedDict
+from typing import TYPE_CHECKING, NotRequired, TypedDict
 
 import numpy as np
+from msgspec import Struct
 
-from postproc import provenance
+from postproc import elastostatics, provenance
 from postproc.correction import Mode, Result, Statistics, statistics
 from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
-from postproc.report.digits import ROUNDING_MM
-from postproc.report.verdict import NOTHING_MM, State, nothing_corrected, verdict
-from postproc.robot import JOINTS
+from postproc.report.formatting import ROUNDING_MM, State, above, rounded
+from postproc.robot import JOINTS, RobotModel
+
+if TYPE_CHECKING:
+    from postproc.report.surface import Surface
 
 
 class Distances(TypedDict):
@@ -38,7 +41,7 @@ class Bound(TypedDict):
 
 
 class Unusable(TypedDict):
-    """The target whose bound exceeds by most what is corrected there and, as RMS, over the program; and its cause."""
+    """The target whose bound exceeds the correction there, and the RMS correction, by most; and the main cause."""
 
     source_line: int
     u95_mm: float
@@ -77,8 +80,22 @@ class OnPart(TypedDict):
     beyond_percent: float | None
 
 
+class OnSurface(TypedDict):
+    """What the programmed path does to the mesh of the part, before any deflection.
+
+    `cut_into_mm` is the largest depth by which it cuts into the mesh, 0 if it does not, `source_line` where.
+    `left_mm` is the distance that it keeps from the mesh on half of the surface that the tools touch; None without the
+    shapes of the tools. `reached_percent` of the surface are touched or cut into by a tool.
+    """
+
+    cut_into_mm: float
+    source_line: int | None
+    left_mm: float | None
+    reached_percent: float
+
+
 class Judged(TypedDict):
-    """The verdict, see `postproc.report.verdict`."""
+    """The verdict, see `postproc.report.summary`."""
 
     state: State
     reasons: list[str]
@@ -92,7 +109,7 @@ class Ratios(TypedDict):
 
 
 class Blending(TypedDict):
-    """How far approximate positioning passes the corners of cutting moves: as written, and as KRL input itself does.
+    """Rounding of the corners of cutting moves by approximate positioning: as written, and of the KRL input.
 
     `by` is what the controller calls it.
     """
@@ -104,7 +121,7 @@ class Blending(TypedDict):
 
 
 class Origin(TypedDict):
-    """What a KRL program says of where it comes from: is it still what postproc wrote, and which mode and version."""
+    """Origin of a KRL program: whether it is as postproc wrote it, mode and version."""
 
     state: provenance.State
     mode: str | None
@@ -112,7 +129,7 @@ class Origin(TypedDict):
 
 
 class Limits(TypedDict):
-    """How near the path comes to what the robot cannot do; None where unknown."""
+    """Margins of the path to the limits of the robot; None where unknown."""
 
     min_joint_margin_deg: float | None
     min_singular_value: float | None
@@ -147,6 +164,7 @@ class Summary(TypedDict):
     tolerance_mm: float | None
     tolerance_held: bool | None
     blending: Blending
+    size_bytes: int | None  # of the written program; None where nothing is written
     provenance: Origin
     max_correction_mm: float | None
     tool_deflection: Bound | None  # None where holder, spindle and tool are rigid
@@ -155,11 +173,14 @@ class Summary(TypedDict):
     reversals: list[Reversal]
     issues: list[IssueEntry]
     verdict: Judged
+    surface: NotRequired[OnSurface]  # with a mesh of the part
     copied: NotRequired[list[str]]  # files that it needs and that are as they were; nothing is called there that moves
     files: NotRequired[list[FileEntry]]  # written with this report
 
 
-def summary(result: Result, tolerance: float | None = None, part_tolerance: float | None = None) -> Summary:
+def summary(
+    result: Result, tolerance: float | None = None, part_tolerance: float | None = None, surface: Surface | None = None
+) -> Summary:
     """Return the content of `report.json`.
 
     :param result: of one program.
@@ -167,7 +188,8 @@ def summary(result: Result, tolerance: float | None = None, part_tolerance: floa
         Held means: with what approximate positioning does to corners beyond what a KRL program itself asks for. Where
         only that goes beyond the tolerance, `tolerance_held` is None, and `blending` says by how much.
     :param part_tolerance: what the part may be off [m], 95 %; None = not stated. Without a stated tolerance of the path
-        and of the part, the bound may exceed what is corrected.
+        and of the part, the bound may exceed the correction.
+    :param surface: of the part; None = there is no mesh.
     """
     before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
     margin = result.joint_margin * DEG_PER_RAD
@@ -184,7 +206,7 @@ def summary(result: Result, tolerance: float | None = None, part_tolerance: floa
         inserted_targets=result.inserted,
         before=_distances(before),
         after=_distances(after),
-        u95=None if bound is None else _expected(result, bound, part_tolerance or tolerance),
+        u95=None if bound is None else _bound_entry(result, bound, part_tolerance or tolerance),
         part=_on_part(result, part_tolerance),
         improvement={
             "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
@@ -195,6 +217,7 @@ def summary(result: Result, tolerance: float | None = None, part_tolerance: floa
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
         tolerance_held=_held(result, after, tolerance),
         blending=_blending(result),
+        size_bytes=sum(len(document.to_bytes()) for document in result.documents) or None,
         provenance=_origin(result),
         max_correction_mm=_finite(result.largest_correction * MM_PER_M),
         tool_deflection=_bound(by_tool),
@@ -208,6 +231,8 @@ def summary(result: Result, tolerance: float | None = None, part_tolerance: floa
         issues=[issue_entry(issue) for issue in result.issues],
         verdict={"state": "ok", "reasons": []},
     )
+    if surface is not None and len(result):
+        content["surface"] = _surface_entry(result, surface)
     judged = verdict(result, content)
     content["verdict"] = {"state": judged.state, "reasons": list(judged.reasons)}
     return content
@@ -253,7 +278,7 @@ def _cuts(result: Result) -> Bools:
 
 
 def issue_entry(issue: Issue) -> IssueEntry:
-    """Return an issue as it stands in `report.json`."""
+    """Return an issue as an entry of `report.json`."""
     return {
         "level": issue.level,
         "kind": issue.kind,
@@ -275,7 +300,7 @@ def _bound(values: Statistics | None) -> Bound | None:
     return None if values is None else {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M}
 
 
-def _expected(result: Result, bound: Statistics, allowed: float | None) -> Expected:
+def _bound_entry(result: Result, bound: Statistics, allowed: float | None) -> Expected:
     """Return the bound over cutting targets.
 
     :param allowed: tolerance of the part, else of the path [m]: a bound below it is never unusable.
@@ -313,8 +338,8 @@ def _reversals(result: Result) -> list[Reversal]:
 def _on_part(result: Result, tolerance: float | None) -> OnPart:
     """Return the expected error on the part, judged by a tolerance [m].
 
-    At each cutting target: the bound, what approximate positioning rounds there beyond a KRL program's own, and what is
-    left of the path: of a corrected program the largest anywhere, else the deviation there.
+    At each cutting target it is the sum of the bound, the rounding by approximate positioning beyond that of the KRL
+    input, and the deviation of the path: of a corrected program the largest anywhere, else the one at the target.
     """
     stated = None if tolerance is None else tolerance * MM_PER_M
     if result.bound is None or result.rapid.all():
@@ -329,6 +354,19 @@ def _on_part(result: Result, tolerance: float | None) -> OnPart:
         "source_line": int(result.source_line[worst]),
         "held": None if tolerance is None else bool(error[worst] <= tolerance),
         "beyond_percent": beyond,
+    }
+
+
+def _surface_entry(result: Result, surface: Surface) -> OnSurface:
+    cut = np.flatnonzero(surface.programmed_row >= 0)
+    deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
+    area, left = surface.area, surface.programmed[surface.touched & (surface.programmed_row < 0)]
+    known = left[np.isfinite(left)]
+    return {
+        "cut_into_mm": 0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
+        "source_line": None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
+        "left_mm": float(np.median(known)) * MM_PER_M if len(known) else None,
+        "reached_percent": 100.0 * float(area[surface.reached].sum() / max(float(area.sum()), 1e-300)),
     }
 
 
@@ -353,7 +391,7 @@ def nothing_to_correct(content: Summary) -> str | None:
     if not (content["targets"] and content["before"]["max_mm"] < NOTHING_MM):
         return None
     why = "no cutting move carries a force" if content["max_force_N"] == 0.0 else "the forces do not move the tool"
-    return f"Nothing to correct: {why}, the arm stands as programmed."
+    return f"Nothing to correct: {why}, the tool follows the programmed path."
 
 
 def _compensated(before_mm: float, after_mm: float) -> float | None:
@@ -362,3 +400,258 @@ def _compensated(before_mm: float, after_mm: float) -> float | None:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+NOTHING_MM = 1e-6
+"""Deviations below this everywhere are noise of the arithmetic."""
+NARROW_DEG = 5.0
+"""A joint that comes nearer to its limit is something to look at."""
+WORDS: dict[tuple[bool, State], str] = {
+    (True, "ok"): "May be run.",
+    (True, "warning"): "Look before you run it.",
+    (True, "failed"): "Do not run it.",
+    (False, "ok"): "As programmed.",
+    (False, "warning"): "As programmed, with reservations.",
+    (False, "failed"): "It cannot be predicted.",
+}
+"""The verdict in a word: (is there a program to run, state)."""
+_KEPT = ("unresolved", "motions-elsewhere")
+"""Kinds of issues about motions and calls that stay as they are."""
+_FOREMOST = {
+    "convert": ("motions-elsewhere",),
+    "nominal": ("motions-elsewhere",),
+    "predict": ("motions-elsewhere", "external-call"),
+}
+"""Kinds of warnings that come before all others: motions that were not examined, and called files that are missing,
+which may set the frames of a predicted program."""
+CUT_MM = 0.01
+"""Without a stated tolerance, a cut of the programmed path into the mesh below this is none."""
+LEFT_MM = 0.1
+"""Material that a finishing path may leave on most of a part, between passes and by the facets of the mesh."""
+SOLID = "link masses"
+"""An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
+_FIRST = math.inf
+"""Cost [mm] of a finding that comes first."""
+_WORDS_ONLY = 0.0
+"""Cost [mm] of a finding without a length."""
+
+
+class Finding(Struct, frozen=True):
+    """One statement of a verdict, and how many millimetres on the part it can cost."""
+
+    cost_mm: float
+    text: str
+
+
+class Verdict(Struct, frozen=True):
+    """The verdict on a result.
+
+    :param state: ``"failed"`` must not be run as it is, ``"warning"`` needs a look, ``"ok"`` neither.
+    :param reasons: what decides the state, the most expensive in millimetres first; for ``"ok"`` what to expect.
+    :param holds: what to expect and what was checked and holds.
+    :param assumes: assumptions of all of it.
+    """
+
+    state: State
+    reasons: tuple[str, ...]
+    holds: tuple[str, ...]
+    assumes: tuple[str, ...]
+
+
+def verdict(result: Result, content: Summary) -> Verdict:
+    """Return the verdict.
+
+    :param content: of `report.json` but for the verdict.
+    """
+    failed = [Finding(_FIRST, issue.message) for issue in result.issues if issue.level == "error"]
+    doubtful = [
+        Finding(
+            _FIRST if issue.kind in _FOREMOST[result.mode] else _WORDS_ONLY,
+            _at(issue.message, issue.source_line, issue.count),
+        )
+        for issue in result.issues
+        if issue.level == "warning"
+    ]
+    holds: list[Finding] = []
+    if content["targets"]:
+        more_failed, more_doubtful = _judged(result, content)
+        failed += more_failed
+        near = _near_limits(content)
+        surface_doubtful, surface_holds = _on_surface(content)
+        doubtful = [*surface_doubtful, *more_doubtful, *near, *doubtful]
+        holds = [*surface_holds, *_expected(content), *([] if near else _margin(content))]
+    if (kept := nothing_corrected(content)) is not None:
+        doubtful.insert(0, Finding(_FIRST, kept))
+    if result.robot.measured is not None and result.robot.measured.not_trusted:
+        doubtful.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
+    if content["mode"] != "predict" and result.documents:
+        holds.append(
+            Finding(_WORDS_ONLY, "the program was read back as it is written, and simulated with its rounded numbers")
+        )
+    names = assumed(result.robot)
+    if names:
+        holds.append(Finding(_WORDS_ONLY, f"assumed values of the robot model: {', '.join(names)}"))
+    state: State = "failed" if failed else "warning" if doubtful else "ok"
+    reasons = [*_texts(failed), *_texts(doubtful)] or _texts(holds)
+    return Verdict(state, tuple(reasons), tuple(_texts(holds)), tuple(_assumptions(result)))
+
+
+def nothing_corrected(content: Summary) -> str | None:
+    """Return a sentence that says so if motions stay as they are and no other one was corrected."""
+    kept = sum(issue["count"] for issue in content["issues"] if issue["kind"] in _KEPT)
+    if content["mode"] != "convert" or not kept or content["before"]["max_mm"] >= NOTHING_MM:
+        return None
+    motions = "1 motion or call stays as it is" if kept == 1 else f"{kept} motions and calls stay as they are"
+    return f"Nothing was corrected: {motions}."
+
+
+def _texts(findings: list[Finding]) -> list[str]:
+    return [finding.text for finding in sorted(findings, key=lambda finding: -finding.cost_mm)]
+
+
+def _at(message: str, line: int | None, count: int = 1) -> str:
+    more = f" and {count - 1} more" if count > 1 else ""
+    return message if line is None else f"line {line}{more}: {message}"
+
+
+def _judged(result: Result, content: Summary) -> tuple[list[Finding], list[Finding]]:
+    """Return failures and doubts about path, expected error and forces."""
+    failed, doubtful = [], []
+    predicted = content["mode"] == "predict"
+    if content["tolerance_held"] is False and not predicted:
+        reached, tolerance = max(content["between_max_mm"] or 0.0, content["after"]["max_mm"]), content["tolerance_mm"]
+        assert tolerance is not None
+        text = (
+            f"the predicted path leaves the nominal one by {above(reached, tolerance)} mm: more than {tolerance:g} mm"
+        )
+        failed.append(Finding(reached, text))
+    if content["max_force_N"] == 0.0 and not predicted:
+        doubtful.append(Finding(_FIRST, _without_forces(result, content)))
+    bound, part = content["u95"], content["part"]
+    if bound is None:
+        text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
+        doubtful.append(Finding(content["before"]["max_mm"], text))
+    elif (unusable := bound["unusable"]) is not None:
+        advice = (
+            "Give the forces with smaller standard deviations"
+            if unusable["source"] == elastostatics.FORCES
+            else "Identify the robot with readings that show this, or use another model"
+        )
+        text = (
+            f"the expected error of {above(unusable['u95_mm'], unusable['corrected_mm'])} mm (95 %) is larger than the "
+            f"{rounded(unusable['corrected_mm'])} mm that are corrected, mostly due to {unusable['source']}. {advice}."
+        )
+        failed.append(Finding(unusable["u95_mm"], _at(text, unusable["source_line"])))
+    if part["held"] is False and part["expected_mm"] is not None and part["tolerance_mm"] is not None:
+        error = above(part["expected_mm"], part["tolerance_mm"])
+        text = (
+            f"the expected error on the part is up to {error} mm (95 %), more than the {part['tolerance_mm']:g} mm of "
+            f"[part] tolerance_mm, at {part['beyond_percent']:.2g} % of the cutting targets"
+        )
+        (doubtful if predicted else failed).append(Finding(part["expected_mm"], _at(text, part["source_line"])))
+    return failed, doubtful
+
+
+def _without_forces(result: Result, content: Summary) -> str:
+    if content["before"]["max_mm"] < NOTHING_MM:
+        return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
+    corrected = content["mode"] == "convert"
+    causes = " and ".join(result.causes) or "the model"
+    what = "corrected is" if corrected else "what remains is"
+    cause = "cause" if len(result.causes) > 1 else "causes"
+    return (
+        f"no cutting move carries a force: {what} only what {causes} {cause}, up to "
+        f"{rounded(content['before']['max_mm'])} mm (postproc forces computes forces)"
+    )
+
+
+def _expected(content: Summary) -> list[Finding]:
+    """Return what to expect on the part, in millimetres."""
+    found = []
+    bound, part, blending = content["u95"], content["part"], content["blending"]
+    if bound is not None:
+        text = f"expected error on the part (95 %): up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
+        found.append(Finding(bound["max_mm"], text))
+    if part["held"] and part["expected_mm"] is not None:
+        text = (
+            f"[part] tolerance_mm = {part['tolerance_mm']:g} is held: up to {rounded(part['expected_mm'])} mm (95 %), "
+            "corners and path included"
+        )
+        found.append(Finding(part["expected_mm"], text))
+    if content["mode"] == "predict":
+        text = f"predicted as programmed: up to {rounded(content['before']['max_mm'])} mm off at cutting targets"
+        return [Finding(_FIRST, text), *found]
+    if blending["source_line"] is not None:
+        own = blending["programmed_max_mm"]
+        itself = f", the program itself by {rounded(own)} mm" if own else ""
+        text = f"{blending['by']} rounds corners by up to {rounded(blending['max_mm'])} mm{itself}"
+        found.append(Finding(blending["max_mm"], _at(text, blending["source_line"])))
+    if content["tolerance_held"] is not False and content["between_max_mm"] is not None and content["tolerance_mm"]:
+        but = ", but for rounded corners" if content["tolerance_held"] is None else ""
+        within = f"{rounded(content['between_max_mm'])} mm of the nominal one, between targets too{but}"
+        text = f"the predicted path stays within {within} (tolerance {content['tolerance_mm']:g} mm)"
+        found.append(Finding(content["between_max_mm"], text))
+    if content["mode"] == "convert" and (content["max_correction_mm"] or 0.0) >= NOTHING_MM:
+        found.append(
+            Finding(_WORDS_ONLY, f"the correction is at most {rounded(content['max_correction_mm'] or 0.0)} mm")
+        )
+    return found
+
+
+def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
+    """Return doubts and findings about the programmed path and the mesh of the part."""
+    surface = content.get("surface")
+    if surface is None:
+        return [], []
+    limit = content["part"]["tolerance_mm"] or content["tolerance_mm"] or CUT_MM
+    reached = f"tools reach {surface['reached_percent']:.0f} % of its surface"
+    if surface["reached_percent"] == 0.0:
+        text = "no tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools"
+        return [Finding(_FIRST, text)], []
+    cut, left = surface["cut_into_mm"], surface["left_mm"]
+    if cut > limit:
+        text = (
+            f"the programmed path itself cuts {rounded(cut)} mm into the part: check that the mesh is in place and is "
+            f"the finished part; {reached}"
+        )
+        return [Finding(_FIRST, _at(text, surface["source_line"]))], []
+    if left is not None and left > max(limit, LEFT_MM):
+        text = (
+            f"the programmed path itself leaves {rounded(left)} mm on the part: check that the mesh is in place and is "
+            f"what this program makes; {reached}"
+        )
+        return [Finding(_FIRST, text)], []
+    text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reached}"
+    return [], [Finding(_WORDS_ONLY, text)]
+
+
+def _near_limits(content: Summary) -> list[Finding]:
+    margins = content["limits"]["joint_margins_deg"]
+    return [
+        Finding(_WORDS_ONLY, f"{name} comes within {margin:.1f}° of a limit")
+        for name, margin in zip(JOINTS, margins, strict=True)
+        if margin is not None and margin < NARROW_DEG
+    ]
+
+
+def _margin(content: Summary) -> list[Finding]:
+    least = content["limits"]["min_joint_margin_deg"]
+    return [] if least is None else [Finding(_WORDS_ONLY, f"all joints stay {least:.1f}° or more from their limits")]
+
+
+def assumed(robot: RobotModel) -> tuple[str, ...]:
+    """Return the names of the model's values that are assumed and bear on what the tool does under force."""
+    weights = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
+    return tuple(entry.name for entry in robot.sources if entry.assumed and (weights or entry.name != SOLID))
+
+
+def _assumptions(result: Result) -> list[str]:
+    force = np.abs(result.wrench).max(initial=0.0)
+    out = [f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
+    if force > 0.0:
+        out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
+    if result.robot.covariance is None:
+        out.append("exact parameters: the model has no covariance")
+    rigid = "holder, spindle and workpiece" if result.deflection_by_tool is None else "workpiece"
+    out.append(f"{rigid} rigid; frames ($BASE, $TOOL) as the cell states them")
+    return out

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from postproc.report.digits import ROUNDING_MM, estimate, rounded
-from postproc.report.summary import IssueEntry, Summary, improvement, nothing_to_correct
-from postproc.report.tables import PLAIN, Display
-from postproc.report.verdict import WORDS, State, nothing_corrected
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
+from postproc.report.summary import (
+    WORDS,
+    IssueEntry,
+    Summary,
+    improvement,
+    nothing_corrected,
+    nothing_to_correct,
+)
 
-_TOLD: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
+_STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
 _REASONS = 8
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 
 
 def of_one(content: Summary, display: Display = PLAIN) -> str:
-    """Return the summary of one program on one screen: the verdict, the paper's Table 3, what else there is to know.
+    """Return the summary of one program on one screen: the verdict, the paper's Table 3, and other facts.
 
     :param display: how it looks.
     """
@@ -56,7 +61,7 @@ def targets(content: Summary) -> str:
 
 
 def _facts(content: Summary) -> list[str]:
-    """Return what the reasons of the verdict do not say."""
+    """Return facts in addition to the reasons of the verdict."""
     facts = [] if content["verdict"]["state"] == "ok" else _expected(content)
     if content["mode"] == "convert" and content["compensated_percent"] is not None:
         facts.append(f"compensated {percent(content['compensated_percent'])}")
@@ -67,7 +72,7 @@ def _facts(content: Summary) -> list[str]:
     origin = content["provenance"]
     if origin["state"] == "intact":
         makes_up = origin["mode"] == "corrected" and nothing_to_correct(content) is None
-        corrected = ": what is predicted here is what its targets make up for" if makes_up else ""
+        corrected = ": its targets compensate the deviation predicted here" if makes_up else ""
         facts.append(f"written by postproc {origin['version']} ({origin['mode']}), unchanged since{corrected}")
     limits = content["limits"]
     facts.append(
@@ -78,16 +83,16 @@ def _facts(content: Summary) -> list[str]:
 
 
 def _expected(content: Summary) -> list[str]:
-    """Return what to expect on the part, where the verdict is about something else."""
+    """Return the expected error, if the verdict is about something else."""
     facts = []
     if nothing_to_correct(content) is None and content["targets"]:
         bound = content["u95"]
-        told = (
+        bounded = (
             "unknown, the model states no uncertainty"
             if bound is None
             else f"up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
         )
-        facts.append(f"expected error on the part (95 %): {told}")
+        facts.append(f"expected error on the part (95 %): {bounded}")
     if content["mode"] == "convert" and content["max_correction_mm"] is not None:
         facts.append(f"largest correction {rounded(content['max_correction_mm'])} mm")
     if content["mode"] != "predict" and content["between_max_mm"] is not None:
@@ -97,13 +102,13 @@ def _expected(content: Summary) -> list[str]:
     blending = content["blending"]
     if blending["source_line"] is not None:
         own = blending["programmed_max_mm"]
-        told = f"line {blending['source_line']}" + (f"; the program itself by {rounded(own)} mm" if own else "")
-        facts.append(f"{blending['by']} rounds corners by up to {rounded(blending['max_mm'])} mm ({told})")
+        where = f"line {blending['source_line']}" + (f"; the program itself by {rounded(own)} mm" if own else "")
+        facts.append(f"{blending['by']} rounds corners by up to {rounded(blending['max_mm'])} mm ({where})")
     return facts
 
 
 def issue_line(issue: IssueEntry, program: str) -> str:
-    """Return one line about an issue, with file and line where it first stands."""
+    """Return one line about an issue, with its first file and line."""
     where = program if issue["source_line"] is None else f"{program}:{issue['source_line']}"
     more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
     return f"{issue['level']}: {where}: {issue['message']}{more}"
@@ -132,13 +137,13 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
         bound = max((u95 for content in written if (u95 := _u95(content)) is not None), default=None)
         worst = [max(content[key]["max_mm"] for content in written) for key in ("before", "after")]
         words = [_verdict_word(content) for content in written]
-        told = [f"{words.count(word)} {word}" for word in (*_TOLD.values(), _NO_FORCES) if word in words]
+        counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
         if len(rows) > len(written):
-            told.insert(0, f"{len(rows) - len(written)} not written")
+            counts.insert(0, f"{len(rows) - len(written)} not written")
         targets_in_all = str(sum(content["targets"] for content in written))
         total = f"all {len(rows)}, at most"
         cells.append(
-            (total, targets_in_all, *(estimate(each, bound) for each in worst), "", "", "", "", ", ".join(told))
+            (total, targets_in_all, *(estimate(each, bound) for each in worst), "", "", "", "", ", ".join(counts))
         )
     return "\n".join([display.table(head, cells, right=range(1, 7)), *_why(rows)])
 
@@ -149,7 +154,7 @@ def _u95(content: Summary) -> float | None:
 
 def _verdict_word(content: Summary) -> str:
     state = content["verdict"]["state"]
-    return _NO_FORCES if state == "warning" and content["max_force_N"] == 0.0 else _TOLD[state]
+    return _NO_FORCES if state == "warning" and content["max_force_N"] == 0.0 else _STATES[state]
 
 
 def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
@@ -160,8 +165,8 @@ def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
             programs.setdefault(content["verdict"]["reasons"][0], []).append(name)
     lines = []
     for reason, names in [*programs.items()][:_REASONS]:
-        told = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        lines.append(f"  - {told}: {reason}")
+        which = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        lines.append(f"  - {which}: {reason}")
     if len(programs) > _REASONS:
         lines.append(f"  - {len(programs) - _REASONS} more reasons: see the overview")
     return lines
@@ -173,7 +178,7 @@ def number(value: float | None, places: int) -> str:
 
 
 def times(before_mm: float, after_mm: float) -> str:
-    """Return an improvement factor as text; none is told of what is but the rounding of the text.
+    """Return an improvement factor as text, omitted if only rounding remains.
 
     >>> times(5.6, 0.5), times(5.6, 0.0016), times(0.5, 0.00005), times(0.00005, 0.00005)
     ('11.2', '3500', 'to rounding', '-')

@@ -1,29 +1,45 @@
 """A robot is a folder: `robot.urdf` (geometry, limits, speeds, masses) and `model.toml` (what was identified).
 
-`load` reads the folder into a `RobotModel`: two chains (the controller's nominal geometry, and the actual
-one with the calibrated geometry), the springs, the compensator, the covariance, and where each value comes from.
+`load` reads the folder into a `RobotModel`: two chains (the controller's nominal geometry, and the actual one with the
+calibrated geometry), the springs, the compensator, the covariance, and the source of each value.
 """
 
-from postproc.robot.chain import Chain
-from postproc.robot.compensator_parameters import CompensatorPreload, CompensatorStiffness
-from postproc.robot.flexible import elastic_chain
+from postproc.robot.chain import Chain, elastic_chain
 from postproc.robot.folder import assemble, find, load, shipped
-from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel
+from postproc.robot.model import (
+    GEAR_TERMS,
+    Covariance,
+    Discrepancy,
+    Measured,
+    RobotModel,
+    SourcedValue,
+    Transmission,
+    waves,
+)
 from postproc.robot.model_file import BASE, FLANGE, JOINTS, Displacement, LinkSprings, ModelFile
-from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
-from postproc.robot.parameters import COMPENSATOR, JOINT_COMPLIANCES, file_slopes
-from postproc.robot.rest_parameters import CompensatorSize, LinkMass
-from postproc.robot.spring_parameters import (
+from postproc.robot.parameters import (
+    COMPENSATOR,
+    JOINT_COMPLIANCES,
     LINK_AXES,
+    PER_URAD,
     Backlash,
+    CompensatorPreload,
+    CompensatorSize,
+    CompensatorStiffness,
+    CompensatorTorque,
     FadingPart,
     JointCompliance,
     Knee,
+    LinkMass,
     LinkSpring,
     LostMotion,
+    Parameter,
+    Spring,
+    file_slopes,
 )
-from postproc.robot.transmission import GEAR_TERMS, Transmission, waves
-from postproc.robot.value_sources import WITH_LINKS, SourcedValue
+
+WITH_LINKS = "k1 … k6, of A1 … A6, contain the spring of the link about the same axis"
+"""State it wherever their values are shown: readings cannot separate the two."""
 
 __all__ = [
     "BASE",
@@ -33,6 +49,7 @@ __all__ = [
     "JOINTS",
     "JOINT_COMPLIANCES",
     "LINK_AXES",
+    "PER_URAD",
     "WITH_LINKS",
     "Backlash",
     "Chain",

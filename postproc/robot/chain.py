@@ -1,6 +1,8 @@
-"""A serial chain: joints one behind the other, each of which turns about or slides along one axis."""
+"""A serial chain: joints in series, each a rotation about or a translation along one axis; and flexible links in it."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -8,6 +10,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.frames import Array, rotation_from_vector
+from postproc.robot.model_file import BASE, JOINTS
+from postproc.robot.parameters import LinkSpring
 
 
 class Chain(Struct, frozen=True, eq=False):
@@ -15,7 +19,7 @@ class Chain(Struct, frozen=True, eq=False):
 
     :param placement: (J, 4, 4) of each joint's frame on the link before it, at coordinate 0.
     :param axis: (J, 3) unit axis of each joint in its own frame.
-    :param turns: (J,) True for a joint that turns, False for one that slides.
+    :param turns: (J,) True for a rotation, False for a translation.
     :param flange: (4, 4) of the flange on the last link.
     :param mass: (J,) of the link that each joint carries.
     :param centre: (J, 3) its centre of mass in the frame of the joint.
@@ -56,7 +60,7 @@ class Chain(Struct, frozen=True, eq=False):
     def joint_frames(self, q: Array) -> tuple[Array, Array]:
         """Return the frames of the joints before they move (N, J, 4, 4), and of the flange (N, 4, 4), in the root [m].
 
-        For what needs every frame; `kinematics` is much faster for what the tool does.
+        For code that needs every frame; for the tool alone `kinematics` is much faster.
 
         :param q: (N, J) coordinates [rad, m].
         """
@@ -64,11 +68,75 @@ class Chain(Struct, frozen=True, eq=False):
         frames = np.empty((len(q), self.nv, 4, 4))
         for joint in range(self.nv):
             here = frames[:, joint] = here @ self.placement[joint]
-            way = q[:, joint, None] * self.axis[joint]
+            vector = q[:, joint, None] * self.axis[joint]
             move = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
             if self.turns[joint]:
-                move[:, :3, :3] = rotation_from_vector(way)
+                move[:, :3, :3] = rotation_from_vector(vector)
             else:
-                move[:, :3, 3] = way
+                move[:, :3, 3] = vector
             here = here @ move
         return frames, here @ self.flange
+
+
+def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
+    """Insert one coordinate per link spring into a chain of six joints.
+
+    Springs at the beginning of a link follow its joint (for `base`: the root), springs at its end are at the origin of
+    the next joint (for A6: the flange). The mass of the link is between the two.
+
+    :returns: the chain, the coordinates of A1…A6 in it, and those of `springs`.
+    """
+    rows: dict[LinkSpring, int] = {}
+    actuated: list[int] = []
+    placement: list[Array] = []
+    from_joint: list[int] = []
+    axis: list[Array] = []
+    turns: list[bool] = []
+    carried: dict[int, int] = {}
+    place = np.eye(4)
+
+    def add(direction: Array, turning: bool, joint: int = -1) -> int:
+        nonlocal place
+        placement.append(place)
+        axis.append(direction)
+        turns.append(turning)
+        from_joint.append(joint)
+        place = np.eye(4)
+        return len(axis) - 1
+
+    def add_spring(spring: LinkSpring) -> None:
+        rows[spring] = add(spring.direction, not spring.slides)
+
+    for index, link in enumerate((BASE, *JOINTS)):
+        if index:
+            actuated.append(add(chain.axis[index - 1], True, index - 1))
+        own = [spring for spring in springs if spring.link == link]
+        for spring in own:
+            if not spring.at_end:
+                add_spring(spring)
+        if index:
+            carried[len(axis) - 1] = index - 1
+        place = place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
+        for spring in own:
+            if spring.at_end:
+                add_spring(spring)
+
+    def spread(values: Array, source: dict[int, int], otherwise: float) -> Array:
+        out = np.full((len(axis), *values.shape[1:]), otherwise)
+        out[list(source)] = values[list(source.values())]
+        return out
+
+    joints = {row: joint for row, joint in enumerate(from_joint) if joint >= 0}
+    longer = Chain(
+        placement=np.array(placement),
+        axis=np.array(axis),
+        turns=np.array(turns),
+        flange=place,
+        mass=spread(chain.mass, carried, 0.0),
+        centre=spread(chain.centre, carried, 0.0),
+        lower=spread(chain.lower, joints, -np.inf),
+        upper=spread(chain.upper, joints, np.inf),
+        speed=spread(chain.speed, joints, np.inf),
+        effort=spread(chain.effort, joints, 0.0),
+    )
+    return longer, tuple(actuated), [rows[spring] for spring in springs]

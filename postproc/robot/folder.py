@@ -1,7 +1,8 @@
-"""A robot is a folder: which there are, and how one becomes a `RobotModel`."""
+"""Model folders: list them, find one, read it into a `RobotModel`, and list its values with their sources."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,10 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.errors import ModelError, did_you_mean
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
 from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
-from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel
+from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel, SourcedValue, Transmission
 from postproc.robot.model_file import (
     BASE,
     FLANGE,
@@ -22,17 +23,15 @@ from postproc.robot.model_file import (
     Displacement,
     Masses,
     ModelFile,
+    Sourced,
 )
-from postproc.robot.parameter import Parameter
-from postproc.robot.spring_parameters import LinkSpring
-from postproc.robot.transmission import Transmission
-from postproc.robot.value_sources import sourced_values
+from postproc.robot.parameters import LinkMass, LinkSpring, Parameter
 
 
 def shipped() -> dict[str, Path]:
     """Return the robot models that come with the package: name → folder."""
     package = Path(__file__).parent.parent
-    root = package / "robot_models"  # where a wheel puts it; in a checkout it stands beside the package
+    root = package / "robot_models"  # in a wheel; in a checkout it is next to the package
     root = root if root.is_dir() else package.parent / "robot_models"
     return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "model.toml").is_file()}
 
@@ -78,7 +77,7 @@ def load(folder: str | Path) -> RobotModel:
         raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")
     for name, spring in content.joints.items():
         if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
-            raise ModelError(f"[joints.{name}]: the stiffening parts are more than the whole compliance", file=where)
+            raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=where)
     _check_covariance(content.covariance, where)
     if (off := content.discrepancy) is not None and not (
         0 < len(off.load_N) == len(off.u95_mm) and off.load_N[0] > 0.0 and np.all(np.diff(off.load_N) > 0.0)
@@ -88,7 +87,7 @@ def load(folder: str | Path) -> RobotModel:
     robot = assemble(folder.resolve().name, content, urdf.read(files.read_text(path, ModelError), str(path)))
     for parameter in robot.covariance.parameters if robot.covariance is not None else ():
         try:
-            parameter.row(robot)
+            robot.row(parameter)
         except ModelError as error:
             raise ModelError(error.problem, file=where) from None
     return robot
@@ -105,7 +104,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     actual = replace(nominal, placement=placement, flange=flange)
     if (carried := content.payload) is not None:
         actual = actual.with_payload(carried.mass_kg, np.array([carried.X_mm, carried.Y_mm, carried.Z_mm]) * M_PER_MM)
-    values, covered = parameters.stated(content), content.measured
+    values, measured = parameters.stated(content), content.measured
     covariance, stated_spread = _covariance(content)
     rigid = RobotModel(
         name=name,
@@ -125,7 +124,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
         geometry_error=0.0 if content.geometry_error is None else content.geometry_error.u95_mm * M_PER_MM,
-        measured=None if covered is None else Measured(np.array(covered.torque_Nm), covered.not_trusted),
+        measured=None if measured is None else Measured(np.array(measured.torque_Nm), measured.not_trusted),
         language=content.language,
         transmission=Transmission.of(content.transmission),
         mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
@@ -178,10 +177,10 @@ def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
     unknown = [name for name in covariance.parameters if parameters.named(name) is None]
     if unknown:
         raise ModelError(
-            f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called",
+            f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model",
             file=where,
-            advice="Valid: k1 … k6, k1@800 (what fades beyond 800 N·m), k1^800 (what ends there), A4.backlash@3, "
-            "A4.lost_motion@3, A2.RX (a spring of a link), A2.mass, K_c, s_0.",
+            advice="Valid: k1 … k6, k1@800 (the part that fades beyond 800 N·m), k1^800 (the part that ends there), "
+            "A4.backlash@3, A4.lost_motion@3, A2.RX (a spring of a link), A2.mass, K_c, s_0.",
         )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:
@@ -191,3 +190,68 @@ def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
         initial=0.0
     ) < -1e-9 * np.abs(matrix).max(initial=0.0):
         raise ModelError("[covariance] matrix is not symmetric positive semidefinite", file=where)
+
+
+def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
+    """Yield the values of a model file and of its URDF, in words, with their sources."""
+    for name in JOINTS:
+        spring = content.joints[name]
+        interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
+        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma(spring.sigma_percent)}"
+        if spring.fades:
+            value += f", of which {spring.fades:.3g} fade with load"
+        if spring.backlash is not None:
+            value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
+        if spring.lost_motion is not None:
+            value += f"; lost motion {spring.lost_motion.angle_urad:.3g} µrad"
+        yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)
+    if (spring_law := content.compensator) is not None:
+        value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
+        geometry_source = spring_law.geometry_source or spring_law.source
+        assumed = spring_law.assumed and not spring_law.geometry_source
+        yield SourcedValue("compensator geometry", value, geometry_source, assumed)
+        stiffness = f"K_c {spring_law.stiffness_N_per_m:g} N/m{_sigma(spring_law.sigma_percent)}"
+        value = f"{stiffness}, s_0 {spring_law.free_length_mm:g} mm"
+        yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
+    if (carried := content.payload) is not None:
+        value = f"{carried.mass_kg:g} kg at {carried.X_mm:g}, {carried.Y_mm:g}, {carried.Z_mm:g} mm of the flange"
+        yield SourcedValue("payload when measured", value, carried.source, carried.assumed)
+    for name, springs in content.links.items():
+        count = sum(spring.link == name for spring, _ in LinkSpring.stated(content))
+        yield SourcedValue(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
+    for name, entry in content.geometry.items():
+        value = (
+            f"{entry.X_mm:g}, {entry.Y_mm:g}, {entry.Z_mm:g} mm; {entry.RX_deg:g}, {entry.RY_deg:g}, {entry.RZ_deg:g}°"
+        )
+        yield SourcedValue(f"calibrated {name}", value, entry.source, entry.assumed)
+    for name, gear in content.transmission.items():
+        once, twice = (f"{gear.sin_urad:.3g}, {gear.cos_urad:.3g}", f"{gear.sin2_urad:.3g}, {gear.cos2_urad:.3g}")
+        value = f"{once} µrad once a turn (sin, cos), {twice} µrad twice"
+        yield SourcedValue(f"transmission {name}", value, gear.source, gear.assumed)
+    if (off := content.discrepancy) is not None:
+        pairs = zip(off.u95_mm, off.load_N, strict=False)
+        value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
+        yield SourcedValue("discrepancy (95 %)", value, off.source, off.assumed)
+    if (apart := content.geometry_error) is not None:
+        yield SourcedValue("error of the geometry (95 %)", f"{apart.u95_mm:.2g} mm", apart.source, apart.assumed)
+    if (covered := content.measured) is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in covered.torque_Nm)
+        value = f"{covered.configurations} configurations, up to {torques} N·m on A1 … A6"
+        yield SourcedValue("measured", value, covered.source, covered.assumed)
+    instead = dict(LinkMass.stated(content))
+    masses = ", ".join(
+        f"{instead.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
+    )
+    speeds = ", ".join(f"{speed:.4g}" for speed in nominal.speed * DEG_PER_RAD)
+    for label, value, entry_source in (
+        ("link masses", f"{masses} kg", content.masses),
+        ("geometry, limits", "robot.urdf", content.geometry_nominal),
+        ("joint speeds", f"{speeds} °/s", content.speeds or content.geometry_nominal),
+    ):
+        source = entry_source or Sourced(source="not stated", assumed=True)
+        yield SourcedValue(label, value, source.source, source.assumed)
+    yield SourcedValue("gravity reference", content.gravity.reference, "model.toml", assumed=False)
+
+
+def _sigma(percent: float | None) -> str:
+    return "" if percent is None else f" (σ {percent:g} %)"

@@ -1,14 +1,15 @@
-"""A model folder from the URDF of a KUKA arm that somebody else wrote, as the packages of ROS-Industrial have them.
+"""Make a model folder from the URDF of a KUKA arm as the packages of ROS-Industrial contain it.
 
-Joints may be called and turn as they like (``joint_1``, ``joint_a1``, about ±Z …), and their frames lie where they like
-on their axes: only the axes count. What comes out has joints A1…A6 with KUKA's signs, frames parallel to the root at
-A1…A6 = 0, and `flange` as KUKA has it. Source of the names: ROS-Industrial, "Create a URDF for an industrial robot":
-`base` is the controller's root frame, `tool0` its flange.
+Names, signs and zero positions of the joints are free (``joint_1``, ``joint_a1``, about ±Z …), and so is the place of a
+joint's frame on its axis: only the axes count. The result has joints A1…A6 with KUKA's signs and zero positions, frames
+parallel to the root at A1…A6 = 0, and KUKA's `flange`. Source of the names: ROS-Industrial, "Create a URDF for an
+industrial robot": `base` is the controller's root frame, `tool0` its flange.
 """
 
 from __future__ import annotations
 
 import datetime
+import re
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -16,7 +17,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.errors import ModelError
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, rotation_from_vector
 from postproc.robot import urdf
 from postproc.robot.chain import Chain
 from postproc.robot.folder import load, shipped
@@ -28,19 +29,29 @@ _AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 
 _FLANGE_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """The flange at zero: {A 0, B 90, C 0}."""
 _SAME = 1e-3
-"""Angles [rad] and lengths [m] that may be missing to KUKA's zero position."""
+"""Angles [rad] and lengths [m] by which the arm may miss KUKA's zero position."""
 _ROUND = 7
-"""Decimals of lengths [m]: what is behind them is rounding of the file."""
+"""Decimals of lengths [m]; further ones are rounding of the file."""
 _REFERENCE = "kuka_kr270"
+_REFERENCE_PAYLOAD = 270.0
 _SCALED_SIGMA = 40.0
 """Standard deviation [%] of a compliance scaled from another arm: published values of one class of arms differ by 20 to
 50 %."""
 _LIGHTEST = 0.01
 """A link below this [kg] has no mass: some files need a number larger than zero there."""
+_CLASS = re.compile(r"kr[ _-]*(\d+)(?:[ _-]*\d)?(?:[ _-]*l[ _-]*(\d+))?(?!\d)", re.IGNORECASE)
+"""KUKA's names state the payload [kg]: KR 210 R2700, kr120_r2700_2; with a longer arm KR 210-2 L150 (150 kg)."""
+_MASS_BY_LOAD = (12.0, 0.69)
+"""Mass of the links [kg] is about 12·(payload [kg] · reach [m])^0.69: fitted to the ten arms that are shipped (KR 6 to
+KR 500), which lie within a factor of 1.75 of it."""
+_MASS_BY_REACH = 46.0
+"""Without a known payload: about 46·reach³ [kg, m], the same arms within a factor of 1.7."""
+_IMPLAUSIBLE = 2.0
+"""Link masses that differ from these by more than this factor are not believed."""
 
 
 class Adopted(Struct, frozen=True, eq=False):
-    """An arm taken over.
+    """The model of an arm from a URDF.
 
     :param chain: nominal geometry, KUKA's signs.
     :param content: of `model.toml`.
@@ -56,26 +67,27 @@ class Adopted(Struct, frozen=True, eq=False):
         return _written(self.chain, self.content.name)
 
 
-def adopt(text: str, file: str) -> Adopted:
-    """Take over an arm.
+def adopt(text: str, file: str, name: str | None = None) -> Adopted:
+    """Return the model of an arm.
 
     :param text: of the URDF.
     :param file: its name, for messages and as the source of its values.
-    :raises ModelError: it is no six-axis arm, or does not stand in KUKA's zero position at zero.
+    :param name: title of the robot; None = the name in the URDF.
+    :raises ModelError: it is no six-axis arm, or no pose of it is KUKA's zero position.
     """
     if "<xacro:" in text:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
     arm = urdf.read_any(text, file)
     chain, notes = _in_kuka_form(arm, file)
-    missing = [name for name, mass in zip(JOINTS, chain.mass, strict=True) if mass < _LIGHTEST]
-    if missing:
-        which = "no link has a mass" if len(missing) == len(JOINTS) else f"no mass behind {', '.join(missing)}"
-        notes.append(f"{which}: give <inertial> in robot.urdf where the weight of the links is to count")
-    compliance, reach, scaled = _compliances(chain)
+    title = name or arm.name or "robot"
+    payload = _payload(arm.name, title, file)
+    compliance, scaled = _compliances(chain, payload)
+    masses, mass_notes = _masses(chain, payload, file)
+    notes += mass_notes
     notes.append(f"compliances are ASSUMED, {scaled}: identify them (postproc identify), or replace them in model.toml")
     notes.append("a gravity compensator, if the arm has one, is not in the model")
     content = ModelFile(
-        name=arm.name or "robot",
+        name=title,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         language="krl",
         joints={
@@ -87,18 +99,27 @@ def adopt(text: str, file: str) -> Adopted:
             )
             for joint, value in zip(JOINTS, compliance, strict=True)
         },
-        masses=Masses(source=f"{file}: none given" if len(missing) == len(JOINTS) else file, assumed=bool(missing)),
-        geometry_nominal=Sourced(source=f"{file}, reach of the wrist {reach * MM_PER_M:.0f} mm"),
+        masses=masses,
+        geometry_nominal=Sourced(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
     )
     return Adopted(chain, content, tuple(notes))
 
 
+def _payload(*names: str) -> float | None:
+    """Return the payload [kg] that the first of these names with a KUKA class states; None if none does."""
+    for name in names:
+        found = _CLASS.search(name)
+        if found:
+            return float(found[2] or found[1])
+    return None
+
+
 def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
-    """Return the chain, and what was changed in it."""
+    """Return the chain with KUKA's signs and zero positions, and notes on what was changed."""
     base = _pose_of_base(arm, file)
     placement = arm.chain.placement.copy()
     placement[0] = np.linalg.inv(base) @ placement[0]
-    own = replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file))
+    own, zero = _at_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
     frames, flange = (each[0] for each in own.joint_frames(np.zeros((1, len(JOINTS)))))
     axis = np.einsum("jab,jb->ja", frames[:, :3, :3], own.axis)
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
@@ -121,15 +142,53 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
     )
     turned = ", ".join(name for name, one in zip(JOINTS, sign, strict=True) if one < 0)
     notes = [f"joints turn the other way than KUKA's, signs and limits are changed: {turned}"] if turned else []
+    if zero.any():
+        moved = ", ".join(
+            f"{name} {-angle * DEG_PER_RAD:.4g}°" for name, angle in zip(JOINTS, zero * sign, strict=True) if angle
+        )
+        notes.append(f"the URDF's zero position is not KUKA's, but {moved} there: angles and limits are changed")
     angle = np.arctan2(flange[:3, 0] @ _FLANGE_AXES[:, 1], flange[:3, 0] @ _FLANGE_AXES[:, 0])
     if abs(angle) > _SAME:
-        told = f"by {angle * DEG_PER_RAD:.4g}°: $TOOL is in KUKA's flange frame, {{A 0, B 90, C 0}} at zero"
-        notes.append(f"tool0 is turned about its axis against KUKA's flange {told}")
+        turn = f"by {angle * DEG_PER_RAD:.4g}°: $TOOL is in KUKA's flange frame, {{A 0, B 90, C 0}} at zero"
+        notes.append(f"tool0 is turned about its axis against KUKA's flange {turn}")
     return chain, notes
 
 
+def _at_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
+    """Return the arm with its joints counted from KUKA's zero position, and the angles (6,) of that position [rad].
+
+    With all joints at zero a KUKA arm is stretched out along +X: the upper arm and the axes of A4 and A6 along X, the
+    axis of A5 along Y. One joint after the other is turned to it; A6 is not: the flange may be turned about its axis.
+    """
+    zero = np.zeros(len(JOINTS))
+    x, y = np.eye(3)[:2]
+    for joint in range(len(JOINTS) - 1):
+        frames, flange = (each[0] for each in arm.joint_frames(zero[None]))
+        axes = np.einsum("jab,jb->ja", frames[:, :3, :3], arm.axis)
+        points = frames[:, :3, 3]
+        if joint == 0:  # the upper arm may point anywhere: the front is where the axis of A2 is
+            across = np.cross(axes[0], axes[1])
+            offset = (points[1] - points[0]) @ across
+            wanted, now = (x, across * offset) if abs(offset) > _SAME else (y, axes[1] * np.sign(axes[1] @ y + 1e-9))
+        elif joint == 1:
+            between = points[2] - points[1]
+            wanted, now = x, between - axes[1] * (between @ axes[1])
+        elif joint == 2:
+            wanted, now = x, axes[3] * np.sign(axes[3] @ (points[4] - points[2]) + 1e-9)
+        elif joint == 3:
+            wanted, now = y, axes[4] * np.sign(axes[4] @ y + 1e-9)
+        else:
+            wanted, now = x, flange[:3, 2]
+        axis = axes[joint]
+        angle = float(np.arctan2(axis @ np.cross(now, wanted), now @ wanted - (now @ axis) * (wanted @ axis)))
+        zero[joint] = angle if abs(angle) > _SAME else 0.0
+    placement = arm.placement.copy()
+    placement[:, :3, :3] = placement[:, :3, :3] @ rotation_from_vector(zero[:, None] * arm.axis)
+    return replace(arm, placement=placement, lower=arm.lower - zero, upper=arm.upper - zero), zero
+
+
 def _pose_of_base(arm: AnyArm, file: str) -> Array:
-    """Return the controller's root frame in the first link: `base`, else `base_link`, else the first link itself."""
+    """Return the controller's root frame in the first link: `base`, else `base_link`, else that link's own frame."""
     for wanted in ("base", "base_link"):
         found = _frame(arm, wanted, -1, file)
         if found is not None:
@@ -151,7 +210,7 @@ def _pose_of_flange(arm: AnyArm, file: str) -> Array:
 
 
 def _frame(arm: AnyArm, wanted: str, carrier: int, file: str) -> Array | None:
-    """Return the pose of a link of some name that a joint carries, or of the only one with a prefix to it."""
+    """Return the pose of a named link that a joint carries, or of the only one with a prefix before that name."""
     poses = {name: pose for name, (joint, pose) in arm.frames.items() if joint == carrier}
     names = [name for name in poses if name == wanted] or [
         name for name in poses if name.endswith((f"_{wanted}", f"/{wanted}"))
@@ -164,26 +223,31 @@ def _frame(arm: AnyArm, wanted: str, carrier: int, file: str) -> Array | None:
 
 
 def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
-    """At zero the arm must lie stretched out along +X of the root, as KUKA's do."""
+    """Refuse an arm that no angles of its joints bring into KUKA's zero position."""
     off = 1.0 - np.abs(np.einsum("ja,ja->j", axis, _AXES))
     advice = (
-        "With all joints at zero a KUKA arm lies stretched out along +X: A1 about Z, A2, A3 and A5 about Y, A4 and A6 "
-        "about X. Change the zero positions in the URDF."
+        "With all joints at zero a KUKA arm is stretched out along +X: A1 turns about Z, A2, A3 and A5 about Y, A4 and "
+        "A6 about X. Check the axes and origins of the joints in the URDF."
     )
     if off.max() > _SAME**2:
-        joint = JOINTS[int(np.argmax(off))]
-        raise ModelError(f"at zero {joint} does not lie as KUKA's does", file=file, advice=advice)
+        row = int(np.argmax(off))
+        angle = np.arccos(np.clip(1.0 - off[row], -1.0, 1.0)) * DEG_PER_RAD
+        raise ModelError(
+            f"stretched out, the axis of {JOINTS[row]} is {angle:.3g}° off that of a KUKA arm", file=file, advice=advice
+        )
     upper_arm = origin[2] - origin[1]
     if upper_arm[0] <= 0.0 or abs(upper_arm[2]) > _SAME or flange[0, 3] <= origin[4, 0]:
-        raise ModelError("at zero the arm is not stretched out along +X of the root", file=file, advice=advice)
+        raise ModelError("the arm cannot be stretched out along +X of the root", file=file, advice=advice)
     if flange[0, 2] < 1.0 - _SAME**2:
         raise ModelError(
-            "at zero the flange does not look along +X", file=file, advice="Z of tool0 (X of flange) must point out."
+            "stretched out, the flange does not point along +X",
+            file=file,
+            advice="Z of tool0 (X of flange) must point out.",
         )
 
 
 def _origins(point: Array, flange: Array) -> Array:
-    """Return an origin on each axis (6, 3), root frame [m]: where KUKA's drawings have their dimensions.
+    """Return a point on each axis (6, 3), root frame [m]: the points that KUKA's drawings give dimensions of.
 
     A1 at the height of A2; A2 and A3 in the plane of A1; A4 above A3; A5 on the axis of A4; A6 at the flange.
     """
@@ -196,22 +260,59 @@ def _origins(point: Array, flange: Array) -> Array:
     return origin
 
 
-def _compliances(chain: Chain) -> tuple[list[float], float, str]:
-    """Return compliances [µrad/(N·m)] by size, the reach of the wrist [m], and how they were found.
+def _compliances(chain: Chain, payload: float | None) -> tuple[list[float], str]:
+    """Return compliances [µrad/(N·m)] by the size of the arm, and how they were found.
 
-    Of arms built alike, torsional stiffness grows with the cube of the size; the KR 270-2 is the one that is published.
+    In arms built alike, torsional stiffness grows with the cube of the size and the load moment (payload times reach)
+    with its fourth power. The reach alone is no size: of one class, the longer arm carries less and is not stiffer.
+    The KR 270-2 is the reference: its values are published.
     """
     reference = load(shipped()[_REFERENCE])
     known, own = _reach(reference.nominal), _reach(chain)
-    compliance = reference.compliance[list(reference.actuated)] * 1e6 * (known / own) ** 3
-    scaled = (
-        f"that of the KR 270-2, scaled by the cube of the reach ({known * MM_PER_M:.0f} to {own * MM_PER_M:.0f} mm)"
-    )
-    return [float(f"{value:.2g}") for value in compliance], own, scaled
+    mm = f"{known * MM_PER_M:.0f}", f"{own * MM_PER_M:.0f}"
+    if payload is not None:
+        factor = (_REFERENCE_PAYLOAD * known / (payload * own)) ** 0.75
+        sizes = f"{_REFERENCE_PAYLOAD:.0f} kg at {mm[0]} mm to {payload:.0f} kg at {mm[1]} mm"
+        how = f"scaled by the load moment to the power of -3/4 ({sizes})"
+    elif own < known:
+        factor = (known / own) ** 3
+        how = f"scaled by the cube of the reach ({mm[0]} to {mm[1]} mm)"
+    else:
+        factor = 1.0
+        how = f"unchanged, since the payload of this longer arm ({mm[1]} mm) is not in its name"
+    compliance = reference.compliance[list(reference.actuated)] * 1e6 * factor
+    return [float(f"{value:.2g}") for value in compliance], f"that of the KR 270-2, {how}"
+
+
+def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, list[str]]:
+    """Return the entry of the link masses, assumed where some are missing or their sum is implausible, and notes."""
+    missing = [name for name, mass in zip(JOINTS, chain.mass, strict=True) if mass < _LIGHTEST]
+    if len(missing) == len(JOINTS):
+        note = "no link has a mass: give <inertial> in robot.urdf where the weight of the links is to count"
+        return Masses(source=f"{file}: none given", assumed=True), [note]
+    notes = []
+    if missing:
+        notes.append(
+            f"{', '.join(missing)} carry no mass: give <inertial> in robot.urdf where the weight of the links is to "
+            "count"
+        )
+    reach, total = _reach(chain), float(chain.mass.sum())
+    if payload is None:
+        usual, size = _MASS_BY_REACH * reach**3, f"reach {reach * MM_PER_M:.0f} mm"
+    else:
+        usual = _MASS_BY_LOAD[0] * (payload * reach) ** _MASS_BY_LOAD[1]
+        size = f"{payload:.0f} kg payload, reach {reach * MM_PER_M:.0f} mm"
+    if not usual / _IMPLAUSIBLE <= total <= usual * _IMPLAUSIBLE:
+        notes.append(
+            f"the links weigh {total:.0f} kg; arms of this size ({size}) have about {usual:.2g} kg without the base. "
+            "The masses are marked as assumed: correct <inertial> in robot.urdf, since their weight is corrected too"
+        )
+        return Masses(source=f"{file}: {total:.0f} kg are not plausible", assumed=True), notes
+    return Masses(source=file, assumed=bool(missing)), notes
 
 
 def _reach(chain: Chain) -> float:
-    """Return how far from the axis of A1 the wrist gets, stretched out [m]."""
+    """Return the distance of the wrist from the axis of A1 with the arm stretched out [m]."""
     step = chain.placement[:, :3, 3]
     return float(step[1, 0] + np.linalg.norm(step[2]) + np.linalg.norm(step[3] + step[4]))
 
@@ -219,7 +320,7 @@ def _reach(chain: Chain) -> float:
 def _written(chain: Chain, name: str) -> bytes:
     lines = [
         '<?xml version="1.0"?>',
-        "<!-- Joints A1..A6 with KUKA's signs; root frame = $ROBROOT; at zero the arm lies stretched out along +X. -->",
+        "<!-- Joints A1..A6 with KUKA's signs; root frame = $ROBROOT; at zero the arm is stretched out along +X. -->",
         f"<robot name={quoteattr(name)}>",
         '  <link name="base_link"/>',
     ]

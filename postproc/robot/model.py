@@ -1,4 +1,4 @@
-"""The robot as the package computes with it: two chains, springs, compensator, covariance."""
+"""The robot model: two chains, springs, compensator, covariance, errors of the gears' transmission."""
 
 from __future__ import annotations
 
@@ -13,15 +13,33 @@ from postproc.compensator import Compensator
 from postproc.errors import ModelError
 from postproc.frames import Array, norm
 from postproc.robot import parameters
-from postproc.robot.chain import Chain
-from postproc.robot.flexible import elastic_chain
-from postproc.robot.model_file import BASE, JOINTS
-from postproc.robot.parameter import CompensatorTorque, Parameter, Spring
-from postproc.robot.parameters import COMPENSATOR
-from postproc.robot.rest_parameters import CompensatorSize, LinkMass
-from postproc.robot.spring_parameters import LINK_AXES, LinkSpring
-from postproc.robot.transmission import Transmission
-from postproc.robot.value_sources import SourcedValue
+from postproc.robot.chain import Chain, elastic_chain
+from postproc.robot.model_file import BASE, JOINTS, TransmissionEntry
+from postproc.robot.parameters import (
+    COMPENSATOR,
+    LINK_AXES,
+    PER_URAD,
+    CompensatorSize,
+    CompensatorTorque,
+    LinkMass,
+    LinkSpring,
+    Parameter,
+    Spring,
+)
+
+GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
+"""Terms of a joint, in the order of `Transmission.amplitude`."""
+_ROUNDS = 60
+_SAME = 1e-14
+
+
+class SourcedValue(Struct, frozen=True):
+    """One value of a model, in words, and its source."""
+
+    name: str
+    value: str
+    source: str
+    assumed: bool
 
 
 class Covariance(Struct, frozen=True, eq=False):
@@ -43,25 +61,25 @@ class Covariance(Struct, frozen=True, eq=False):
         found = {name: parameters.named(name) for name in names}
         unknown = [name for name, parameter in found.items() if parameter is None]
         if unknown:
-            raise ModelError(f"[covariance] names {unknown[0]!r}, which no parameter of the elastic model is called")
+            raise ModelError(f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model")
         return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
 
 
 class Discrepancy(Struct, frozen=True, eq=False):
-    """How far the model was off on configurations it was not fitted to, noise and its own uncertainty taken out.
+    """Error of the model on configurations it was not fitted to, without noise and its own uncertainty.
 
     :param load: (m,) size of the loads there, force [N] and moment [N·m] in one, ascending.
-    :param u95: (m,) what 95 % of the errors were below [m].
+    :param u95: (m,) 95 % of the errors are smaller [m].
     """
 
     load: Array
     u95: Array
 
     def at(self, wrench: Array) -> Array:
-        """Return the bound (N,) [m] under wrenches (N, 6).
+        """Return the 95 % bound (N,) [m] under wrenches (N, 6).
 
-        Between measured loads it is interpolated, above them it grows with the load; below the smallest it does not
-        shrink, as backlash does not: what is off there is off by a milling force too. Without load nothing is.
+        It is interpolated between the measured loads and proportional to the load above them. Below the smallest load
+        it is constant, as an error by backlash is. Without load it is zero.
         """
         force = norm(wrench)
         inside = np.interp(force, self.load, self.u95)
@@ -70,43 +88,80 @@ class Discrepancy(Struct, frozen=True, eq=False):
 
 
 class Measured(Struct, frozen=True, eq=False):
-    """What the measurements of an identified model covered.
+    """The range of the measurements of an identified model.
 
     :param torque: (6,) largest on A1…A6 [N·m].
-    :param not_trusted: why the model should not be used; empty if it may.
+    :param not_trusted: why the model should not be used; empty if it may be.
     """
 
     torque: Array
     not_trusted: str
 
 
+class Transmission(Struct, frozen=True, eq=False):
+    """Errors of transmission of six joints; `amplitude` (6, 4) of sin q, cos q, sin 2q, cos 2q [rad].
+
+    Gear wheels that run out of true, and mounted encoders, turn a joint by q + s₁·sin q + c₁·cos q + s₂·sin 2q +
+    c₂·cos 2q where the controller states q. Springs, weights and geometry depend on the actual angle.
+    """
+
+    amplitude: Array
+
+    @classmethod
+    def of(cls, entries: Mapping[str, TransmissionEntry]) -> Transmission | None:
+        """Return the errors that a model file states, or None if all are zero."""
+        amplitude = np.array(
+            [
+                [getattr(entries[joint], f"{term}_urad") / PER_URAD if joint in entries else 0.0 for term in GEAR_TERMS]
+                for joint in JOINTS
+            ]
+        )
+        return cls(amplitude) if amplitude.any() else None
+
+    def actual(self, q: Array) -> Array:
+        """Return the actual angles (6, n) of joints for angles (6, n) that the controller holds [rad]."""
+        return np.asarray(q + np.einsum("jk,kjn->jn", self.amplitude, waves(q)))
+
+    def commanded(self, actual: Array) -> Array:
+        """Return the angles (6, n) that the controller holds when the joints are at angles (6, n) [rad].
+
+        By fixed point: amplitudes of at most some hundredths reduce the error by as much in each round.
+        """
+        q = actual
+        for _ in range(_ROUNDS):
+            q, before = actual - (self.actual(q) - q), q
+            if np.abs(q - before).max(initial=0.0) <= _SAME:
+                break
+        return q
+
+
 class RobotModel(Struct, frozen=True, eq=False, dict=True):
-    """A robot as the package computes with it. SI units, KUKA joint signs, root frame = `$ROBROOT`.
+    """A robot model. SI units, KUKA joint signs, root frame = `$ROBROOT`.
 
     :param name: name of the model folder.
     :param title: full name of the robot.
     :param nominal: the controller's geometry.
     :param actual: geometry of the real robot (calibrated where known), with the masses of its links.
-    :param loaded: `actual` with the payload that is carried beyond the calibrated state.
+    :param loaded: `actual` with the payload that it carries in addition to the calibrated state.
     :param stiffness: (nv, nv) K⁰_θ of the virtual springs at small torque [N·m/rad, N/m].
     :param actuated: (6,) rows of A1…A6 among the nv coordinates of `actual`.
-    :param compensator: spring beside A2, or None.
-    :param subtract_reference: True if the geometry holds the state of rest under own weight (``"calibrated"``).
+    :param compensator: spring parallel to A2, or None.
+    :param subtract_reference: True if the geometry describes the robot at rest under its own weight (``"calibrated"``).
     :param lower: (6,) joint limits [rad].
     :param upper: (6,) joint limits [rad].
     :param speed: (6,) joint speed limits [rad/s].
     :param covariance: of the identified parameters, or None.
-    :param sources: where each value comes from.
-    :param terms: parameters of springs that do not grow with the torque, with their values.
-    :param carries_weight: they feel the torque at rest (weights, compensator) too, not the load alone.
+    :param sources: each value with its source.
+    :param terms: parameters of springs that are not linear, with their values.
+    :param carries_weight: their deflection depends on the torque at rest (weights, compensator) too.
     :param link_springs: springs of the links, in the order of their coordinates.
-    :param discrepancy: by how much the model was off where it was not fitted, or None.
-    :param geometry_error: what 95 % of the errors of the geometry, without load, are below [m]; 0 where none is told.
-    :param measured: what the measurements of an identified model covered, or None.
-    :param language: dialect that its controller reads; empty where the model does not say.
+    :param discrepancy: unmodelled error, or None.
+    :param geometry_error: 95 % of the errors of the geometry without load are smaller [m]; 0 if not stated.
+    :param measured: range of the measurements, or None.
+    :param language: dialect that its controller reads; empty if not stated.
     :param transmission: errors of the gears' transmission, or None.
-    :param mass_spread: standard deviation of what the mass of each link is off by, as a share.
-    :param compensator_spread: the same of the size of the compensator's torque.
+    :param mass_spread: relative standard deviation of the mass of each link.
+    :param compensator_spread: relative standard deviation of the size of the compensator's torque.
     :param stated_spread: parameters of `covariance` whose variance is the spread of published or assumed values.
     """
 
@@ -150,14 +205,50 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         """Return the compliance (nv,) of terms at small torque."""
         zero, out = np.zeros(1), np.zeros(self.actual.nv)
         for parameter, value in terms:
-            if not parameter.is_compliance:
-                continue
-            out[parameter.row(self)] += value * parameter.effect(zero, zero)[1][0]
+            if parameter.is_compliance:
+                out[self.row(parameter)] += value * parameter.effect(zero, zero)[1][0]
         return out
+
+    def row(self, parameter: Parameter) -> int:
+        """Return the coordinate of the elastic chain at which a parameter acts; of a mass, the one that carries it.
+
+        :raises ModelError: this robot does not have the parameter.
+        """
+        if isinstance(parameter, LinkSpring):
+            if parameter not in self.link_springs:
+                raise _missing(parameter)
+            return self.passive[self.link_springs.index(parameter)]
+        if isinstance(parameter, CompensatorTorque) and self.compensator is None:
+            raise _missing(parameter)
+        joint: str = parameter.joint  # type: ignore[attr-defined]  # all other kinds belong to a joint
+        row = self.actuated[JOINTS.index(joint)]
+        if isinstance(parameter, LinkMass):  # after the springs at the beginning of the link
+            row += sum(spring.link == joint and not spring.at_end for spring in self.link_springs)
+        return row
+
+    def value(self, parameter: Parameter) -> float:
+        """Return the (linear) value of a parameter, SI; zero where the robot has no such spring or compensator."""
+        if isinstance(parameter, CompensatorTorque):
+            return 0.0 if self.compensator is None else parameter.of(self.compensator)
+        if isinstance(parameter, LinkMass):
+            return float(self.nominal.mass[parameter.index])
+        if isinstance(parameter, LinkSpring) and parameter not in self.link_springs:
+            return 0.0
+        if not isinstance(parameter, Spring):
+            raise _missing(parameter)
+        return float(self.steady[self.row(parameter)]) if parameter.linear else dict(self.terms).get(parameter, 0.0)
+
+    def prior_sigma(self, parameter: Parameter) -> float:
+        """Return the standard deviation of a value that the model states, SI; infinite if only readings give it."""
+        if isinstance(parameter, LinkMass):
+            return self.mass_spread * self.value(parameter)
+        if isinstance(parameter, CompensatorSize):
+            return self.compensator_spread * self.value(parameter)
+        return np.inf
 
     @cached_property
     def basis(self) -> str:
-        """What the covariance rests on, in words; empty without covariance."""
+        """Basis of the covariance, in words; empty without covariance."""
         if self.covariance is None:
             return ""
         if len(self.stated_spread) == len(self.covariance.parameters) and self.stated_spread:
@@ -169,7 +260,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
-        """Coordinates of the link springs: those that no motor moves."""
+        """Indices of the coordinates of link springs, which no motor drives."""
         return tuple(sorted(set(range(self.actual.nv)) - set(self.actuated)))
 
     @cached_property
@@ -187,15 +278,15 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def a_kilogram_each(self) -> Chain:
-        """The elastic chain with one kilogram at the centre of each link, as the model states it; no payload."""
+        """The elastic chain with one kilogram at the stated centre of each link, without payload."""
         mass, centre = np.zeros(self.actual.nv), np.zeros((self.actual.nv, 3))
         for joint in JOINTS:
             link = LinkMass(joint)
-            mass[link.row(self)], centre[link.row(self)] = 1.0, self.nominal.centre[link.index]
+            mass[self.row(link)], centre[self.row(link)] = 1.0, self.nominal.centre[link.index]
         return replace(self.actual, mass=mass, centre=centre)
 
     def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
-        """Return the robot, of six coordinates and without payload, with one more for each spring, rigid as yet."""
+        """Return the robot (of six coordinates, without payload) with a further coordinate, still rigid, a spring."""
         order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
         wanted = tuple(sorted(set(springs), key=order.index))
         if not wanted:
@@ -208,31 +299,31 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         )
 
     def with_values(self, values: Mapping[Parameter, float]) -> RobotModel:
-        """Return the robot with these (linear) values of its parameters, SI; those not named keep theirs."""
+        """Return the robot with other (linear) values of some parameters, SI."""
         steady, terms = self.steady.copy(), dict(self.terms)
         law = self.compensator
         for parameter, value in values.items():
             if not isinstance(parameter, Spring):
                 continue
             if parameter.linear:
-                steady[parameter.row(self)] = value
+                steady[self.row(parameter)] = value
             else:
                 terms[parameter] = value
         if law is not None and any(isinstance(parameter, CompensatorTorque) for parameter in values):
             if (size := values.get(CompensatorSize())) is not None:
                 law = law.with_spring(size, size * law.free_length)
             else:
-                law = law.with_spring(*(values.get(parameter, parameter.of(self)) for parameter in COMPENSATOR))
+                law = law.with_spring(*(values.get(parameter, self.value(parameter)) for parameter in COMPENSATOR))
         with np.errstate(divide="ignore"):
             stiffness = np.diag(1.0 / (steady + self._at_small_torque(terms.items())))
         heavier = self._with_masses({p: value for p, value in values.items() if isinstance(p, LinkMass)})
         return replace(heavier, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
 
     def _with_masses(self, masses: Mapping[LinkMass, float]) -> RobotModel:
-        """Return the robot with these masses of links [kg]; what the flange carries stays."""
+        """Return the robot with other masses of links [kg]; the payload is unchanged."""
         nominal, actual, loaded = self.nominal, self.actual, self.loaded
         for link, mass in masses.items():
-            more, centre, row = mass - link.of(self), nominal.centre[link.index], link.row(self)
+            more, centre, row = mass - self.value(link), nominal.centre[link.index], self.row(link)
             nominal = nominal.with_mass(link.index, more, centre)
             bare, actual = actual, actual.with_mass(row, more, centre)
             loaded = actual if loaded is bare else loaded.with_mass(row, more, centre)
@@ -247,3 +338,12 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         if mass == 0.0:
             return self
         return replace(self, loaded=self.loaded.with_payload(mass, np.asarray(centre, dtype=float)))
+
+
+def waves(q: Array) -> Array:
+    """Return sin q, cos q, sin 2q, cos 2q (4, ...) of angles [rad]."""
+    return np.stack([np.sin(q), np.cos(q), np.sin(2.0 * q), np.cos(2.0 * q)])
+
+
+def _missing(parameter: Parameter) -> ModelError:
+    return ModelError(f"[covariance] names {parameter.name!r}, which the model does not have")

@@ -1,4 +1,4 @@
-"""Content of `model.toml`: what is known of a robot beyond its URDF, each value with its source.
+"""Content of `model.toml`: the values of a robot beyond its URDF, each with its source.
 
 Structures only; `robot` turns them into a `RobotModel`. Units of the file: µrad/(N·m), µm/N, mm, deg, N·m.
 """
@@ -40,7 +40,7 @@ class Stiffening(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class BacklashEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Backlash or lost motion of a gear: by how much it lies off to either side; `torque_Nm` turns it over
+    """Backlash or lost motion of a gear: half the angle between its flanks; around `torque_Nm` it changes its flank
     (`parameters.Backlash`, `parameters.LostMotion`).
     """
 
@@ -73,7 +73,7 @@ class LinkSprings(Sourced, frozen=True, kw_only=True):
     """Springs of one link: translations and rotations where it begins (at its joint), rotations where it ends.
 
     Axes of the joint frame (those of the root at A1…A6 = 0 for the shipped robots). The link named A2 is the one that
-    joint A2 carries; `base` lies between the floor and A1. A translation counts once: it is the same at both ends.
+    joint A2 carries; `base` is between the foundation and A1. A translation counts once: it is the same at both ends.
     """
 
     X_um_per_N: NotNegative = 0.0
@@ -115,9 +115,9 @@ class CompensatorEntry(Sourced, frozen=True, kw_only=True):
 
 
 class Masses(Sourced, frozen=True, kw_only=True):
-    """Where the masses of the links in robot.urdf come from, and those that stand for them where readings tell more.
+    """Source of the link masses in robot.urdf, and identified masses that replace them.
 
-    `spread_percent`: standard deviation of what each is off by.
+    `spread_percent`: standard deviation of each mass.
     """
 
     spread_percent: NotNegative = 15.0
@@ -130,7 +130,7 @@ class Masses(Sourced, frozen=True, kw_only=True):
 
 
 class Gravity(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What the geometry describes: the robot sagged under its own weight, or a weightless robot.
+    """State that the geometry describes: the robot under its own weight, or a weightless robot.
 
     `in_gears`: stiffening gears feel the torque of the weights and of the compensator at rest too, not the load alone.
     """
@@ -140,7 +140,7 @@ class Gravity(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Displacement(Sourced, frozen=True, kw_only=True):
-    """Calibrated geometry: how far a joint (or the flange) stands from its nominal place on the link before it.
+    """Calibrated geometry: displacement of a joint (or the flange) from its nominal place on the previous link.
 
     X, Y, Z [mm] and a rotation vector RX, RY, RZ [deg], in the axes of the nominal joint frame.
     """
@@ -154,7 +154,7 @@ class Displacement(Sourced, frozen=True, kw_only=True):
 
 
 class TransmissionEntry(Sourced, frozen=True, kw_only=True):
-    """How much further than its angle q a joint stands, once and twice a turn: amplitudes of sin q … cos 2q [µrad]."""
+    """Error of transmission of a joint, once and twice a turn: amplitudes of sin q … cos 2q [µrad]."""
 
     sin_urad: Amplitude = 0.0
     cos_urad: Amplitude = 0.0
@@ -163,7 +163,7 @@ class TransmissionEntry(Sourced, frozen=True, kw_only=True):
 
 
 class PayloadEntry(Sourced, frozen=True, kw_only=True):
-    """What the flange carried when the robot was measured; the payload of a cell comes in addition to it.
+    """Payload during the measurements; the payload of a cell is in addition to it.
 
     `mass_kg`, centre of mass X_mm, Y_mm, Z_mm in the flange frame.
     """
@@ -182,20 +182,20 @@ class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
-    """How far the model was off on configurations it was not fitted to, noise taken out: 95 % of |error| by load."""
+    """Unmodelled error on configurations the model was not fitted to, without noise: 95 % of |error| by load."""
 
     load_N: list[NotNegative]
     u95_mm: list[NotNegative]
 
 
 class GeometryErrorEntry(Sourced, frozen=True, kw_only=True):
-    """How far the tool stood without load from where the calibrated geometry says, noise taken out: 95 % of |error|."""
+    """Error of the calibrated geometry without load and without noise: 95 % of |error|."""
 
     u95_mm: NotNegative
 
 
 class MeasuredEntry(Sourced, frozen=True, kw_only=True):
-    """What the measurements covered: the largest torque on A1…A6; `not_trusted`: why the model should not be used."""
+    """Range of the measurements: the largest torque on A1…A6; `not_trusted`: why the model should not be used."""
 
     configurations: int
     torque_Nm: tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
@@ -203,7 +203,7 @@ class MeasuredEntry(Sourced, frozen=True, kw_only=True):
 
 
 class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Content of `model.toml`; `language`: dialect that the robot's controller reads, empty where nobody says.
+    """Content of `model.toml`; `language`: dialect that the robot's controller reads, empty if not stated.
 
     `masses`, `geometry_nominal` (and joint limits) and `speeds`, of the joints, say where those in robot.urdf come
     from; speeds without an entry come from where the geometry does.

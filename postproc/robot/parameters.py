@@ -1,20 +1,586 @@
-"""The parameters of the elastic model: all kinds there are, read by name and from a model file.
+"""The parameters of the elastic model: springs of joints and links, compensator, link masses.
 
-A further kind is a class in `KINDS` that fulfils `parameter.Spring`; identification, bound and report ask the objects.
+The model is linear in each of them. A `Spring` adds to the deflection of one coordinate its value times a function of
+the torque there; a `CompensatorTorque` subtracts its value times a function of q2 from the torque on joint 2. Values
+are SI; files hold the units of a workshop (the whole compliance of a joint, the free length s₀): `Parameter.in_file`.
+
+A further kind is a class in `KINDS`; identification, bound and report use the methods of the objects alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from msgspec import Struct
 
-from postproc.frames import Array
-from postproc.robot.compensator_parameters import CompensatorPreload, CompensatorStiffness
-from postproc.robot.model_file import JOINTS, ModelFile
-from postproc.robot.parameter import Parameter
-from postproc.robot.rest_parameters import LinkMass
-from postproc.robot.spring_parameters import Backlash, FadingPart, JointCompliance, Knee, LinkSpring, LostMotion
+from postproc.compensator import Compensator
+from postproc.frames import MM_PER_M, Array
+from postproc.robot.model_file import BASE, JOINTS, ModelFile
+
+PER_URAD = 1e6
+"""µrad, or µm, in one SI unit."""
+LINK_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
+"""Directions of the springs of a link: translations and rotations at its beginning, rotations at its end."""
+_MASS = ".mass"
+
+
+class Parameter(Struct, frozen=True):
+    """A value of the elastic model that can be identified.
+
+    A kind that belongs to a joint has a field `joint`, which is where it acts. `RobotModel.value` and `RobotModel.row`
+    return its value and its coordinate in a robot. `per_si`: units of the file in one SI unit. `sparse`: one of many
+    candidates of which few are expected: fitted ≥ 0, and left out of files where it is zero.
+    """
+
+    per_si: ClassVar[float] = PER_URAD
+    sparse: ClassVar[bool] = False
+
+    @property
+    def unit(self) -> str:
+        """Unit in files."""
+        return "urad/(N·m)"
+
+    @property
+    def usual(self) -> float:
+        """Usual size, SI."""
+        return 1e-6
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name in files: [covariance] of `model.toml`, `identification.json`."""
+
+    @property
+    def symbol(self) -> str:
+        """Name of the fitted value in messages."""
+        return self.name
+
+    @property
+    def title(self) -> str:
+        """Heading in reports."""
+        return self.name
+
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Joint or link that it belongs to, in words."""
+
+    @classmethod
+    @abstractmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the parameter of this kind with a name in files, or None."""
+
+    @classmethod
+    @abstractmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the parameters of this kind that a model file holds, with their (linear) values, SI."""
+
+    @abstractmethod
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Put a value and the half width of its 95 % interval, in units of the file, into tables of model.toml."""
+
+    def partners(self) -> tuple[Parameter, ...]:
+        """Return the parameters that its value in files depends on."""
+        return ()
+
+    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+        """Return the value in units of the file, and its derivatives by the linear values `given` (SI)."""
+        return self.per_si * given[self], {self: self.per_si}
+
+
+class Spring(Parameter, frozen=True):
+    """A parameter that adds to the deflection of one coordinate.
+
+    `linear`: the deflection is proportional to the torque. `is_compliance`: its slope at small torque is part of the
+    spring's compliance. `with_rest_torque`: the deflection depends on the torque at rest and that of the load together.
+    """
+
+    linear: ClassVar[bool] = True
+    is_compliance: ClassVar[bool] = True
+    with_rest_torque: ClassVar[bool] = True
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return the deflection (N,) per unit of the parameter, and its derivative by the torque.
+
+        :param torque: (N,) on the spring, in addition to `rest` [N·m, N].
+        :param rest: (N,) torque at which the deflection is zero [N·m, N].
+        """
+        return torque, np.ones_like(torque)
+
+
+class CompensatorTorque(Parameter, frozen=True):
+    """A parameter of the compensator's spring, which relieves joint 2 of torque. Source: paper, Eq. (3), (4)."""
+
+    joint: ClassVar[str] = "A2"
+
+    @abstractmethod
+    def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
+        """Return the torque U_c′ (N,) and the stiffness U_c″ per unit of the parameter at q2 (N,) [rad]."""
+
+    @abstractmethod
+    def of(self, law: Compensator) -> float:
+        """Return the value of this parameter in a compensator, SI."""
+
+    @property
+    def usual(self) -> float:
+        """Usual size [N/m, N]."""
+        return 1e6
+
+    @property
+    def place(self) -> str:
+        """Return the compensator."""
+        return f"the compensator at {self.joint}"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the parameter if this is its name."""
+        return cls() if name == cls().name else None
+
+
+class _OfJoint(Spring, frozen=True):
+    """A spring of the gear of one joint."""
+
+    joint: str
+
+    @property
+    def place(self) -> str:
+        """Return the joint."""
+        return self.joint
+
+
+class _Nonlinear(_OfJoint, frozen=True):
+    """A spring of a gear that changes at about a torque [N·m]; one of many candidates."""
+
+    torque: float
+    sparse: ClassVar[bool] = True
+    linear: ClassVar[bool] = False
+
+
+class JointCompliance(_OfJoint, frozen=True):
+    """The part of a joint's compliance that is the same at all torques: ``k1`` … ``k6``.
+
+    Files hold the whole compliance at small torque, with the parts that fade.
+    """
+
+    @property
+    def index(self) -> int:
+        """Return the number of the joint, from 0."""
+        return JOINTS.index(self.joint)
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``k1``."""
+        return f"k{self.index + 1}"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the compliance of a joint."""
+        return next((cls(joint) for joint in JOINTS if name == cls(joint).name), None)
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the compliances of [joints] without the parts that fade."""
+        for joint in JOINTS:
+            spring = content.joints[joint]
+            yield cls(joint), (spring.compliance_urad_per_Nm - spring.fades) / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write [joints.A1]."""
+        tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half}
+
+    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+        """Return the compliance at small torque, fading parts included."""
+        slopes = dict.fromkeys((p for p in given if p == self or self in p.partners()), self.per_si)
+        return sum(slope * given[p] for p, slope in slopes.items()), slopes
+
+
+class FadingPart(_Nonlinear, frozen=True):
+    """Part of a joint's compliance that fades as the torque grows beyond `torque` [N·m]: ``k1@800``.
+
+    Deflection T·(f(u) − f(u₀)) with f = asinh, u = (torque + rest)/T, u₀ = rest/T: a sum of such parts follows any gear
+    whose compliance falls with load; every part stays monotone, so that the spring is always stable.
+    """
+
+    mark: ClassVar[str] = "@"
+    """Separates joint and torque in names."""
+    key: ClassVar[str] = "stiffening"
+    """Key of such parts in [joints] of model.toml."""
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``k1@800``."""
+        return f"{JointCompliance(self.joint).name}{self.mark}{self.torque:g}"
+
+    @property
+    def title(self) -> str:
+        """Return joint and torque in words."""
+        return f"{JointCompliance(self.joint).name}, fades beyond {self.torque:g} N·m"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the part of a name like ``k6@6.2``, with the mark of the class."""
+        head, _, torque = name.partition(cls.mark)
+        whole = JointCompliance.named(head)
+        try:
+            return None if whole is None else cls(whole.joint, float(torque))
+        except ValueError:
+            return None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the parts under `key` of [joints]."""
+        for joint in JOINTS:
+            for part in getattr(content.joints[joint], cls.key):
+                yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Add to `key` of the joint."""
+        part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
+        tables["joints"][self.joint].setdefault(self.key, []).append(part)
+
+    def partners(self) -> tuple[Parameter, ...]:
+        """Return the compliance of the joint, which contains the part."""
+        return (JointCompliance(self.joint),)
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return T·(f(u) − f(u₀)) and f′(u)."""
+        u0 = rest / self.torque
+        u = torque / self.torque + u0
+        return self.torque * (np.arcsinh(u) - np.arcsinh(u0)), 1.0 / np.sqrt(1.0 + u**2)
+
+
+class Knee(FadingPart, frozen=True):
+    """Part of a joint's compliance that ends where the torque passes `torque` [N·m]: ``k1^800``.
+
+    Deflection T·(f(u) − f(u₀)) with f = u/(1 + u⁴)^¼ and u, u₀ as in `FadingPart`: proportional to the torque up to T
+    (the breakpoint of a bilinear spring) and constant beyond. Any gear whose compliance falls with load is a sum of
+    such parts; beyond the last breakpoint the sum is a straight line.
+    """
+
+    mark: ClassVar[str] = "^"
+    key: ClassVar[str] = "knees"
+
+    @property
+    def title(self) -> str:
+        """Return joint and torque in words."""
+        return f"{JointCompliance(self.joint).name}, up to {self.torque:g} N·m"
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return T·(f(u) − f(u₀)) and f′(u)."""
+        u0 = rest / self.torque
+        u = torque / self.torque + u0
+        there, here = 1.0 + u**4, 1.0 + u0**4
+        return self.torque * (u / there**0.25 - u0 / here**0.25), there**-1.25
+
+
+class Backlash(_Nonlinear, frozen=True):
+    """Backlash of a gear: its angle to the flank on which the torque presses it, ``A4.backlash@3`` [rad].
+
+    Deflection tanh(v) − tanh(v₀) with v = (torque + rest)/T, v₀ = rest/T. The gear changes its flank within about the
+    small torque T [N·m].
+    """
+
+    is_compliance: ClassVar[bool] = False
+    key: ClassVar[str] = "backlash"
+    """Its key in [joints] of model.toml; separates joint and torque in names."""
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``A4.backlash@3``."""
+        return f"{self.joint}.{self.key}@{self.torque:g}"
+
+    @property
+    def title(self) -> str:
+        """Return the joint in words."""
+        return f"{self.key.replace('_', ' ')} of {self.joint}"
+
+    @property
+    def unit(self) -> str:
+        """Unit in files."""
+        return "urad"
+
+    @property
+    def usual(self) -> float:
+        """Usual size [rad]."""
+        return 2e-5
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the parameter of a name like ``A4.backlash@3``, with the key of the class."""
+        head, _, torque = name.partition(f".{cls.key}@")
+        try:
+            return cls(head, float(torque)) if head in JOINTS else None
+        except ValueError:
+            return None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the entries under `key` of [joints]."""
+        for joint in JOINTS:
+            if (play := getattr(content.joints[joint], cls.key)) is not None:
+                yield cls(joint, play.torque_Nm), play.angle_urad / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write `key` of the joint."""
+        tables["joints"][self.joint][self.key] = {"angle_urad": value, "torque_Nm": self.torque}
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return tanh(v) − tanh(v₀) and its derivative by the torque."""
+        there, here = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
+        return there - here, (1.0 - there**2) / self.torque
+
+
+class LostMotion(Backlash, frozen=True):
+    """Lost motion of a gear: its angle to the flank on which the load presses it, ``A4.lost_motion@3`` [rad].
+
+    Deflection tanh(v) with v = torque/T. Friction holds the gear at rest anywhere between its flanks, whatever the
+    weights: only the load moves it to a flank, while the sum of all torques decides where a gear with backlash is.
+    """
+
+    key: ClassVar[str] = "lost_motion"
+    with_rest_torque: ClassVar[bool] = False
+
+    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+        """Return tanh(v) and its derivative by the torque."""
+        there = np.tanh(torque / self.torque)
+        return there, (1.0 - there**2) / self.torque
+
+
+class LinkSpring(Spring, frozen=True):
+    """Spring of a link: ``A2.RX``. `link` is base, A1…A6; `axis` X, Y, Z, RX, RY, RZ or end_RX, end_RY, end_RZ."""
+
+    link: str
+    axis: str
+    sparse: ClassVar[bool] = True
+
+    @property
+    def slides(self) -> bool:
+        """Return whether it is a translation."""
+        return self.axis in LINK_AXES[:3]
+
+    @property
+    def at_end(self) -> bool:
+        """Return whether it is at the end of the link."""
+        return self.axis in LINK_AXES[6:]
+
+    @property
+    def direction(self) -> Array:
+        """Return the unit axis (3,) of the joint frame along or about which it deflects."""
+        return np.asarray(np.eye(3)[LINK_AXES.index(self.axis) % 3])
+
+    @property
+    def place(self) -> str:
+        """Return the link."""
+        return "the base" if self.link == BASE else f"the link of {self.link}"
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``A2.RX``."""
+        return f"{self.link}.{self.axis}"
+
+    @property
+    def unit(self) -> str:
+        """Unit in files."""
+        return "um/N" if self.slides else "urad/(N·m)"
+
+    @property
+    def usual(self) -> float:
+        """Usual compliance [m/N, rad/(N·m)]."""
+        return 1e-8 if self.slides else 1e-6
+
+    @property
+    def key(self) -> str:
+        """Return the key in [links.A2] of model.toml."""
+        return f"{self.axis}_{'um_per_N' if self.slides else 'urad_per_Nm'}"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the spring of a name like ``A2.end_RX``."""
+        link, _, axis = name.partition(".")
+        return cls(link, axis) if link in (BASE, *JOINTS) and axis in LINK_AXES else None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the springs of [links] that are not rigid, in the order of the chain."""
+        for spring in (cls(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES if link in content.links):
+            value = getattr(content.links[spring.link], spring.key)
+            if value > 0.0:
+                yield spring, value / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write one direction of [links.A2]."""
+        tables["links"].setdefault(self.link, {"source": source})[self.key] = value
+
+
+class CompensatorStiffness(CompensatorTorque, frozen=True):
+    """K_c of the compensator's spring [N/m], at a preload K_c·s₀ that does not change with it."""
+
+    per_si: ClassVar[float] = 1.0
+
+    @property
+    def name(self) -> str:
+        """Name in files, ``K_c``."""
+        return "K_c"
+
+    @property
+    def unit(self) -> str:
+        """Unit in files."""
+        return "N/m"
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield K_c of [compensator]."""
+        if content.compensator is not None:
+            yield cls(), content.compensator.stiffness_N_per_m
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write into [compensator]."""
+        tables["compensator"] |= {"stiffness_N_per_m": max(value, 0.0), "source": source, "assumed": False}
+
+    def of(self, law: Compensator) -> float:
+        """Return K_c."""
+        return law.stiffness
+
+    def partners(self) -> tuple[Parameter, ...]:
+        """Return the preload: files hold K_c together with s₀."""
+        return (CompensatorPreload(),)
+
+    def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
+        """Return U_c′ and U_c″ of a spring of 1 N/m without free length."""
+        return law.gradient_columns(q2)[..., 0], law.stiffness_columns(q2)[..., 0]
+
+
+class CompensatorPreload(CompensatorTorque, frozen=True):
+    """K_c·s₀ of the compensator's spring [N]; in files the free length s₀: ``s_0`` [mm]."""
+
+    per_si: ClassVar[float] = MM_PER_M
+
+    @property
+    def name(self) -> str:
+        """Name in files, ``s_0``."""
+        return "s_0"
+
+    @property
+    def unit(self) -> str:
+        """Unit in files."""
+        return "mm"
+
+    @property
+    def symbol(self) -> str:
+        """Name of the fitted value."""
+        return "K_c*s_0"
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield K_c·s₀ of [compensator]."""
+        if (entry := content.compensator) is not None:
+            yield cls(), entry.stiffness_N_per_m * entry.free_length_mm / MM_PER_M
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write into [compensator]."""
+        tables["compensator"]["free_length_mm"] = max(value, 0.0)
+
+    def of(self, law: Compensator) -> float:
+        """Return K_c·s₀."""
+        return law.stiffness * law.free_length
+
+    def partners(self) -> tuple[Parameter, ...]:
+        """Return the stiffness, by which files divide."""
+        return (CompensatorStiffness(),)
+
+    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+        """Return s₀ [mm]; zero without spring."""
+        stiffness, preload = given[CompensatorStiffness()], given[self]
+        if stiffness <= 0.0:
+            return 0.0, {}
+        slopes: dict[Parameter, float] = {
+            self: MM_PER_M / stiffness,
+            CompensatorStiffness(): -MM_PER_M * preload / stiffness**2,
+        }
+        return MM_PER_M * preload / stiffness, slopes
+
+    def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
+        """Return U_c′ and U_c″ per newton of preload."""
+        return law.gradient_columns(q2)[..., 1], law.stiffness_columns(q2)[..., 1]
+
+
+class LinkMass(Parameter, frozen=True):
+    """Mass of the link that a joint carries, without payload: ``A2.mass`` [kg]. Its centre is taken as stated.
+
+    Gears whose compliance depends on the torque show their working point, and so the weights that load them at rest.
+    The model states these roughly: in a fit they are parameters about the stated value, with its standard deviation.
+    """
+
+    joint: str
+    per_si: ClassVar[float] = 1.0
+
+    @property
+    def index(self) -> int:
+        """Return the number of the joint, from 0."""
+        return JOINTS.index(self.joint)
+
+    @property
+    def place(self) -> str:
+        """Return the joint."""
+        return self.joint
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``A2.mass``."""
+        return self.joint + _MASS
+
+    @property
+    def title(self) -> str:
+        """Return the link in words."""
+        return f"mass of the link of {self.joint}"
+
+    @property
+    def unit(self) -> str:
+        """Unit in files."""
+        return "kg"
+
+    @property
+    def usual(self) -> float:
+        """Usual size [kg]."""
+        return 100.0
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the mass of a name like ``A2.mass``."""
+        joint = name.removesuffix(_MASS)
+        return cls(joint) if joint in JOINTS and name.endswith(_MASS) else None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the masses of [masses], which replace those of robot.urdf."""
+        for joint in JOINTS:
+            mass = None if content.masses is None else getattr(content.masses, f"{joint}_kg")
+            if mass is not None:
+                yield cls(joint), mass
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Write into [masses]."""
+        tables["masses"][f"{self.joint}_kg"] = max(value, 0.0)
+
+
+class CompensatorSize(CompensatorStiffness, frozen=True):
+    """K_c at a constant free length s₀ [N/m]: the size of the compensator's torque."""
+
+    def partners(self) -> tuple[Parameter, ...]:
+        """Return none."""
+        return ()
+
+    def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
+        """Return U_c′ and U_c″ of a spring of 1 N/m."""
+        gradient, stiffness = law.gradient_columns(q2), law.stiffness_columns(q2)
+        return (
+            gradient[..., 0] + law.free_length * gradient[..., 1],
+            stiffness[..., 0] + law.free_length * stiffness[..., 1],
+        )
+
 
 KINDS: tuple[type[Parameter], ...] = (
     JointCompliance,
@@ -27,13 +593,13 @@ KINDS: tuple[type[Parameter], ...] = (
     CompensatorPreload,
     LinkMass,
 )
-"""All kinds of parameters that files may name."""
+"""The kinds of parameters that files may name."""
 JOINT_COMPLIANCES = tuple(JointCompliance(joint) for joint in JOINTS)
 COMPENSATOR: tuple[Parameter, ...] = (CompensatorStiffness(), CompensatorPreload())
 
 
 def named(name: str) -> Parameter | None:
-    """Return the parameter that files call so, or None.
+    """Return the parameter with a name in files, or None.
 
     >>> named("k6@6.2")
     FadingPart(joint='A6', torque=6.2)

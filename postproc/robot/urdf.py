@@ -1,7 +1,7 @@
 """Strict reader of a URDF that holds a six-axis arm: revolute joints in series, the flange fixed to the last.
 
-Fixed joints may stand anywhere; what they carry belongs to the link before them. Shapes are not looked at. Anything
-else is refused. In a robot.urdf of ours the joints are called A1…A6 and the flange `flange`; `read_any` takes other
+Fixed joints may be anywhere; what they carry belongs to the previous link. Shapes are ignored. Anything else is
+refused. In a robot.urdf of ours the joints are called A1…A6 and the flange `flange`; `read_any` takes other
 names. Source: the URDF specification (wiki.ros.org/urdf/XML); rpy is R = Rz(yaw)·Ry(pitch)·Rx(roll).
 """
 
@@ -170,7 +170,9 @@ class _Reader:
                     "Only six revolute joints and fixed ones are possible.",
                 )
             if carrier != len(self.joints) - 1:
-                raise _RefusedError(f"joint {name} stands beside {self.joints[carrier + 1].get('name')}, not behind it")
+                raise _RefusedError(
+                    f"joint {name} is parallel to {self.joints[carrier + 1].get('name')}, not in series with it"
+                )
             self.joints.append(joint)
             self.placement.append(place)
             self.moments.append((0.0, np.zeros(3)))

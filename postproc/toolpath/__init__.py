@@ -1,11 +1,11 @@
 """The nominal tool path: poses anywhere on the motions of a program, and where to look at them.
 
 A place on the path is (motion, t), t in (0, 1] along the motion. Row i of a `Toolpath` is one sample; the samples of a
-motion stand together in order, and its end (t = 1) is always among them.
+motion are consecutive and in order, and its end (t = 1) is always among them.
 """
 
 from postproc.toolpath.circles import circle_through
-from postproc.toolpath.path import Arcs, Segments, Toolpath, at, positions, segments, starts, tangent
+from postproc.toolpath.path import Arcs, Segments, Toolpath, at, continues, positions, segments, starts, tangent
 from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places, swivel_pieces
 from postproc.toolpath.root import (
     base_of,
@@ -29,6 +29,7 @@ __all__ = [
     "base_of",
     "circle_through",
     "columns_in_root",
+    "continues",
     "flange_from_tcp",
     "flange_points",
     "pieces",

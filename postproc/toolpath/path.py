@@ -14,6 +14,12 @@ from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
 _STILL = 1e-6
 """Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
 
+_SAME_LINE, _SAME_RATE = 5e-6, 1e-3
+"""A motion continues the line before it if the corner between them is nearer to one line than this [m]; and any motion
+only if it turns the tool by the same angle per length, to within this [rad/m]."""
+_SAME_TANGENT, _SAME_AXIS, _SAME_RADIUS = np.radians(5.0), np.radians(40.0), 0.1
+"""It continues an arc if tangent and axis differ by less [rad], and the radius by less than this share."""
+
 
 class Segments(Struct, frozen=True, eq=False):
     """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
@@ -104,7 +110,7 @@ class Toolpath(Struct, frozen=True, eq=False):
 
 
 def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:
-    """Return where motions start: `end` returns their ends (n, 4, 4); the robot stands at a flange (4, 4) first."""
+    """Return the start poses of motions: `end` returns their ends (n, 4, 4); the flange is at a pose (4, 4) first."""
     m = program.motions
     if program.carriage is not None:
         start_flange_in_root = start_flange_in_root.copy()
@@ -115,7 +121,7 @@ def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root:
 def segments(program: Program, start_flange_in_root: Array) -> Segments:
     """Return where each motion starts and how long it is.
 
-    :param start_flange_in_root: (4, 4) where the robot stands before the first motion [m].
+    :param start_flange_in_root: (4, 4) pose of the flange before the first motion [m].
     """
     m = program.motions
     start = starts(program, lambda motion: m.target.take(motion, axis=0), start_flange_in_root)
@@ -156,8 +162,8 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
 
     LIN: position linear, orientation by one rotation, or as rotary axes turn (`Program.swivel`). CIRC: rotation about
     the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
-    (`Program.with_path`). PTP: only its end (t = 1) is known here; so it is of a piece of a spline, whose chord stands
-    for it.
+    (`Program.with_path`). PTP: only its end (t = 1) is known here; so it is of a piece of a spline,
+    which is represented by its chord.
     """
     m = program.motions
     pose = m.target.take(motion, axis=0)
@@ -227,4 +233,30 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])
         out[arcs] = velocity / norm(velocity)[:, None]
+    return out
+
+
+def continues(program: Program, path: Segments) -> Bools:
+    """Return which motions (M,) continue the line or the arc before: where they begin is no corner.
+
+    A helix may be divided into arcs in planes of their own: arcs need about the same radius and axis. Both motions have
+    the same `$BASE` and `$TOOL`, turn the tool by as much per length, and are both rapid or not.
+    """
+    m = program.motions
+    out = np.zeros(len(m), dtype=bool)
+    smooth = np.logical_and.reduce([each[1:] == each[:-1] for each in (m.kind, m.base, m.tool, m.rapid)])
+    smooth &= np.minimum(path.length[:-1], path.length[1:]) > _SAME_LINE
+    smooth &= np.abs(np.diff(path.turn / np.maximum(path.length, _SAME_LINE))) < _SAME_RATE
+    if program.after is not None:
+        smooth &= program.after[1:] == np.arange(len(m) - 1)
+    lines, arcs = (np.flatnonzero(smooth & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
+    begin, between, end = path.begin[lines], m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
+    chord = end - begin
+    aside = norm(np.cross(between - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
+    out[lines + 1] = (aside < _SAME_LINE) & (np.einsum("ni,ni->n", between - begin, end - between) > 0.0)
+    before = tangent(program, path, arcs, np.ones(len(arcs)))
+    behind = tangent(program, path, arcs + 1, np.zeros(len(arcs)))
+    one, other = (norm(path.arcs.radial[np.searchsorted(path.arcs.motion, rows)]) for rows in (arcs, arcs + 1))
+    same = (np.einsum("ni,ni->n", before, behind) > np.cos(_SAME_TANGENT)) & (np.abs(other - one) < _SAME_RADIUS * one)
+    out[arcs + 1] = same & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS))
     return out

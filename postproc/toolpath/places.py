@@ -22,11 +22,11 @@ _TURN = 3.0 * RAD_PER_DEG
 _LEVER = 0.1
 """Length of tool [m] along which it must not lean from where its rotary axes hold it by more than the tolerance."""
 _MOST_SWIVEL = 60.0 * RAD_PER_DEG
-"""Rotary axes turn by at most this on one piece: two rotations of the same ends are then told apart."""
+"""Rotary axes turn by at most this on one piece: two rotations of the same ends are then distinct."""
 _LARGEST = 120.0 * RAD_PER_DEG
 """Pieces of arcs turn by at most this angle: three points then define the circle well."""
 _MEASURED = 45.0 * RAD_PER_DEG
-"""Pieces at most this large tell how many are needed: what they miss goes with the square of their angle."""
+"""Pieces at most this large show how many are needed: their error grows with the square of their angle."""
 _TURNING, _GROWING = 0.2, 0.13
 """A circle through three points of an arc misses displacements that turn with the arc by the first times the square of
 its angle [1/rad²], and those that grow along it by the second times its angle [1/rad] (found by trying: of their
@@ -40,7 +40,7 @@ _CERTAIN = 0.2
 
 
 class DisplacementEstimate(Struct, frozen=True, eq=False):
-    """How the displacement of the tool by its force changes along M motions: roughly, to tell where to look.
+    """Estimated change of the tool's displacement by its force along M motions, to find the places to compute.
 
     :param motion: (K,) row of `Motions` of each place where the force is given, in order along the path.
     :param t: (K,) place on it, in [0, 1].
@@ -87,7 +87,7 @@ class Pieces(Struct, frozen=True, eq=False):
         return 2 * np.maximum(1, np.ceil(self.samples / (2 * self.number) - 1e-9).astype(np.int64))
 
     def settled(self, number: Ints) -> Pieces:
-        """Return the stretches with numbers (S,) that are known to be enough, as far as can be told."""
+        """Return the stretches with the numbers (S,) of pieces that are estimated to be enough."""
         return replace(self, number=np.maximum(number, self.least), uncertain=np.zeros(len(self.motion), dtype=bool))
 
     def take(self, rows: Ints | Bools) -> Pieces:

@@ -54,7 +54,7 @@ def _moved(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -
 
 
 def wrench_in_root(program: Program, motion: Ints, wrench_in_base: Array) -> Array:
-    """Return wrenches (n, 6) in root axes of wrenches in `$BASE` axes."""
+    """Return wrenches (n, 6) turned from `$BASE` axes to root axes."""
     rotation = base_of(program, motion)[..., :3, :3]
     pairs = wrench_in_base.reshape((-1, 3) if rotation.ndim == 2 else (-1, 2, 3))
     return np.asarray(pairs @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
@@ -73,7 +73,7 @@ def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: 
 
 
 def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array, t: Place = 1.0) -> Array:
-    """Return where a point (3,) of the flange frame stands in the root (N, 3) [m]; the rest as `flange_from_tcp`."""
+    """Return the position (N, 3) in the root of a point (3,) of the flange frame [m]; else as `flange_from_tcp`."""
     m = program.motions
     in_tool = inverse(program.tools) @ np.append(point, 1.0)
     if len(program.bases) == len(program.tools) == 1:

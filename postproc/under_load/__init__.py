@@ -1,7 +1,7 @@
-"""A program's path with all that acts on it: forces, tool, joint angles, in the root of the robot; made once.
+"""The path of a program with its forces, tools and joint angles, in the root frame of the robot.
 
-What corrects, plans or reports starts from a `PathUnderLoad`; no stage after it asks which `$BASE` a motion lives in to
-know what the robot feels.
+Correction, planning and reports start from a `PathUnderLoad`. After it, no stage needs the `$BASE` of a motion to find
+the load on the robot.
 """
 
 from postproc.under_load.bounds import ImpossiblePathError, unreachable

@@ -1,4 +1,4 @@
-"""Bounds before work: a path that no arm could drive is refused before it is sampled, which might take hours."""
+"""Early checks: refuse a path beyond the reach of the robot before it is sampled, which might take hours."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from postproc.toolpath import Segments
 
 _GRID = np.radians(np.arange(-180.0, 180.0, 30.0))
 _MARGIN = 1.15
-"""The reach is found on a grid of joint angles; between its points it may be larger by 1 / cos(15°) for each joint."""
+"""Factor on the reach found on a grid of joint angles: between points it is larger by up to 1 / cos(15°) per joint."""
 _MOST_TURNS = 1000
-"""An arc of more turns is a mistake: so many make a metre of thread."""
+"""An arc with more turns is refused: 1000 turns make a metre of thread."""
 _MOST_REACHES = 10_000
-"""A path longer than so many times the reach is a mistake: two days at 10 m/min."""
+"""A path longer than this many times the reach is refused: it would take two days at 10 m/min."""
 _WIDE = 0.1
-"""Arcs shorter than this share of the reach do not leave what their ends are in."""
+"""Arcs shorter than this share of the reach are checked only at their ends."""
 
 
 class ImpossiblePathError(PostprocError):
-    """A path that the robot cannot drive; `issue` says where and why."""
+    """A path that the robot cannot follow; `issue` has the place and the reason."""
 
     def __init__(self, issue: Issue) -> None:
         super().__init__(issue.message)
@@ -33,31 +33,31 @@ class ImpossiblePathError(PostprocError):
 
 
 def unreachable(program: Program, motion: Ints) -> Issue:
-    """Return the error of motions (n,) on which the robot does not reach a place."""
+    """Return the error for motions (n,) that the robot cannot reach."""
     message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
     return program.motions.issue("error", "unreachable", message, motion)
 
 
 def check_ends(program: Program, robot: RobotModel) -> None:
-    """Every Cartesian target must lie where the flange can get at all.
+    """Check that every Cartesian target is within reach of the flange.
 
-    :raises ImpossiblePathError: one does not.
+    :raises ImpossiblePathError: a target is out of reach.
     """
     cartesian = np.flatnonzero(np.isnan(program.motions.joints[:, 0]))
-    away = _away(program, cartesian, program.motions.target[cartesian])
+    away = _away(program, cartesian, program.motions.target[cartesian], 1.0)
     reach = _reach(robot)
     far = float(np.nanmax(away, initial=0.0))
     message = (
-        f"out of reach: the flange would be up to {far * MM_PER_M:.0f} mm from the robot's root, and gets "
-        f"{reach * MM_PER_M:.0f} mm far at most. Check units, work offset and [base], or the targets."
+        f"out of reach: the flange would be up to {far * MM_PER_M:.0f} mm from the robot's root, and its reach is "
+        f"{reach * MM_PER_M:.0f} mm. Check units, work offset and [base], or the targets."
     )
     _check(program, cartesian, ~(away <= reach), "unreachable", message)
 
 
 def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
-    """Arcs must lie where the flange can get, and have a plausible number of turns; the path, a plausible length.
+    """Check that arcs are within reach, and that their numbers of turns and the length of the path are plausible.
 
-    :raises ImpossiblePathError: they do not.
+    :raises ImpossiblePathError: a check fails.
     """
     m = program.motions
     reach = _reach(robot)
@@ -65,7 +65,7 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
     radius = norm(path.start.at(arcs)[:, :3, 3] - m.centre[arcs])
     turns = m.sweep[arcs] / (2.0 * np.pi)
     bad = ~(turns <= _MOST_TURNS)
-    message = f"an arc of {turns.max(initial=0.0):.1f} turns: more than {_MOST_TURNS} are taken for a mistake."
+    message = f"an arc of {turns.max(initial=0.0):.1f} turns, more than the permitted {_MOST_TURNS}. Check its angle."
     _check(program, arcs, bad, "turns", message)
     bad = (turns >= 1.0) & ~(radius <= reach)
     wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
@@ -73,27 +73,27 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
         spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose
         bad[wide] |= ~(_away(program, arcs[wide], spot, share) <= reach)
     message = (
-        f"out of reach: the arc swings farther than the {reach * MM_PER_M:.0f} mm that the flange gets from the "
-        "robot's root. Check its centre or radius, and its plane."
+        f"out of reach: the arc leaves the reach of the flange, {reach * MM_PER_M:.0f} mm from the robot's root. "
+        "Check its centre or radius, and its plane."
     )
     _check(program, arcs, bad, "unreachable", message)
     length = float(path.length.sum())
     if not length <= _MOST_REACHES * reach:
         message = (
-            f"the path is {length / 1e3:.0f} km long: more than {_MOST_REACHES} times the reach of the robot are taken "
-            "for a mistake. Check the units, or split the program."
+            f"the path is {length / 1e3:.0f} km long, more than {_MOST_REACHES} times the reach of the robot. "
+            "Check the units, or split the program."
         )
         raise ImpossiblePathError(Issue("error", "path-length", message, source_line=int(m.line[0])))
 
 
-def _away(program: Program, motion: Ints, pose: Array, t: float = 1.0) -> Array:
-    """Return how far from the robot's root the flange stands (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
+def _away(program: Program, motion: Ints, pose: Array, t: float) -> Array:
+    """Return the distance of the flange from the robot's root (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
     return norm(toolpath.flange_points(program, motion, pose, np.zeros(3), t))
 
 
 @lru_cache(maxsize=1)
 def _reach(robot: RobotModel) -> float:
-    """Return how far from the robot's root the flange may get [m], whatever its joint limits."""
+    """Return the largest distance of the flange from the robot's root [m], without joint limits."""
     q = np.zeros((len(_GRID) ** 3, 6))
     q[:, 1], q[:, 2], q[:, 4] = (angle.ravel() for angle in np.meshgrid(_GRID, _GRID, _GRID))
     return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())

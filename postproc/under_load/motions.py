@@ -1,4 +1,4 @@
-"""The motions of a program with the forces along them: what the places to compute are chosen by."""
+"""The motions of a program with the forces along them, from which the samples of the path are chosen."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from postproc.under_load import bounds
 from postproc.under_load.setting import RobotInCell
 
 SHARE_OF_TOLERANCE = 0.4
-"""Of the tolerance, what a run between targets may use up at the places computed; the rest is for between them."""
+"""Share of the tolerance for deviations at the samples of the path; the rest is for deviations between them."""
 
 
 class MotionsUnderLoad(Struct, frozen=True, eq=False):
@@ -21,11 +21,11 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
 
     :param program: the program.
     :param setting: the robot in its cell.
-    :param segments: where the motions start, and how long they are.
+    :param segments: start and length of the motions.
     :param forces: the forces along them.
-    :param softness: how far the tool gives way, about, per force [m/N] and per moment [m/(N·m)].
-    :param estimate: how far the forces move the tool, about.
-    :param swung: places of straight motions that are needed where FEED forces swing round: motion (n,) and t (n,).
+    :param softness: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    :param estimate: approximate displacement of the tool by the forces.
+    :param swung: places of straight motions that are needed where FEED forces swing: motion (n,) and t (n,).
     """
 
     program: Program
@@ -38,11 +38,11 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
-        """Put forces on the motions of a program.
+        """Assign forces to the motions of a program.
 
-        :param source: forces beside the comments of the program; they win.
-        :raises ImpossiblePathError: no arm could drive this path.
-        :raises ForceError: forces that cannot be given to the motions.
+        :param source: forces that take precedence over the comments of the program.
+        :raises ImpossiblePathError: the path is out of reach or implausibly long.
+        :raises ForceError: the forces do not match the motions.
         """
         bounds.check_ends(program, setting.robot)
         segments = toolpath.segments(program, setting.start_flange)
@@ -52,10 +52,10 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         swung = forces.swung(along, softness, SHARE_OF_TOLERANCE * setting.tolerance)
         return cls(program, setting, segments, along, softness, forces.estimate(along, softness), swung)
 
-    def pieces(self, *, linearize_arcs: bool = False) -> Pieces:
-        """Return into how many pieces to divide the arcs at first.
+    def pieces(self, *, linearize_arcs: bool) -> Pieces:
+        """Return the initial division of the arcs into pieces.
 
-        :param linearize_arcs: the pieces are chords.
+        :param linearize_arcs: replace arcs by chords.
         """
         tolerance = self.setting.tolerance
         arcs = toolpath.pieces(self.program, self.segments, tolerance, self.estimate, linearize_arcs=linearize_arcs)

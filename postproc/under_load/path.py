@@ -1,4 +1,4 @@
-"""Samples of a program's path with all that acts there, in the root of the robot."""
+"""Samples of the path of a program with loads and joint angles, in the root frame of the robot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     :param motions: the motions and the forces along them.
     :param arcs: the pieces of its arcs.
     :param sample: the places and their poses in `$BASE`.
-    :param wrench: (N, 6) what acts on the tool at its tip [N, N·m], `$BASE` axes.
+    :param wrench: (N, 6) wrench on the tool at its tip [N, N·m], `$BASE` axes.
     :param joints: joint angles by the controller's nominal geometry, and their branch.
     """
 
@@ -58,7 +58,7 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         return self.motions.program
 
     def tool(self, rows: Ints) -> Array:
-        """Return `$TOOL` in the flange frame at samples (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
+        """Return `$TOOL` in the flange frame at samples (n,) [m]: (4, 4) if the program has one, else (n, 4, 4)."""
         return toolpath.tool_of(self.program, self.sample.motion[rows])
 
     def pose_in_root(self, rows: Ints) -> Array:
@@ -71,13 +71,14 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench.take(rows, axis=0))
 
     def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> tuple[Array, Array]:
-        """Return where the loaded tip stands (n, 3) with joint angles (n, 6) at samples (n,), `$BASE` [m].
+        """Return the loaded tip (n, 3) at samples (n,), and the deflection of holder, spindle and tool (n, 3).
 
-        And how far holder, spindle and tool gave way of that (n, 3).
+        Both are in the `$BASE` of the motions [m]; the deflection is included in the tip position.
 
+        :param q: (n, 6) joint angles [rad].
         :param wrench_in_root: (n, 6) [N, N·m].
-        :param guess: (n, nv) deflections of the springs, about.
-        :raises NotConvergedError: the load is beyond what the springs hold.
+        :param guess: (n, nv) initial guess of the deflections of the springs.
+        :raises NotConvergedError: no loaded equilibrium: the load is too large for the springs.
         """
         motion = self.sample.motion[rows]
         tip, share = self.setting.tip_and_share(q, self.tool(rows), wrench_in_root, guess)

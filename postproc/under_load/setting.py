@@ -1,4 +1,4 @@
-"""A robot in its cell: what it carries, where it starts, and how the tool gives way there."""
+"""A robot in its cell: payload, start position, and compliance of the tool."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from msgspec import Struct
 
 from postproc import elastostatics, kinematics, toolpath
 from postproc.cell import Cell
-from postproc.compensation import Compensation, compensate
-from postproc.elastostatics import ToolSpring
+from postproc.elastostatics import Compensation, ToolSpring
 from postproc.frames import M_PER_MM, Array
 from postproc.kinematics import JointPath
 from postproc.program import PTP, Ints, Program
@@ -29,7 +28,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
 
     @classmethod
     def of(cls, robot: RobotModel, cell: Cell) -> RobotInCell:
-        """Put a robot into a cell."""
+        """Combine a robot and a cell; the robot gets the payload of the cell."""
         load = cell.payload
         return cls(robot.with_payload(load.mass_kg, np.array([load.X, load.Y, load.Z]) * M_PER_MM), cell)
 
@@ -78,50 +77,47 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
 
     @property
     def tolerance(self) -> float:
-        """What the predicted path may leave the nominal one by [m]."""
+        """Permitted deviation of the predicted path from the nominal one [m]."""
         return self.cell.tolerance
 
     @property
     def rest_is_nominal(self) -> bool:
-        """True if without cutting force the tool stands exactly where the controller believes."""
+        """True if the tool is exactly at the commanded pose without cutting force."""
         robot = self.robot
         return robot.geometry_is_nominal and robot.subtract_reference and self.cell.payload.mass_kg == 0.0
 
     def softness(self, tool: Array) -> tuple[float, float]:
-        """Return how far a tool (4, 4) gives way at the start, about, per force [m/N] and per moment [m/(N·m)]."""
-        force, moment = elastostatics.softness(self.robot, self.cell.start_joints, tool)
+        """Return the approximate compliance of a tool (4, 4) at the start: per force [m/N] and per moment [m/(N·m)]."""
+        force, moment = elastostatics.largest_compliance(self.robot, self.cell.start_joints, tool)
         own = self.cell.tool_compliance.diagonal()
         return force + float(own[:3].max()), moment + float(own[3:].max())
 
     def compensate(self, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
-        """Find the commands under which the loaded tool stands at its targets (n, 4, 4), see `compensation.compensate`.
+        """Find the commanded poses that put the loaded tool at its targets (n, 4, 4): `elastostatics.compensate`.
 
         :param q_nominal: (n, 6) joint angles of the uncorrected targets [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
-        :raises NotConvergedError: some target cannot be held.
+        :raises NotConvergedError: a target has no loaded equilibrium.
         """
         if (spring := self.tool_spring) is not None:
-            target, wrench = spring.held_by_arm(target, wrench)
-        return compensate(self.robot, target, q_nominal, tool, wrench)
+            target, wrench = spring.arm_target(target, wrench)
+        return elastostatics.compensate(self.robot, target, q_nominal, tool, wrench)
 
     def tip(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
-        """Return where the loaded tip stands (n, 3) in the root [m]."""
+        """Return the position (n, 3) of the loaded tip in the root [m]."""
         return self.tip_and_share(q, tool, wrench, guess)[0]
 
     def tip_and_share(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> tuple[Array, Array]:
-        """Return where the loaded tip stands (n, 3) in the root [m], and how far holder, spindle and tool gave way.
+        """Return the position (n, 3) of the loaded tip in the root [m], and the deflection of holder, spindle and tool.
 
-        :param q: (n, 6) joint angles that the controller holds [rad].
+        :param q: (n, 6) commanded joint angles [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
-        :param guess: (n, nv) deflections of the springs, about.
-        :raises NotConvergedError: the load is beyond what the springs hold.
+        :param guess: (n, nv) initial guess of the deflections of the springs.
+        :raises NotConvergedError: the load is too large for the springs.
         """
-        x = elastostatics.spread(self.robot, q.T)
-        start, tools = None if guess is None else guess.T, kinematics.components(tool)
         if (spring := self.tool_spring) is not None:
-            tip, moved = spring.tip(self.robot, x, tools, wrench.T, start)
-            return tip.T, moved.T
-        tip = elastostatics.solve_equilibrium(self.robot, x, tools, wrench.T, start)[1].T
+            return spring.loaded_tip(self.robot, q, tool, wrench, guess)
+        tip = elastostatics.loaded_tip(self.robot, q, tool, wrench, guess)
         return tip, np.zeros_like(tip)

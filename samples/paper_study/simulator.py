@@ -8,7 +8,7 @@ rotations. The equilibrium is the stationary point of
 found by damped-free Newton steps with the spring stiffness as the tangent (the load changes it by a per cent at most);
 `tests/identification/test_simulator.py` checks by differences that the energy is stationary there.
 
-Everything is SI; files are written as FORMATS.md says. The robot is built weightless ("rigid"): sag is what
+Everything is SI; docs/reference describes the files. The robot is built weightless ("rigid"): sag is what
 the weights do to it, so readings without load contain it.
 """
 
@@ -28,6 +28,8 @@ CENTRES = np.array(
 )
 PAPER_K = np.array([0.623, 0.302, 0.416, 2.786, 3.483, 2.074]) * 1e-6
 POINTS = {"P1": [0.118, 0.021, 0.262], "P2": [-0.077, 0.104, 0.255], "P3": [-0.049, -0.121, 0.301]}
+DEMO_LEVELS = (0.075, 1.0)
+"""Loads of each configuration of `main`, as shares of the largest one."""
 LOAD_POINT = np.array([0.210, -0.060, 0.180])
 G = 9.81
 
@@ -400,7 +402,7 @@ def readings(exact, rng, sigma, repeats, tails=False):
 
 
 def write(folder: Path, q, f, raw, sigma=0.03e-3, robot="kuka_kr270", points=None, levels=(1.0,), more=""):
-    """Write measurements.csv and experiment.toml, with lines `more` at its head, as FORMATS.md describes them."""
+    """Write measurements.csv and experiment.toml as docs/reference describes them, with lines `more` at its head."""
     points = POINTS if points is None else points
     folder.mkdir(parents=True, exist_ok=True)
     rows = ["config,load,repeat,point,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,Mx,My,Mz,X,Y,Z"]
@@ -440,13 +442,19 @@ def milling_jobs(rng, count=3):
 
 
 def main():
-    """Write readings of a robot as the paper models it, under a weight that hangs, into a folder."""
+    """Write readings to identify a robot by, and readings at other poses to validate the model by, into a folder.
+
+    The robot is as the paper models it. Each configuration is read without load, and under an inclined pull of 0.2 and
+    of 2.7 kN.
+    """
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "demo")
     rng = np.random.default_rng(1)
     robot = paper_like(rng)
-    q, f = plan(rng, vertical=True)
-    write(folder, q, f, measure(robot, q, f, rng)[1])
-    print(f"written: {folder / 'measurements.csv'}, {folder / 'experiment.toml'}")
+    for name in ("validation.csv", "measurements.csv"):
+        q, f = plan(rng, count=30, tilt=90.0)
+        write(folder, q, f, measure(robot, q, f, rng, levels=DEMO_LEVELS)[1], levels=DEMO_LEVELS)
+        (folder / "measurements.csv").replace(folder / name)
+    print(f"written: {folder / 'measurements.csv'}, {folder / 'experiment.toml'}, {folder / 'validation.csv'}")
 
 
 if __name__ == "__main__":

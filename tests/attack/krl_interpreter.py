@@ -444,6 +444,7 @@ class Controller:
                     self.block(parts[0])
                 except _Exit:
                     return
+                self.chance()
                 reader = Reader(closing)
                 reader.take("UNTIL")
                 if self.expression(reader):

@@ -17,7 +17,7 @@ import re
 import tempfile
 import time
 from collections import Counter
-from functools import cache
+from functools import cache, lru_cache
 from itertools import count
 from pathlib import Path
 
@@ -80,11 +80,19 @@ def executed(files, choices, main="PART"):
 
 def loaded(motion, guess):
     """Where the tool stands in the root (4, 4) as a motion ends, and the joint angles."""
-    _, _, arm = setup()
     pose = motion.base @ abc(*motion.numbers)
-    q = inverse(arm, pose, motion.tool, guess)
-    wrench = wrench_of(motion)
-    return (loaded_tip(arm, q, motion.tool, wrench) if wrench.any() else pose), q
+    given = pose, motion.tool, wrench_of(motion), np.asarray(guess), setup()[2].stiffness
+    return loaded_by(*(values.tobytes() for values in given))
+
+
+@lru_cache(4096)
+def loaded_by(*given):
+    """The same of pose, tool, wrench, joint angles and stiffness as bytes: runs of a job make many motions again."""
+    _, _, arm = setup()
+    pose, tool, wrench, guess = map(np.frombuffer, given[:4])
+    pose, tool = pose.reshape(4, 4), tool.reshape(4, 4)
+    q = inverse(arm, pose, tool, guess)
+    return (loaded_tip(arm, q, tool, wrench) if wrench.any() else pose), q
 
 
 def wrench_of(motion):
@@ -176,7 +184,7 @@ def compare(nominal, corrected, kept, text):
                     f"{where}: line {made.line} of {made.file} leads {1e3 * path.beside(place[:3, 3]):.6f} mm beside, "
                     f"{1e3 * away:.6f} mm and {turn:.1e} from its end; force {made.force}"
                 )
-        flange, lost = path.flange, stays
+        flange, lost = path.flange, stays and bool(motion.force)
     if next(todo, None) is not None:
         raise Wrong("more motions are made")
 

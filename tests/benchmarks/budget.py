@@ -25,7 +25,6 @@ STAGES = {
     "/forces/": "path and forces",
     "/kinematics/": "kinematics",
     "/elastostatics/": "equilibrium",
-    "/compensation.py": "equilibrium",
     "/correction/checks.py": "checks",
     "/correction/closely.py": "checks",
     "/correction/blending.py": "checks",

@@ -131,6 +131,12 @@ def main() -> None:
             path.write_text(texts["numbered lines"], encoding="utf-8")
             (folder / "part.src").write_text(programs.krl(blocks), encoding="utf-8", newline="")
             measured("KRL", folder / "part.src", path)
+        if wanted("loop"):
+            path.write_text(texts["numbered lines"], encoding="utf-8")
+            for ending, text in zip(("src", "dat"), programs.krl_loop(blocks), strict=True):
+                (folder / f"part.{ending}").write_text(text, encoding="utf-8", newline="")
+            measured("KRL, loop", folder / "part.src", path)
+            (folder / "part.dat").unlink()
         if wanted("peer"):
             path.write_text(programs.lines(_PEER_BLOCKS, programs.LINES["lines"]), encoding="utf-8")
             peer = cost("-m", "tests.benchmarks.peer", str(path), str(folder / "peer.src"))

@@ -77,10 +77,21 @@ def calls(blocks: int) -> tuple[str, str]:
 
 def krl(blocks: int) -> str:
     """Return the finishing pass as a KRL program of another post-processor."""
-    head = (
-        "&ACCESS RVP\r\nDEF PART( )\r\nBAS (#INITMOV,0 )\r\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\r\n"
-        "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\r\n$APO.CDIS=0.2\r\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\r\n"
-        "$VEL.CP=0.05\r\n;FORCE FX=60 FY=-40 FZ=90\r\n"
-    )
-    form = "LIN {{X {:.3f},Y {:.3f},Z {:.3f},A 0.000,B 0.000,C 180.000}} C_DIS\r\n"
-    return head + "".join(form.format(*row) for row in _zigzag(blocks).tolist()) + "END\r\n"
+    form = f"LIN {{{{{_POSE}}}}} C_DIS\r\n"
+    return _KRL_HEAD + "".join(form.format(*row) for row in _zigzag(blocks).tolist()) + "END\r\n"
+
+
+def krl_loop(blocks: int) -> tuple[str, str]:
+    """Return the same as a FOR over the points of an array, `.src` and `.dat`."""
+    form = f"XP[{{}}]={{{{{_POSE}}}}}\r\n"
+    points = "".join(form.format(n, *row) for n, row in enumerate(_zigzag(blocks).tolist(), 1))
+    data = f"DEFDAT PART PUBLIC\r\nDECL INT I=1\r\nDECL E6POS XP[{blocks}]\r\n{points}ENDDAT\r\n"
+    return f"{_KRL_HEAD}FOR I=1 TO {blocks}\r\nLIN XP[I] C_DIS\r\nENDFOR\r\nEND\r\n", data
+
+
+_POSE = "X {:.3f},Y {:.3f},Z {:.3f},A 0.000,B 0.000,C 180.000"
+_KRL_HEAD = (
+    "&ACCESS RVP\r\nDEF PART( )\r\nBAS (#INITMOV,0 )\r\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\r\n"
+    "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\r\n$APO.CDIS=0.2\r\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\r\n"
+    "$VEL.CP=0.05\r\n;FORCE FX=60 FY=-40 FZ=90\r\n"
+)

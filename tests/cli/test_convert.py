@@ -272,12 +272,12 @@ def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(folder, moves, 
 
 def test_a_force_file_that_lies_beside_and_is_not_given_is_named(folder):
     Path("part.nc").write_text("G21 G90\nG0 X0 Y0 Z20\nG1 Z-2 F600\nX40\nM30\n")
-    assert "lies beside" not in _run("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
+    assert "is next to it" not in _run("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
     Path("part.forces.csv").write_text("line,Fx,Fy,Fz\n4,-100,50,20\n")
     said = _run("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
-    assert "part.forces.csv lies beside: give --forces part.forces.csv" in said
+    assert "give --forces part.forces.csv to use part.forces.csv, which is next to it" in said
     said = _run("predict", "part.nc", "--cell", CELL_270, "--forces", "part.forces.csv", "-o", "out").stdout
-    assert "lies beside" not in said
+    assert "is next to it" not in said
 
 
 @pytest.mark.parametrize("command", [[], ["convert"], ["predict"], ["robots"]])

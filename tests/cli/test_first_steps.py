@@ -202,15 +202,76 @@ def test_without_a_terminal_what_is_missing_is_wrong_usage():
 def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
     monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
     for name in robot.shipped():
-        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n")
+        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n\n\n\n\n")
         assert done.exit_code == 0, done.output
         assert "out of reach" not in done.stderr
-    done = run("init", input="KR270\n\nnonsense\n900,0,600\n\n\n")
+    done = run("init", input="KR270\n\nnonsense\n900,0,600\n\n\n\n\n\n\n")
     assert done.exit_code == 0, done.output
     assert "no robot 'KR270'" in done.output
     cell = cells.load("cell.toml")
     assert (cell.robot, keys(cell.base)[:3], cell.tool.Z) == ("kuka_kr270", [900, 0, 600], 350)
     assert cell.start.joints == (0, -70, 110, 0, 50, 0)
+    assert (cell.machine.clearance_Z, cell.part.tolerance_mm, cell.tools) == (200.0, 0.5, {})
+    assert cell.gcode.tool_change == ["; tool {T} by hand", "HALT"]
+
+
+def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(monkeypatch):
+    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    answers = [
+        "",
+        "1000,0,500",
+        "",
+        "T1=310 1.5=3 2=1,2,412.5",
+        "1=310 2=1,2,412.5",
+        "",
+        "high",
+        "150",
+        "CHANGE({T})",
+        "0.2",
+    ]
+    done = run("init", input="\n".join([*answers, ""]))
+    assert done.exit_code == 0, done.output
+    assert "'high' is not a number" in done.output
+    assert "'1.5=3': give the number of the tool" in done.output
+    cell = cells.load("cell.toml")
+    assert {number: (tool.X, tool.Y, tool.Z) for number, tool in cell.tools.items()} == {
+        "1": (0, 0, 310), "2": (1, 2, 412.5)
+    }  # fmt: skip
+    assert (cell.machine.clearance_Z, cell.part.tolerance_mm) == (150.0, 0.2)
+    assert cell.gcode.tool_change == ["CHANGE({T})"]
+
+
+def test_a_new_cell_converts_a_program_that_retracts_and_changes_tools():
+    Path("part.nc").write_text(
+        "%\nG21 G90 G17 G40 G80\nG28 G91 Z0.\nG90\nT1 M6\nS9000 M3\nG54\nG0 X0 Y0\nG43 H1 Z50.\nG1 Z-2. F300\n"
+        "G1 X40. F900\nG0 Z50.\nM5\nG53 G0 Z0.\nT2 M6\nM3\nG0 X0 Y10. Z50.\nG1 Z-2. F300\nX40.\nG28 G91 Z0.\nM30\n%\n"
+    )
+    options = ("--robot", "kuka_kr270", "--base", "1500,0,700", "--tools", "1=350", "--tools", "2=0,0,380")
+    assert run("init", *options, "--clearance", "120").exit_code == 0
+    done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out")
+    assert done.exit_code == 0, done.output
+    text = Path("out/part.src").read_text()
+    assert text.count("HALT") == 2
+    assert "Z 120," in text
+    assert "Z 380" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [(("--clearance", "nan"), "clearance nan mm"), (("--part-tolerance", "0"), "part tolerance 0 mm")],
+)
+def test_numbers_that_cannot_be_are_refused_before_anything_is_written(options, message):
+    done = run("init", "--robot", "kuka_kr270", *FRAMES, *options)
+    assert done.exit_code == 1
+    assert message in done.stderr
+    assert not Path("cell.toml").exists()
+
+
+def test_a_cell_file_that_is_missing_points_to_init():
+    done = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "shop.toml")
+    assert done.exit_code == 1
+    assert "shop.toml: no such file" in done.stderr
+    assert "postproc init shop.toml" in done.stderr
 
 
 def test_samples_are_copied_and_not_over_changed_ones():

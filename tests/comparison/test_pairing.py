@@ -12,7 +12,8 @@ MM = 1e-3
 
 def track(points, joint=None):
     step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
-    return Track(np.asarray(points), step, np.zeros(len(points), dtype=bool) if joint is None else joint)
+    none = np.zeros(len(points), dtype=bool)
+    return Track(np.asarray(points), step, none if joint is None else joint, none)
 
 
 def pass_over_a_part(count, step=0.5 * MM):

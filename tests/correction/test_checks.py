@@ -55,14 +55,13 @@ def test_a_move_behind_the_robot_passes_the_shoulder_singularity():
     assert any(issue.level == "error" and issue.source_line in (2, 3) for issue in found.values())
 
 
-def test_a_rapid_move_too_fast_for_a_joint_names_the_speed_of_rapid_moves():
+def test_a_rapid_move_too_fast_for_a_joint_is_slowed():
     made = program(FINE, orientation=DOWN)
     made.motions.feed[2] = 5.0
     made.motions.rapid[2] = True
     issues = correction.process(made, MODEL, CELL, mode="predict").issues
-    fast = [issue for issue in issues if issue.kind.startswith("joint-speed-A")]
-    assert fast
-    assert all("rapid_m_per_s" in issue.message and "programmed feed" not in issue.message for issue in fast)
+    assert not [issue for issue in issues if issue.kind.startswith("joint-speed-A")]
+    assert [issue.source_line for issue in issues if issue.kind == "rapid-slowed"] == [int(made.motions.line[2])]
 
 
 def test_feed_too_fast_for_a_joint_is_an_error_with_the_joint_and_its_speed():

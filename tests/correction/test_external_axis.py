@@ -178,8 +178,8 @@ def test_only_such_programs_have_the_column():
         ((START, "LIN {X 100,E2 1}", "LIN {X 100,E2 2}"), RAIL, "E2 moves from 1 to 2"),
         ((START, "LIN_REL {X 100,E1 5}"), CELL, "E1 moves by 5"),
         ((START, "LIN_REL {X 100,E1 5,E3 -2}"), RAIL, "E3 moves by -2"),
-        (("LIN {X 100,Y 0,Z 0,A 180,B 0,C 180}", START), RAIL, "part.src:5: it is not known where E1.*Give E1"),
-        (("PTP {X 100,Y 0,Z 0,A 180,B 0,C 180}", "LIN_REL {E1 50}"), RAIL, "part.src:5: it is not known where E1"),
+        (("LIN {X 100,Y 0,Z 0,A 180,B 0,C 180}", START), RAIL, "part.src:5: the position of E1.*Give E1"),
+        (("PTP {X 100,Y 0,Z 0,A 180,B 0,C 180}", "LIN_REL {E1 50}"), RAIL, "part.src:5: the position of E1"),
         (("$BASE=EK(MACHINE_DEF[2].ROOT,#EASYS,{X 1})", START), RAIL, "external kinematics"),
     ],
 )
@@ -245,7 +245,7 @@ def test_a_base_that_moves_stands_where_kept_motions_and_branches_leave_it():
     cell = changed(RAIL, krl=changed(RAIL.krl, keep_unresolved=True))
     kept = read(text_of(START, "LIN {X 50,E1 300}", "LIN $POS_ACT:XP", "LIN {X 9,Y 0,Z 0,E1 50,A 180,B 0,C 180}"), cell)
     np.testing.assert_allclose(places(kept), [[100, 100], [100, 300], [50, 50]])
-    with pytest.raises(ProgramError, match=r"part\.src:8: it is not known where E1"):
+    with pytest.raises(ProgramError, match=r"part\.src:8: the position of E1"):
         read(text_of(START, "LIN {X 50,E1 300}", "LIN $POS_ACT:XP", "LIN {X 9,Y 0,Z 0,A 180,B 0,C 180}"), cell)
     lines = ("LIN {X 50,Y 0,Z 0,A 180,B 0,C 180,E1 %d}", "LIN {X 80,Y 0,Z 0,A 180,B 0,C 180,E1 %d}")
     branches = (
@@ -260,7 +260,7 @@ def test_a_base_that_moves_stands_where_kept_motions_and_branches_leave_it():
     )
     one = read(text_of(*(line.replace("%d", "400") for line in branches)))
     np.testing.assert_allclose(places(one), [[100, 100], [100, 300], [300, 400], [100, 400], [400, 400]])
-    with pytest.raises(ProgramError, match="E1 stands in different places"):
+    with pytest.raises(ProgramError, match="E1 differs between the ends"):
         read(text_of(*(line.replace("%d", "400" if n == 3 else "450") for n, line in enumerate(branches))))
 
 

@@ -41,7 +41,6 @@ REFUSED = {
     # line, problem
     "aspire_shopbot.nc": (1, "this is not plain G-code, but a ShopBot program"),
     "block_delete.nc": (7, "unexpected character '/'"),
-    "bobcad.nc": (13, "coordinates without G0, G1, G2 or G3"),
     "brother.nc": (4, "G100 is not known"),
     "carbide_create.nc": (18, "arc without I, J, K or R"),
     "catia_apt.nc": (1, "this is not plain G-code, but an APT cutter-location (CLSF) program"),

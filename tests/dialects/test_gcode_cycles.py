@@ -262,7 +262,16 @@ def test_a_retract_after_g80_is_a_rapid_as_on_fanuc_controls(bare):
     assert "motion-after-g80" in {issue.kind for issue in program.issues}
 
 
-@pytest.mark.parametrize("bare", ["Z-5", "X9", "X9 Z15", "Z15\nX9"])
+@pytest.mark.parametrize("bare", ["X9", "X9 Z15", "Z15\nX9", "X9 Y4 Z15\nZ2", "Z9."])
+def test_coordinates_after_g80_at_heights_of_rapid_moves_are_rapids(bare):
+    """Fusion: X0. Y-14.249 Z5.533 and Z5. between two cycles; the cycle has been at Z2 in rapid."""
+    program = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
+    written = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\nG0 {bare}\nM2\n")
+    np.testing.assert_array_equal(program.motions.target, written.motions.target)
+    np.testing.assert_array_equal(program.motions.rapid, written.motions.rapid)
+
+
+@pytest.mark.parametrize("bare", ["Z-5", "X9 Z1.9", "Z15\nX9\nZ1.99", "G10 L2 P1 X0 Y0 Z-5\nX9 Z5\nZ4"])
 def test_other_coordinates_after_g80_are_refused(bare):
     with pytest.raises(ProgramError, match="coordinates without G0, G1, G2 or G3"):
         read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")

@@ -221,10 +221,12 @@ ACCEPTED_HERE_ONLY = {
     "an axis at zero alone, after an arc": "G0 X0 Y0 Z0\nG2 X1 I.5 F10\nA0\nM2",
     "an axis at zero that rs274 has not": "G0 X0 Y0 Z0 U0\nM2",
     "a retract after G80": "G0 X0 Y0 Z0\nG80\nZ5\nM2",
+    "a move after G80": "G0 X0 Y0 Z5\nG80\nX5\nM2",
+    "brackets in a comment": "(holes (4x) at (1, 2) )\nG0 X1 Y1 Z1\nM2",
     "five M codes in a block": "G0 X1 Y1 Z1\nM3 M6 M8 M48 M0 T1 S1\nM2",
 }
 REFUSED_HERE_ONLY = {
-    "a position before it is known": "G1 X1 F10\nM2",
+    "a position that is not known from G1": "G1 X1 F10\nM2",
     "increments before the position is known": "G91 G0 X1\nM2",
     "a cut before the position is known": "G0 X1 Y1\nG1 Z-1 F10\nM2",
     "a work offset before the position is known": "G0 X1 Y1\nG55 G0 Z1\nM2",

@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
+from postproc.dialects.krl.read import next_run
 from postproc.dialects.krl.read import read_program as read_documents
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
@@ -368,6 +369,18 @@ def test_a_program_whose_next_run_begins_with_other_values_is_told(lines, names,
 )
 def test_changed_values_that_do_not_change_the_next_run_are_not_told(lines):
     assert about(program(*lines), "changed-data") == []
+
+
+def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
+    def followed(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(next_run, "course_of", followed)
+    loop = ["FOR I=1 TO 2", "LIN P[I]", "ENDFOR"]
+    assert len(program(*loop, "I=7").motions) == 2
+    for before in ("LIN P[I]", "IF $IN[1] THEN\r\nI=1\r\nENDIF", "SHOW()"):
+        with pytest.raises(AssertionError):
+            program(before, *loop, subs="DEF SHOW()\r\n$OUT[I]=TRUE\r\nEND\r\n")
 
 
 def test_functions_in_the_conditions_of_events_count_as_called():

@@ -3,6 +3,8 @@
 What is read and what is written is executed by the controller of `tests.attack.krl_interpreter`.
 """
 
+import time
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -15,6 +17,8 @@ from tests.attack.krl import read as read_files
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets
 
 FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
+AWAY = "LIN {X 8,Y 0,Z 300,A 10,B 20,C 170}"
+AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
 COUNT = 5
 KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
 DATA = "DEFDAT part\r\nDECL INT I=1\r\nDECL INT K=0\r\nDECL REAL Z=0\r\nDECL BOOL OK=TRUE\r\nDECL E6POS P[5]\r\n"
@@ -150,7 +154,8 @@ def test_inserted_targets_stand_in_each_round(tmp_path):
 
 
 def test_a_program_that_does_not_end_is_refused_with_the_line():
-    for lines, line in ((["WHILE K<3", FULL, "ENDWHILE"], 5), (["LOOP", "K=K+1", FULL, "ENDLOOP"], 5)):
+    endless = ["FOR I=1 TO 2", "LOOP", FULL, "ENDLOOP", "ENDFOR"]
+    for lines, line in ((["WHILE K<3", FULL, "ENDWHILE"], 5), (endless, 6)):
         with pytest.raises(ProgramError, match="never ends") as caught:
             read(body(FULL, *lines), DATA)
         assert caught.value.line == line
@@ -163,7 +168,7 @@ def test_a_count_without_end_stops_with_a_message(monkeypatch):
     assert caught.value.line == 5
     monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 1000)
     with pytest.raises(ProgramError, match=r"too long: 10\d\d statements"):
-        read(body(FULL, "FOR I=1 TO 40", "FOR K=1 TO 40", FULL, "ENDFOR", "ENDFOR"), DATA)
+        read(body(FULL, "FOR I=1 TO 40", "FOR K=1 TO 40+I*0", FULL, "ENDFOR", "ENDFOR"), DATA)
     read(body(FULL, "FOR K=1 TO 900", "ENDFOR", "FOR I=1 TO 900", FULL, "ENDFOR"), DATA)
 
 
@@ -172,6 +177,117 @@ def test_a_count_that_is_too_high_is_not_followed_first():
         read(body(FULL, "FOR K=1 TO 2000000000", FULL, "ENDFOR"), DATA)
     assert caught.value.line == 5
     read(body(FULL, "FOR K=1 TO 2000000000", FULL, "IF K==3 THEN", "EXIT", "ENDIF", "ENDFOR"), DATA)
+
+
+def calls_in_calls(depth, calls, leaf):
+    subs = [f"DEF S{n}()\r\n" + f"S{n + 1}()\r\n" * calls + "END\r\n" for n in range(depth)]
+    return body(FULL, "S0()", FULL) + "".join(subs) + f"DEF S{depth}()\r\n{leaf}\r\nEND\r\n"
+
+
+def loops_in_loops(inner, rounds=60):
+    return body(FULL, *[f"FOR {n}=1 TO {rounds}" for n in "IKNM"], inner, *["ENDFOR"] * 4, FULL)
+
+
+TOO_MUCH = {
+    "loops around motions": (loops_in_loops(FULL), "at least 1[0-9]{7} statements run from here on"),
+    "loops": (loops_in_loops("Z=Z+1"), None),
+    "calls of what moves": (calls_in_calls(12, 4, FULL), "at least [0-9]{8} statements run from here on"),
+    "calls": (calls_in_calls(12, 4, "K=K+1"), None),
+    "functions": (
+        body(FULL, "K=F0(1)", "LIN P[K]")
+        + "".join(
+            f"DEFFCT INT F{n}(X:IN)\r\nINT X\r\nX=F{n + 1}(X)\r\nX=F{n + 1}(X)\r\nRETURN (X)\r\nENDFCT\r\n"
+            for n in range(19)
+        )
+        + "DEFFCT INT F19(X:IN)\r\nINT X\r\nRETURN (X)\r\nENDFCT\r\n",
+        "K is changed",
+    ),
+    "branches": (
+        body(FULL, "FOR I=1 TO 20000", "IF $IN[1] THEN", FULL, "ENDIF", "ENDFOR"),
+        "branches whose condition is not known are reached more than",
+    ),
+    "cases": (
+        body(FULL, "FOR I=1 TO 5000", "SWITCH I", *[f"CASE {n}" for n in range(5000)], FULL, "ENDSWITCH", "ENDFOR"),
+        "loops around motions are too long",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", TOO_MUCH)
+def test_what_runs_too_long_is_refused_within_two_seconds(what, monkeypatch):
+    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 400_000)
+    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_STATEMENTS", 200_000)
+    text, problem = TOO_MUCH[what]
+    begin = time.process_time()
+    if problem is None:
+        assert len(read(text, DATA).motions) == 2
+    else:
+        with pytest.raises(ProgramError, match=problem):
+            read(text, DATA)
+    assert time.process_time() - begin < 2.0
+
+
+def test_the_least_number_of_statements_counts_none_that_may_not_run():
+    many = ["FOR I=1 TO 900", "FOR K=1 TO 900", FULL, "ENDFOR", "ENDFOR"]
+    for lines in (
+        ["IF K==7 THEN", *many, "ENDIF"],
+        ["FOR I=1 TO 900", "I=900", "FOR K=1 TO 900", "ENDFOR", FULL, "ENDFOR"],
+        ["FOR I=1 TO 900", "FOR K=1 TO 900", "IF K==2 THEN", "EXIT", "ENDIF", FULL, "ENDFOR", "ENDFOR"],
+        ["FOR I=900 TO 1", *many[1:4], "ENDFOR"],
+        ["SUB()"],
+    ):
+        sub = "DEF SUB()\r\nIF K==1 THEN\r\nRETURN\r\nENDIF\r\n" + "\r\n".join(many) + "\r\nEND\r\n"
+        assert len(read(body(FULL, *lines, FULL) + sub, DATA.replace("INT K=0", "INT K=1")).motions) >= 2
+
+
+ENDLESS = {
+    "ends where it began": ([FULL, "LOOP", AWAY, FULL, "ENDLOOP"], 3),
+    "begins at joint angles": ([FULL, "LOOP", AXES, FULL, AWAY, "ENDLOOP", FULL], 4),
+    "counts": ([FULL, "LOOP", "K=K+1", AWAY, FULL, "ENDLOOP"], 3),
+    "counter of its own": ([FULL, "LOOP", "FOR I=1 TO 2", AWAY, FULL, "ENDFOR", "ENDLOOP"], 5),
+    "speed as before": (["$VEL.CP=0.1", FULL, "LOOP", "$VEL.CP=0.1", AWAY, FULL, "ENDLOOP"], 3),
+    "calls": ([FULL, "LOOP", "SUB()", FULL, "ENDLOOP"], 3),
+}
+
+
+@pytest.mark.parametrize("what", ENDLESS)
+def test_a_loop_without_exit_is_one_round_that_repeats(what):
+    lines, count = ENDLESS[what]
+    program = read(body(*lines) + f"DEF SUB()\r\n{AWAY}\r\nEND\r\n", DATA)
+    assert len(program.motions) == count
+    assert "endless-loop" in {issue.kind for issue in program.issues}
+    shift = np.full((count, 3), 1e-3)  # all alike: it ends where it began
+    written = krl.rewrite(program, targets(program, shift))
+    text = written.documents[0].text
+    assert text.count("LOOP\r\n") == 2
+    again = read(text, DATA)
+    assert len(again.motions) == count
+    moved = np.where(np.isnan(program.motions.joints[:, :1]), 1e-3, 0.0)
+    assert np.allclose(again.motions.target[:, :3, 3], program.motions.target[:, :3, 3] + moved)
+
+
+@pytest.mark.parametrize(
+    ("lines", "problem"),
+    [
+        ([FULL, "LOOP", AWAY, "ENDLOOP"], "its round ends 8.000 mm from where it began"),
+        ([FULL, "LOOP", "LIN_REL {Z 1}", "ENDLOOP"], "its round ends 1.000 mm from where it began"),
+        ([FULL, "LOOP", "LIN {A 9}", "ENDLOOP"], "its round ends in another orientation than it began"),
+        ([FULL, "LOOP", "K=K+1", "LIN {X K}", FULL, "ENDLOOP"], "each one changes K for the next"),
+        ([FULL, "LOOP", AWAY, "$VEL.CP=0.1", FULL, "ENDLOOP"], "leaves other frames, speeds or modes"),
+        ([FULL, "LOOP", AWAY, FULL, "$BASE={X 1,Y 2,Z 3,A 0,B 0,C 0}", "ENDLOOP"], "leaves other frames"),
+        ([FULL, "LOOP", AWAY, "; FORCE FX=9", FULL, "ENDLOOP"], "ends under another force than it began with"),
+        ([FULL, "IF $IN[1] THEN", "LOOP", AWAY, FULL, "ENDLOOP", "ENDIF"], "LOOP never ends"),
+        ([FULL, "SUB()"], "LOOP never ends"),
+        ([FULL, "LOOP", "GO()", "K=2", FULL, "ENDLOOP"], "each one changes K for the next"),
+        ([FULL, "LOOP", "IF $IN[1] THEN", "K=2", "ENDIF", "LIN {X K}", FULL, "ENDLOOP"], "each one changes K"),
+    ],
+)
+def test_a_loop_without_exit_whose_rounds_differ_is_refused_with_its_line(lines, problem):
+    sub = f"DEF SUB()\r\nLOOP\r\n{AWAY}\r\n{FULL}\r\nENDLOOP\r\nEND\r\n"
+    sub += "DEF GO()\r\nLIN {X K}\r\nEND\r\n"
+    with pytest.raises(ProgramError, match=problem) as caught:
+        read(body(*lines) + sub, DATA)
+    assert "LOOP" in caught.value.text
 
 
 DEEP_OR_LONG = {
@@ -279,7 +395,7 @@ def test_each_branch_is_corrected_from_where_they_divide_to_where_they_meet(line
 REFUSED = [
     (["IF $IN[1] THEN", "LIN P[1]", "ELSE", "LIN P[2]", "ENDIF", "LIN P[3]"], 5, "end in different places"),
     (["IF $IN[1] THEN", "LIN {X 5}", FULL, "ENDIF", "LIN {X 3}"], 5, "components are missing"),
-    (["IF $IN[1] THEN", "PTP P[1]", FULL, "ENDIF"], 5, "PTP stands in a branch"),
+    (["IF $IN[1] THEN", "PTP P[1]", FULL, "ENDIF"], 5, "PTP is inside a branch"),
     (["IF $IN[1] THEN", "I=3", MEET, "ELSE", "I=2", MEET, "ENDIF", "LIN P[I]"], 12, "I is changed"),
     (["IF $IN[1] THEN", "$VEL.CP=0.3", MEET, "ELSE", MEET, "ENDIF", "LIN P[1]"], 10, "differs behind the branches"),
 ]
@@ -432,7 +548,7 @@ UNHELD = [
     ([ONE, "IF $IN[1] THEN", TWO, FULL, ONE, "ELSE", FULL, "ENDIF"], "", CELL, 12, "corrected, they would not meet"),
     (["PTP Q", ONE, "IF $IN[1] THEN", FULL, "LIN Q", "ENDIF"], "", CELL, 10, "corrected, they would not meet"),
     (["IF $IN[1] THEN", "IF $IN[2] THEN", TWO, "ENDIF", FULL, "ENDIF"], "", CELL, 9, "leave different ones"),
-    (["WHILE $IN[1]", TWO, "ENDWHILE", FULL], "", CELL, 5, "force comment stands inside WHILE"),
+    (["WHILE $IN[1]", TWO, "ENDWHILE", FULL], "", CELL, 5, "force comment is inside WHILE"),
     (["WHILE $IN[1]", "HARD()", "ENDWHILE", FULL], HARD, CELL, 5, "inside WHILE: its condition is not known"),
     (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", KEEPING, 8, "which force acts is not known: branches"),
     (["WHILE $IN[1]", TWO, FULL, "ENDWHILE", FULL], "", KEEPING, 9, r"not known: a force comment .*line 6"),
@@ -482,6 +598,14 @@ def test_a_variable_that_a_routine_also_knows_under_its_own_name_is_not_followed
     for inside in ("r", "r+1-1"):
         program = read(body(FULL, "SUB(Z)", LINE_TO.format("Z")) + ALIASED.format(LINE_TO.format(inside)), DATA)
         assert numbers(program)[:, 0].tolist() == [0, 3, 3]
+
+
+@pytest.mark.parametrize("statement", ["DIGIN ON I=1.0*$DIGIN1+0", "INTERRUPT DECL 4 WHEN $IN[1] DO I=3"])
+def test_a_variable_that_changes_at_any_time_does_so_under_the_name_of_a_parameter_too(statement):
+    sub = "DEF SUB(n)\r\nDECL INT n\r\nFOR n=1 TO 2\r\nLIN P[n]\r\nENDFOR\r\nEND\r\n"
+    assert len(read(body(FULL, "SUB(I)") + sub, DATA).motions) == 3
+    with pytest.raises(ProgramError, match="cannot be followed"):
+        read(body(FULL, statement, "SUB(I)") + sub, DATA)
 
 
 def test_a_global_point_is_corrected_by_numbers_where_another_file_uses_it(tmp_path):

@@ -107,17 +107,17 @@ KRC4 = (
     "TOOL_CHANGE(3)\r\n"
     "$ANOUT[1]=18000/24000.0\r\n"
     "$OUT[1]=TRUE\r\n"
-    "PTP {{X 10.0000,Y 20.0000,Z 51.0000,A 0.00000,B 0.00000,C 180.00000,S 2,T 34}}\r\n"
+    "PTP {{X 10,Y 20,Z 51,A 0,B 0,C 180,S 2,T 34}}\r\n"
     "$VEL.CP=0.050000\r\n"
-    "LIN {{X 10.0000,Y 20.0000,Z 0.0000,A 0.00000,B 0.00000,C 180.00000}} C_DIS\r\n"
+    "LIN {{X 10,Y 20,Z 0,A 0,B 0,C 180}} C_DIS\r\n"
     "; cut\r\n"
-    "LIN {{X 110.0000,Y 20.0000,Z 0.0000,A 0.00000,B 0.00000,C 180.00000}}\r\n"
+    "LIN {{X 110,Y 20,Z 0,A 0,B 0,C 180}}\r\n"
     "WAIT SEC 0.25\r\n"
-    "CIRC {{X 120.0000,Y 30.0000,Z 0.0000}},{{X 110.0000,Y 40.0000,Z 0.0000,A 0.00000,B 0.00000,C 180.00000}} C_DIS\r\n"
-    "LIN {{X 10.0000,Y 40.0000,Z 0.0000,A 0.00000,B 0.00000,C 180.00000}} C_DIS\r\n"
+    "CIRC {{X 120,Y 30,Z 0}},{{X 110,Y 40,Z 0,A 0,B 0,C 180}} C_DIS\r\n"
+    "LIN {{X 10,Y 40,Z 0,A 0,B 0,C 180}} C_DIS\r\n"
     "; coolant_off 0: no lines for it in the cell\r\n"
     "$VEL.CP=0.500000\r\n"
-    "LIN {{X 10.0000,Y 40.0000,Z 51.0000,A 0.00000,B 0.00000,C 180.00000}}\r\n"
+    "LIN {{X 10,Y 40,Z 51,A 0,B 0,C 180}}\r\n"
     "WAIT SEC 0\r\n"
     "$OUT[1]=FALSE\r\n"
     "HALT\r\n"
@@ -236,11 +236,11 @@ def test_approximation_follows_the_motions_and_never_zero():
         "C_DIS",
         "C_DIS",
         "C_DIS",  # inserted in the motion that stops
-        "0000}",
+        " 180}",
         "$APO.CDIS=1.25",
         "C_DIS",
         "C_DIS",
-        "0000}",
+        " 180}",
     ]
 
 

@@ -307,6 +307,15 @@ def test_missing_components_keep_the_previous_value_and_are_told_once():
     assert (issue.level, issue.source_line, issue.count) == ("info", 5, 3)
 
 
+def test_angles_that_are_partly_missing_behind_a_b_beyond_90_degrees_are_refused():
+    start = "LIN {X 1,Y 2,Z 3,A 10,B 100.5,C 20}"  # the same orientation is A -170, B 79.5, C -160
+    assert len(read(body(start, "LIN {X 5}", "LIN {A 1,B 2,C 3}", "LIN {X 6,C 7}")).motions) == 4
+    for line in ("LIN {X 5,C 30}", "LIN {A 1}", "LIN {B 20}"):
+        with pytest.raises(ProgramError, match=r"previous B is 100\.5°") as caught:
+            read(body(start, "LIN {X 5}", line))
+        assert caught.value.line == 6
+
+
 def test_missing_components_of_the_first_target_are_those_of_the_start_position():
     program = read(body("LIN {Z 10}"))
     tip = np.linalg.inv(CELL.base.pose()) @ forward(CELL.start_joints) @ CELL.tool.pose()
@@ -801,7 +810,7 @@ ERRORS = [
     (["LIN {X NaN,Y 2}"], 4, "not a finite number"),
     (["LIN {X 1,Y INF}"], 4, "not a finite number"),
     (["LIN {X 1E999,Y 2}"], 4, "1E999 is not a finite number"),
-    (["LIN {X 1,Y 2,X 3}"], 4, "X stands twice"),
+    (["LIN {X 1,Y 2,X 3}"], 4, "X is given twice"),
     (["LIN {X 1,Q 2}"], 4, "Q is not a component"),
     (["LIN {X 1,A1 2}"], 4, "X is not a component"),
     (["LIN {X 1 Y 2}"], 4, "comma is missing"),
@@ -833,7 +842,7 @@ ERRORS = [
     (["REPEAT", FULL, "UNTIL $IN[2]"], 6, "inside UNTIL"),
     (["IF $IN[1] THEN", FULL, "ENDIF"], 4, "the branches end in different places"),
     (["SWITCH $ANIN[1]", "CASE 1", FULL, "ENDSWITCH"], 4, "the branches end in different places"),
-    (["A:", FULL, "GOTO A"], 6, "the label A stands before GOTO"),
+    (["A:", FULL, "GOTO A"], 6, "the label A precedes GOTO"),
     (["GOTO A", FULL], 4, "there is no label A in PART"),
     (["IF $IN[1] THEN", "GOTO A", "ENDIF", FULL, "A:"], 4, "the branches end in different places"),
     (["A:", FULL, "IF $IN[1] THEN", "GOTO A", "ENDIF"], 7, "not known before the program runs whether GOTO is run"),
@@ -886,7 +895,7 @@ ERRORS = [
     (["V1=SIN(V0)", "$VEL.CP=V1", FULL], 5, r"line 4: SIN\(V0\) is not known"),
     (["IF CALC(2)>1 THEN", FULL, "ENDIF"], 4, r"condition is not known before the program runs: it asks CALC\(\)"),
     ([FULL, "$ORI_TYPE=#CONSTANT", "IF $IN[1] THEN", "LIN {X 7}", FULL, "ENDIF"], 6, "ORI_TYPE=#CONSTANT keeps"),
-    ([FULL, "IF $IN[1] THEN", FULL, "ENDIF", "LIN_REL {X 5}"], 5, "a relative motion stands where branches"),
+    ([FULL, "IF $IN[1] THEN", FULL, "ENDIF", "LIN_REL {X 5}"], 5, "a relative motion where branches"),
     ([FULL, "IF $IN[1] THEN", FULL, "ENDIF", "LIN {X 5}"], 5, "components are missing where branches"),
     (["$VEL.CP=0"], 4, "speed"),
     (["$VEL.CP=-0.1"], 4, "speed"),
@@ -902,17 +911,17 @@ ERRORS = [
     ([FULL, "CIRC {X 1,Y 2,Z 3}"], 5, "auxiliary point and an end point"),
     ([FULL, "IF $IN[1]", "$OUT[1]=TRUE", "ENDIF"], 5, "IF without THEN"),
     ([FULL, "if then", "ENDIF"], 5, "IF without a condition"),
-    ([FULL, "IF $IN[1] THEN LIN {X 1}", "ENDIF"], 5, "'LIN {X 1}' stands behind THEN"),
-    ([FULL, "IF $IN[1] THEN", "ELSE LIN {X 1}", "ENDIF"], 6, "stands behind ELSE"),
-    ([FULL, "LOOP LIN {X 1}", "EXIT", "ENDLOOP"], 5, "stands behind LOOP"),
-    ([FULL, "SWITCH 1", "CASE 1 PTP {X 1}", "ENDSWITCH"], 6, "a motion stands behind CASE"),
-    ([FULL, "LOOP", "EXIT", "ENDLOOP LIN {X 1}"], 7, "stands behind ENDLOOP"),
+    ([FULL, "IF $IN[1] THEN LIN {X 1}", "ENDIF"], 5, "'LIN {X 1}' follows THEN"),
+    ([FULL, "IF $IN[1] THEN", "ELSE LIN {X 1}", "ENDIF"], 6, "follows ELSE"),
+    ([FULL, "LOOP LIN {X 1}", "EXIT", "ENDLOOP"], 5, "follows LOOP"),
+    ([FULL, "SWITCH 1", "CASE 1 PTP {X 1}", "ENDSWITCH"], 6, "a motion follows CASE"),
+    ([FULL, "LOOP", "EXIT", "ENDLOOP LIN {X 1}"], 7, "follows ENDLOOP"),
     ([FULL, "EXIT"], 5, "EXIT outside of a loop"),
     ([FULL, "IF $IN[1] THEN", "EXIT ;out", "ENDIF"], 6, "EXIT outside of a loop"),
     ([FULL, "FOR I=1 TO 3 STEP 0", "LIN {X 1}", "ENDFOR"], 5, "FOR cannot count by STEP 0"),
     ([FULL, "FOR I=1 TO 3 STEP 0.5", "LIN {X 1}", "ENDFOR"], 5, "FOR cannot count by STEP 0.5"),
-    ([FULL, "LIN_REL $POS_ACT"], 5, "where the robot stands"),
-    ([FULL, "CIRC {X 1,Y 2,Z 3},$POS_ACT"], 5, "where the robot stands"),
+    ([FULL, "LIN_REL $POS_ACT"], 5, "the current robot position"),
+    ([FULL, "CIRC {X 1,Y 2,Z 3},$POS_ACT"], 5, "the current robot position"),
     (["IF $IN[1] THEN", "PTP $POS_ACT:{Z 5}", "ENDIF"], 5, "the target is not known"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},{X 4,Y 9,Z 3},CA 0"], 5, "circular angle"),
     ([FULL, "CIRC {X 1,Y 2,Z 3},{X 4,Y 9,Z 3},CA Q"], 5, "circular angle"),
@@ -1005,7 +1014,7 @@ def test_a_chain_has_the_status_the_turn_and_the_external_axes_of_its_last_opera
     assert program.motions.status.tolist() == [6, -1]
     assert program.motions.turn.tolist() == [27, -1]
     (issue,) = (issue for issue in program.issues if issue.kind == "external-axis")
-    assert (issue.level, issue.source_line, issue.message[:16]) == ("warning", 4, "E1 stands at 3.5")
+    assert (issue.level, issue.source_line, issue.message[:12]) == ("warning", 4, "E1 is at 3.5")
 
 
 def test_an_external_axis_at_zero_is_not_worth_a_word():

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from postproc.dialects.krl.write import replacements
-from postproc.dialects.krl.write.replacements import Replacements
+from postproc.dialects.krl.write import edits as module
+from postproc.dialects.krl.write.edits import Replacements
 
 
 @given(
@@ -29,7 +29,7 @@ def test_pieces_are_replaced_as_slicing_would(text, wishes, chunk):
     for start, stop, new in reversed(pieces):
         edits.add(start, stop, new)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replacements, "_CHUNK", chunk)
+        patch.setattr(module, "_CHUNK", chunk)
         assert edits.applied(text) == expected + text[done:]
 
 

@@ -69,7 +69,7 @@ def test_what_follows_a_skipped_part_begins_where_its_branch_begins():
         (job(line(1), *FAULT, line(2), "FAULT:", line(4)), "end in different places"),
         (job(line(1), *FAULT, line(2), "FAULT:", "PTP {X 5,Y 5,Z 5,A 0,B 0,C 0}"), "end in different places"),
         (job("SUB()", line(4), subs=called(line(1), FAULT[0], "RETURN", "ENDIF", line(2))), "end in different places"),
-        (job(line(1), *FAULT, line(2), HOME, line(1), "FAULT:", line(4)), "PTP stands in a branch"),
+        (job(line(1), *FAULT, line(2), HOME, line(1), "FAULT:", line(4)), "PTP is inside a branch"),
         (job(line(1), *FAULT, "LOOP", line(2), "EXIT", "FAULT:", "ENDLOOP", HOME), "GOTO"),
         (
             job(line(1), *FAULT, "IF $IN[2] THEN", "GOTO OTHER", "ENDIF", line(2), "FAULT:", HOME, "OTHER:", HOME),

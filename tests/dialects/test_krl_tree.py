@@ -8,7 +8,9 @@ import pytest
 from lark import Token, Tree
 
 from postproc.dialects.krl.language import parser, tree
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Opaque
 from postproc.dialects.text import decode
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_jobs import Job
@@ -177,9 +179,10 @@ def test_parts_of_statements_are_where_the_text_has_them():
     assert on(6).name == "V"
     assert on(9).condition.operators == ("AND", "OR")
     assert on(9).condition.negated == (False, True, False)
-    assert on(9).head.of(source.text).strip() == "(i==1) AND NOT (v<>0.5) OR $IN[2]"
+    asked = on(9).condition
+    assert source.text[asked.start : asked.stop] == "(i==1) AND NOT (v<>0.5) OR $IN[2]"
     path, distance = on(21), on(22)
-    assert (path.value.of(source.text), path.delay.of(source.text)) == ("-12.5", "20")
+    assert (path.value.value, path.delay.value) == (-12.5, 20.0)
     assert path.from_start
     assert not path.distance
     assert distance.distance
@@ -189,6 +192,31 @@ def test_parts_of_statements_are_where_the_text_has_them():
     half = on(41)
     assert (half.name, half.result) == ("half", "REAL")
     assert [(one.name, one.by_value) for one in half.parameters] == [("X", True), ("Y", False)]
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("LIN {X 1,Y (w+F(1)),Z (w)}:Q[G(H(2))] C_DIS", ["F", "G", "H"]),
+        ("LIN P WITH $VEL.CP=F(1), $TOOL=TOOL_DATA[G(2)] C_SPL", ["F", "G"]),
+        ("IF NOT (F(1)) AND (ABS(G(2))>3) THEN", ["F", "G"]),
+        ("IF (F(1) B_AND 3)==1 THEN", ["F"]),
+        ("WAIT FOR F(1) OR $IN[1]", ["F"]),
+        ('A[F(1)].B[G(2)]="H(3)"', ["F", "G"]),
+        ("TRIGGER WHEN PATH=F(1) DELAY=0 DO G(2) PRIO=-1", ["F", "G"]),
+        ("FOR i=F(1) TO 2 STEP G(3)", ["F", "G"]),
+        ("BAS(#VEL_CP,F(1))", ["BAS", "F"]),
+    ],
+)
+def test_calls_are_found_wherever_they_are_in_a_statement(line, found):
+    here = parser.statement(source_of(f"DEF part( )\n{line}\nEND\n"), 2)
+    assert [call.name for call in calls(here.values)] == found
+
+
+def test_what_follows_a_value_is_not_read_as_a_part_of_it():
+    here = parser.statement(source_of("DEF part( )\nI=1 2\nEND\n"), 2)
+    assert isinstance(here.value, Opaque)
+    assert here.value.rest == len("DEF part( )\nI=1 ")
 
 
 def test_a_line_is_read_once(monkeypatch):

@@ -50,6 +50,7 @@ def package(tmp_path, monkeypatch):
     (tmp_path / "somebodys_dialects.py").write_text(FANUC)
     (tmp_path / "somebodys_broken.py").write_text("import no_such_module_at_all\n")
     monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "somebody_exits.py").write_text("import sys; sys.exit(3)\n")
     yield
     sys.modules.pop("somebodys_dialects", None)
 
@@ -99,6 +100,7 @@ def test_a_program_of_another_packages_dialect_is_a_job(package, others, tmp_pat
     [
         ("somebodys_broken:X", "No module named 'no_such_module_at_all'"),
         ("somebodys_dialects:NO_SUCH", "AttributeError"),
+        ("somebody_exits:X", "SystemExit: 3"),
         ("somebodys_dialects:NONE", "it has no name, extensions"),
         ("somebodys_dialects:NAMED_OTHERWISE", "calls itself 'gcode'"),
     ],

@@ -1,4 +1,4 @@
-"""What the pages for users say: their code blocks, and the keys and columns that they describe."""
+"""The documentation as data: code blocks, commands, and the keys and columns that the reference describes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,35 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-FORMATS = (ROOT / "FORMATS.md").read_text(encoding="utf-8")
+DOCS = ROOT / "docs"
+COMMANDS = DOCS / "reference" / "commands.md"
+REFERENCE = {
+    path.name: path.read_text(encoding="utf-8")
+    for path in sorted((DOCS / "reference").glob("*.md"))
+    if path != COMMANDS
+}
+"""The pages that describe files, keys and columns, by name of their file."""
+FORMATS = "\n".join(REFERENCE.values())
+FOLLOWED = [
+    ROOT / "README.md",
+    *(DOCS / "tutorials" / f"{name}.md" for name in ("forces", "no-forces", "krl", "robot")),
+    *sorted((DOCS / "guide").glob("*.md")),
+    *sorted((DOCS / "cam").glob("*.md")),
+]
+"""The pages whose commands are run, in the order in which they are run."""
+PLANNING = DOCS / "guide" / "planning.md"
+PYTHON = DOCS / "guide" / "python.md"
+MARKDOWN = [*sorted(ROOT.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
 
 
 def section(title: str) -> str:
-    """Return what stands below a heading of FORMATS.md up to the next one."""
+    """Return the text below a heading of the reference, up to the next heading."""
     (found,) = re.findall(rf"^#+ {re.escape(title)}\n(.*?)(?=^#+ |\Z)", _without_blocks(FORMATS), re.M | re.S)
     return _blocks_back(found)
 
 
 def block(title: str, language: str) -> str:
-    """Return the first code block of a section of FORMATS.md."""
+    """Return the first code block of a section of the reference."""
     (found,) = re.findall(rf"^```{language}\n(.*?)^```$", section(title), re.M | re.S)
     return found
 
@@ -29,10 +47,15 @@ def described(title: str) -> list[str]:
     return [name for row in rows for name in re.findall(r"`([^`]+)`", row)]
 
 
-def consoles() -> list[tuple[list[str], str]]:
-    """Return the arguments of each command that the README shows with its output, and that output."""
-    found = re.findall(r"^```console\n\$ postproc ([^\n]*)\n(.*?)^```$", README, re.M | re.S)
-    return [(shlex.split(command), shown) for command, shown in found]
+def consoles() -> list[tuple[str, list[str], str]]:
+    """Return page, arguments and shown output of each command that a page shows with its output, in reading order."""
+    return [
+        (path.relative_to(ROOT).as_posix(), shlex.split(command), shown)
+        for path in FOLLOWED
+        for command, shown in re.findall(
+            r"^```console\n\$ postproc ([^\n]*)\n(.*?)^```$", path.read_text(encoding="utf-8"), re.M | re.S
+        )
+    ]
 
 
 def commands(text: str) -> list[list[str]]:
@@ -42,9 +65,9 @@ def commands(text: str) -> list[list[str]]:
     return [shlex.split(line) for line in found]
 
 
-def code(language: str) -> list[str]:
-    """Return the code blocks of one language in the README."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.M | re.S)
+def code(path: Path, language: str) -> list[str]:
+    """Return the code blocks of one language in a page."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", path.read_text(encoding="utf-8"), re.M | re.S)
 
 
 def _without_blocks(text: str) -> str:

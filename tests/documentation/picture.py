@@ -1,37 +1,181 @@
-"""The README's pictures: reports of samples as Chromium shows them.
+"""The pictures of the documentation: reports of samples as Chromium shows them.
 
-python -m tests.documentation.picture        # takes them anew
+python -m tests.documentation.picture [NAME …]        # takes them again, all or those named
 """
 
 from __future__ import annotations
 
+import io
+import runpy
+import sys
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from click.testing import CliRunner
+from PIL import Image
 
 from postproc.cli import main
-from tests.documentation.pages import ROOT
+from tests.documentation.pages import DOCS, ROOT
 from tests.pages.browser import opened, running
 
+PICTURES = DOCS / "pictures"
 SAMPLES = ROOT / "samples"
-SIZE = (1440, 1560)
+CELL = SAMPLES / "cell_kr270.toml"
+_DRAWN_MS = 900
+_WIDE = 760
+"""Pixels across a view in space."""
+_STEPS = 10
+_FRAME_MS = 150
+_STILL_MS = 2500
+_COLOURS = 128
+"""Pages have few colours: a palette takes a third of the bytes."""
 
 
-def take(path: Path, name: str, *options: str, section: str = "") -> None:
-    """Convert a sample and take the picture of its report, or of a section of it."""
-    with tempfile.TemporaryDirectory() as folder, running() as browser:
-        arguments = [str(SAMPLES / f"{name}.nc"), "--cell", str(SAMPLES / "cell_kr270.toml"), *options, "-o", folder]
-        CliRunner().invoke(main, ["convert", *arguments], catch_exceptions=False)
-        with opened(browser, Path(folder) / f"{name}.report.html", width=SIZE[0], height=SIZE[1]) as page:
-            if section:
-                page.locator(f"#{section}").scroll_into_view_if_needed()
-                page.wait_for_timeout(2000)
-                page.locator(f"#{section}").screenshot(path=path)
-            else:
-                page.screenshot(path=path)
+def invoke(*arguments: object) -> None:
+    """Run a command of postproc."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+
+
+def screenshot(page: Path, path: Path, width: int, height: int, section: str = "") -> None:
+    """Take the picture of the head of a page, or of one of its sections."""
+    with running() as browser, opened(browser, page, width=width, height=height) as opened_page:
+        if section:
+            opened_page.locator(f"#{section}").scroll_into_view_if_needed()
+            opened_page.wait_for_timeout(2000)
+            opened_page.locator(f"#{section}").screenshot(path=path)
+        else:
+            opened_page.screenshot(path=path)
+    reduced(path)
+
+
+def reduced(path: Path) -> None:
+    """Store a picture with a palette."""
+    with Image.open(path) as picture:
+        small = picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
+    small.save(path, optimize=True)
+
+
+def pocket(folder: Path) -> None:
+    """Take the head of the report of a pocket."""
+    invoke("convert", SAMPLES / "pocket.nc", "--cell", CELL, "-o", folder)
+    screenshot(folder / "pocket.report.html", PICTURES / "pocket.png", 1440, 1560)
+
+
+def plate(folder: Path) -> None:
+    """Take the section "The cut" of a report with computed forces."""
+    process = SAMPLES / "plate.process.toml"
+    invoke("convert", SAMPLES / "plate.nc", "--cell", CELL, "--process", process, "-o", folder)
+    screenshot(folder / "plate.report.html", PICTURES / "plate.png", 1440, 1560, "cut")
+
+
+def identification(folder: Path) -> None:
+    """Take the head of the report of an identified model."""
+    simulator = runpy.run_path(str(SAMPLES / "paper_study" / "simulator.py"))
+    sys.argv = ["simulator.py", str(folder / "demo")]
+    simulator["main"]()
+    readings, experiment = folder / "demo" / "measurements.csv", folder / "demo" / "experiment.toml"
+    invoke("identify", "elastostatics", readings, "--experiment", experiment, "-o", folder / "my_robot")
+    screenshot(folder / "my_robot" / "report.html", PICTURES / "identification.png", 1440, 1200)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the gallery: its program and how it is converted.
+
+    :param program: below `samples`, without the extension.
+    :param options: of `convert`, files below `samples`.
+    :param enlarged: factor by which deviations are drawn.
+    """
+
+    program: str
+    options: tuple[str, ...]
+    enlarged: float
+
+
+PARTS = {
+    "gallery-pocket": Part("pocket", ("--cell", "cell_kr270.toml"), 25),
+    "gallery-freeform": Part("freeform", ("--cell", "cell_kr270.toml", "--forces", "freeform.forces.csv"), 30),
+    "gallery-drilling": Part(
+        "gallery/drilling", ("--cell", "cell_kr270.toml", "--process", "gallery/drilling.process.toml"), 20
+    ),
+    "gallery-dome": Part("gallery/dome", ("--cell", "gallery/cell_five_axes.toml"), 60),
+    "gallery-long-plate": Part(
+        "gallery/long_plate", ("--cell", "cell_kr270.toml", "--process", "gallery/long_plate.process.toml"), 200
+    ),
+}
+
+
+def report_of(part: Part, folder: Path) -> Path:
+    """Convert a part of the gallery; return its report."""
+    options = [option if option.startswith("--") else SAMPLES / option for option in part.options]
+    invoke("convert", SAMPLES / f"{part.program}.nc", *options, "-o", folder)
+    return folder / f"{Path(part.program).name}.report.html"
+
+
+def shown(page, *, path: str, enlarged: float) -> Image.Image:
+    """Return the view of the path in space with one path enlarged: `b` uncorrected, `a` as written."""
+    for box in page.locator("#view3d-controls [data-path]").all():
+        box.set_checked(box.get_attribute("data-path") == path)
+    page.evaluate(
+        """(factor) => {
+          const slider = document.getElementById("view3d-enlarged");
+          slider.value = Math.log10(factor);
+          slider.dispatchEvent(new Event("input", { bubbles: true }));
+        }""",
+        enlarged,
+    )
+    page.wait_for_timeout(_DRAWN_MS)
+    view = Image.open(io.BytesIO(page.locator("#view3d-view").screenshot())).convert("RGB")
+    return view.resize((_WIDE, round(_WIDE * view.height / view.width)), Image.Resampling.LANCZOS)
+
+
+def gallery(name: str) -> Callable[[Path], None]:
+    """Return a function that takes the picture of a part: before correction on the left, after on the right."""
+
+    def take(folder: Path) -> None:
+        part = PARTS[name]
+        with running() as browser, opened(browser, report_of(part, folder), width=1440, height=1500) as page:
+            page.locator("#view3d").scroll_into_view_if_needed()
+            page.wait_for_timeout(2000)
+            views = [shown(page, path=path, enlarged=part.enlarged) for path in ("b", "a")]
+        both = Image.new("RGB", (sum(view.width for view in views), views[0].height), "white")
+        both.paste(views[0], (0, 0))
+        both.paste(views[1], (views[0].width, 0))
+        path = PICTURES / f"{name}.png"
+        both.save(path)
+        reduced(path)
+
+    return take
+
+
+def moving(folder: Path) -> None:
+    """Take the moving picture: the deviation is enlarged step by step, then the corrected program is shown."""
+    part = PARTS["gallery-pocket"]
+    factors = [part.enlarged * step / _STEPS + 1e-3 for step in range(_STEPS + 1)]
+    with running() as browser, opened(browser, report_of(part, folder), width=1440, height=1500) as page:
+        page.locator("#view3d").scroll_into_view_if_needed()
+        page.wait_for_timeout(2000)
+        frames = [shown(page, path="b", enlarged=max(factor, 1.0)) for factor in factors]
+        frames.append(shown(page, path="a", enlarged=part.enlarged))
+    palette = frames[_STEPS].quantize(64, dither=Image.Dither.NONE)
+    small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    times = [_FRAME_MS] * _STEPS + [_STILL_MS, _STILL_MS]
+    small[0].save(
+        PICTURES / "pocket.gif", save_all=True, append_images=small[1:], duration=times, loop=0, optimize=True
+    )
+
+
+ALL: dict[str, Callable[[Path], None]] = {
+    **{each.__name__: each for each in (pocket, plate, identification, moving)},
+    **{name: gallery(name) for name in PARTS},
+}
 
 
 if __name__ == "__main__":
-    take(SAMPLES / "pocket.png", "pocket")
-    take(SAMPLES / "plate.png", "plate", "--process", str(SAMPLES / "plate.process.toml"), section="cut")
+    for name in sys.argv[1:] or list(ALL):
+        with tempfile.TemporaryDirectory() as work:
+            ALL[name](Path(work))
+        print(f"taken: {name}")

@@ -1,6 +1,6 @@
-"""The last section of FORMATS.md: what `--help` says of every command.
+"""docs/reference/commands.md: the text that `--help` prints for every command.
 
-python -m tests.documentation.reference        # writes it anew
+python -m tests.documentation.reference        # writes the page
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import click
 
 from postproc.cli import main
-from tests.documentation.pages import FORMATS, ROOT
+from tests.documentation.pages import COMMANDS
 
-HEADING = "## Commands and their options\n"
+HEADING = "# Commands and their options\n"
 _WIDTH = 110
 
 
@@ -30,11 +30,11 @@ def every_command(command: click.Command = main, parent: click.Context | None = 
 
 
 def reference() -> str:
-    """Return the section as text."""
+    """Return the page as text."""
     parts = [HEADING]
-    parts += [f"\n### {ctx.command_path}\n\n```text\n{ctx.get_help().rstrip()}\n```\n" for ctx in every_command()]
+    parts += [f"\n## {ctx.command_path}\n\n```text\n{ctx.get_help().rstrip()}\n```\n" for ctx in every_command()]
     return "".join(parts)
 
 
 if __name__ == "__main__":
-    (ROOT / "FORMATS.md").write_text(FORMATS.partition(HEADING)[0] + reference(), encoding="utf-8")
+    COMMANDS.write_text(reference(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""ARCHITECTURE.md against the code: its layers are the enforced ones, its names exist."""
+"""docs/architecture.md against the code: its layers are the enforced ones, its names exist."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests.documentation.pages import ROOT
 
-TEXT = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 TOP = sorted({path.stem for path in (ROOT / "postproc").iterdir() if path.suffix in ("", ".py")} - {"__pycache__"})
 NAMES = sorted({name for name in re.findall(r"`([a-z_]+(?:\.\w+)+)`", TEXT) if name.split(".")[0] in TOP})
 

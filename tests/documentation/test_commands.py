@@ -1,4 +1,4 @@
-"""Every command and option explains itself, with examples that parse; FORMATS.md shows what `--help` prints."""
+"""Every command and option has a help text, with examples that parse; the reference shows what `--help` prints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from postproc.cli import main
 from tests.documentation import pages
-from tests.documentation.reference import HEADING, every_command, reference
+from tests.documentation.reference import every_command, reference
 
 CONTEXTS = list(every_command())
 PATHS = [ctx.command_path for ctx in CONTEXTS]
@@ -15,15 +15,14 @@ SHOWN = [
     (source, arguments)
     for source, text in [
         *((ctx.command_path, ctx.get_help()) for ctx in CONTEXTS),
-        ("README.md", pages.README),
-        ("FORMATS.md", pages.FORMATS.partition(HEADING)[0]),
+        *((path.name, path.read_text(encoding="utf-8")) for path in pages.MARKDOWN if path != pages.COMMANDS),
     ]
     for arguments in pages.commands(text)
 ]
 
 
-def test_formats_md_shows_the_help_of_every_command():
-    shown = HEADING + pages.FORMATS.partition(HEADING)[2]
+def test_the_reference_shows_the_help_of_every_command():
+    shown = pages.COMMANDS.read_text(encoding="utf-8")
     told = "not what --help prints: run python -m tests.documentation.reference"
     assert shown.split() == reference().split(), told  # other versions of click break lines elsewhere
 

@@ -1,4 +1,4 @@
-"""FORMATS.md against the readers and writers: nothing undescribed, nothing described that is not there."""
+"""docs/reference against the readers and writers: nothing undescribed, nothing described that is not there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from postproc.machining.process import ProcessFile
 from postproc.plan import milling
 from postproc.program import parse_force_note
 from postproc.report.comparison import PAIR_COLUMNS
-from postproc.report.targets import CARRIAGE, COLUMNS
+from postproc.report.csv_files import CARRIAGE, TARGET_COLUMNS
 from postproc.robot import ModelFile
 from tests.documentation import pages, schema
 from tests.documentation.pages import ROOT, block, described
@@ -71,7 +71,7 @@ def test_every_key_stands_in_the_example_with_its_default(tmp_path, title):
     known = {pair: value for pair, value in schema.keys(structure).items() if pair not in _NOT_OF_THE_FILE}
     shown = list(schema.shown(structure, block(title, "toml")))
     absent = [f"{owner.__name__}.{key}" for owner, key in known if (owner, key) not in dict(shown)]
-    assert absent == [], f"FORMATS.md, {title}: say what these are"
+    assert absent == [], f"docs/reference, {title}: describe these"
     stated = {}
     for pair, comment in shown:
         if comment is not None:
@@ -135,7 +135,7 @@ def test_lines_shown_of_a_written_program_stand_in_one(readme, title, file):
 
 
 def test_columns_of_the_targets_and_of_pairs_are_those_described():
-    assert described("part.targets.csv") == [*COLUMNS, CARRIAGE]
+    assert described("part.targets.csv") == [*TARGET_COLUMNS, CARRIAGE]
     assert described("part.compare.pairs.csv") == list(PAIR_COLUMNS)
 
 
@@ -159,6 +159,11 @@ def results(readme, tmp_path_factory):
     for arguments in (
         ["convert", str(_with_settings(folder)), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
         ["convert", str(samples / "inline.src"), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
+        [
+            *("convert", str(samples / "plate.nc"), "--cell", str(samples / "cell_kr270.toml")),
+            *("--process", str(samples / "plate.process.toml"), "-o", str(folder)),
+            *("--part", str(samples / "plate.stl")),
+        ],
         [
             *("compare", str(samples / "inline.src"), str(folder / "inline.src")),
             *("--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)),
@@ -187,6 +192,7 @@ def results(readme, tmp_path_factory):
             readme[0] / "out" / "pocket.report.json",
             folder / "inline.report.json",
             folder / "settled.report.json",
+            folder / "plate.report.json",
             folder / "pocket.predict.report.json",
             unsure,
         ],
@@ -227,10 +233,13 @@ def _with_an_unusable_model(folder: Path, cell: str) -> Path:
 
 
 def _forces_with_a_warning(folder: Path) -> Path:
-    """Return the forces.json of a program that goes through the material in a rapid move."""
-    (folder / "slot.nc").write_text("G90 G21\nT1 M6\nS8000 M3\nG0 X-20 Y0 Z-1\nG1 X20 F600\nG0 X40\nM2\n")
+    """Return the forces.json of a program that drills, and goes through the material in a rapid move."""
+    (folder / "slot.nc").write_text(
+        "G90 G21\nT1 M6\nS8000 M3\nG0 X-20 Y0 Z-1\nG1 X20 F600\nG0 X40\nG0 Z5\nT2 M6\nS900 M3\nG1 Z-3 F90\nM2\n"
+    )
     (folder / "slot.process.toml").write_text(
         '[material]\nname = "al_6082_t6_carbide"\n[tools.1]\ndiameter_mm = 10\nflutes = 2\n'
+        '[tools.2]\nshape = "drill"\ndiameter_mm = 5\nflutes = 2\n'
         "[stock]\nresolution_mm = 1.0\nbox = { X = [-10, 50], Y = [-20, 20], Z = [-10, 0] }\n"
     )
     arguments = ["forces", str(folder / "slot.nc"), "--cell", str(ROOT / "samples" / "cell_kr270.toml")]
@@ -257,22 +266,22 @@ def test_every_key_of_a_result_is_described(results, title):
     found -= {("issues",), ("reversals",), ("u95",), ("u95", "unusable"), ("provenance", "edited"), ("not_observable",)}
     told = [tuple(name.split(".")) for name in described(title)]
     unknown = {way for way in found if not any(matches(name, way) for name in told)}
-    assert unknown == set(), f"FORMATS.md, {title}: say what these are"
+    assert unknown == set(), f"docs/reference, {title}: describe these"
     assert [name for name in told if not any(matches(name, way) for way in found)] == []
 
 
 PAGES = {
     "part.report.html": ("deviation",),
     "part.compare.report.html": ("comparison",),
-    "report.html of a model folder": ("identification",),
-    "plan.html": ("plan",),
+    "report.html of a model folder": ("identification.py",),
+    "plan.html": ("plan.py",),
     "index.html": ("index.py",),
 }
 """Page and what makes it, below `postproc/report`."""
 
 
 def ids(page: str) -> set[str]:
-    """Return the ids of sections that FORMATS.md names for a page."""
+    """Return the ids of sections that the reference names for a page."""
     (row,) = re.findall(rf"^\| {re.escape(page)} \| (.*) \|$", pages.section("The pages"), re.M)
     return set(re.findall(r"`([^`]+)`", row))
 
@@ -322,17 +331,20 @@ def test_columns_of_the_plan_are_those_described(results):
         assert next(csv.reader(file)) == described("plan.csv")
 
 
+_FOR_USERS = [ROOT / "README.md", *sorted(pages.DOCS.rglob("*.md"))]
+
+
 def test_keys_and_columns_named_in_the_text_exist():
     """Names with a unit at their end are keys or columns; the pages name none that is not described."""
     known = {key for _, structure in TOML.values() for _, key in schema.keys(structure)}
     known |= {
         part
-        for title in re.findall(r"^### (.*)$", pages.FORMATS, re.M)
+        for title in re.findall(r"^## (.*)$", pages.FORMATS, re.M)
         for name in described(title)
         for part in name.split(".")
     }
     known |= set(re.findall(r"^\[?(\w+)", block("compensator.toml", "toml"), re.M))
     unit = re.compile(r"`(?:\[\w+\] )?(\w+_(?:mm|deg|kg|N|Nm|percent|s|m_per_s|um_per_N|urad_per_Nm|N_per_m))\b[^`]*`")
-    named = {name for text in (pages.README, pages.FORMATS) for name in unit.findall(text)}
+    named = {name for path in _FOR_USERS for name in unit.findall(path.read_text(encoding="utf-8"))}
     assert named <= known
     assert {"tolerance_mm", "u95_mm", "compliance_urad_per_Nm"} <= named

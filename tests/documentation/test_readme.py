@@ -1,4 +1,4 @@
-"""The README is followed: its commands, its Python, its files."""
+"""README and guides are followed: their commands, their Python, their files and links."""
 
 from __future__ import annotations
 
@@ -40,17 +40,27 @@ def _alike(line, other):
     return _NUMBER.sub("#", line).split() == _NUMBER.sub("#", other).split()
 
 
-@pytest.mark.parametrize("index", range(len(pages.consoles())))
-def test_each_command_prints_what_the_readme_shows(readme, index):
-    arguments, shown = pages.consoles()[index]
+CONSOLES = pages.consoles()
+
+
+@pytest.mark.parametrize(
+    "index", range(len(CONSOLES)), ids=[f"{page}: {' '.join(arguments[:2])}" for page, arguments, _ in CONSOLES]
+)
+def test_each_command_prints_what_its_page_shows(readme, index):
+    _, arguments, shown = CONSOLES[index]
     result = readme[1][index]
     assert result.exit_code == 0, result.output
     same(shown, result.output, _PLANS if arguments[0] == "plan" else _CLOSE)
 
 
-def test_the_python_example_prints_what_the_readme_shows(readme, monkeypatch):
+def test_the_readme_has_at_most_200_lines():
+    assert len(pages.README.splitlines()) <= 200
+
+
+def test_the_python_example_prints_what_its_page_shows(readme, monkeypatch):
     monkeypatch.chdir(readme[0])
-    code, shown = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", pages.README, re.DOTALL).groups()
+    text = pages.PYTHON.read_text(encoding="utf-8")
+    code, shown = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL).groups()
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         exec(code, {})
@@ -58,16 +68,22 @@ def test_the_python_example_prints_what_the_readme_shows(readme, monkeypatch):
 
 
 def test_every_file_and_link_of_a_page_exists():
-    for path in ROOT.glob("*.md"):
-        name, text = path.name, path.read_text(encoding="utf-8")
+    for path in pages.MARKDOWN:
+        name, text = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
         for file in re.findall(r"(?:samples|tests|postproc|robot_models)/[\w./]+\.\w+", text):
             assert (ROOT / file).is_file(), f"{name}: {file}"
         for target in re.findall(r"\]\((?!http)([^)]+)\)", text):
             file, _, anchor = target.partition("#")
-            page = ROOT / (file or name)
+            page = (path.parent / file) if file else path
             assert page.exists(), f"{name}: {target}"
             if anchor:
                 assert anchor in anchors(page.read_text(encoding="utf-8")), f"{name}: {target}"
+
+
+def test_every_page_is_in_the_navigation_of_the_site():
+    config = (ROOT / ".mkdocs.yml").read_text(encoding="utf-8")
+    listed = set(re.findall(r"[\w/-]+\.md", config))
+    assert listed == {path.relative_to(pages.DOCS).as_posix() for path in pages.DOCS.rglob("*.md")}
 
 
 def anchors(text):

@@ -129,6 +129,24 @@ def test_an_arc_that_runs_along_the_spindle_at_one_place_keeps_its_direction_the
         np.testing.assert_allclose(along(made, 1, share * np.pi * 50)[0], -10 if share > 1e-6 else 0, atol=1e-5)
 
 
+@pytest.mark.parametrize("place", [0.0, 0.6, 1.0])
+def test_where_an_arc_runs_along_the_spindle_its_direction_just_before_is_taken_and_at_its_start_just_after(place):
+    """Arcs in the plane of X and Z that run up or down there, and towards +X before it (at the start, after it)."""
+    if place == 0.6:
+        begin = (50 * np.cos(1.2 * np.pi), 0.0, -50 * np.sin(1.2 * np.pi))
+        made = [("PTP", *begin), ("CIRC", *begin, 0, 0, 0, 360.0, (0, -1, 0))]
+    else:
+        made = [("PTP", -50, 0, 0), ("CIRC", 50, 0, 0, 0, 0, 0, 180.0, (0, 1, 0))]
+    made = program(made, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
+    path = toolpath.segments(made, START)
+    load = forces.along(made, path, None, "+Z", 1e-9)
+    spot = toolpath.at(made, path, np.array([1]), np.array([place or 1e-6]))
+    direction = toolpath.tangent(made, path, np.array([1]), np.array([place]))[0]
+    assert abs(direction[2]) > 1.0 - 1e-9
+    found = load.at(spot)[0]
+    np.testing.assert_allclose(found[:3], [10, 0, 0], atol=1e-6)
+
+
 def test_a_plunge_before_any_travel_takes_the_direction_of_the_first():
     moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0), ("LIN", 0, 10, 0), ("LIN", 10, 10, 0)]
     made = program(moves, notes=[(2, (10.0, 5.0, 30.0, 0, 0, 0), "FEED")])
@@ -298,4 +316,4 @@ def test_rows_for_another_program_are_one_error_that_says_which_program_they_may
     told = str(raised.value)
     assert told.count("no motion starts") == 1
     assert "60 rows of 61" in told
-    assert "the one it was made from" in told
+    assert "not to the original" in told

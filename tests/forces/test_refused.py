@@ -87,7 +87,7 @@ def test_the_largest_force_is_a_million_newtons(value, of):
     if value <= 1e6:
         put_on(program(MOVES), knots)
     else:
-        with pytest.raises(ForceError, match="no finite"):
+        with pytest.raises(ForceError, match="that is not finite"):
             put_on(program(MOVES), knots)
 
 

@@ -61,14 +61,16 @@ def test_a_source_wins_over_comments_for_the_motions_it_knows():
         ({"t": np.array([0.5, 0.5])}, "places on one motion out of order"),
         ({"t": np.array([0.5, 1.5])}, "a place outside a motion"),
         ({"t": np.array([0.5, np.nan])}, "a place outside a motion"),
-        ({"wrench": np.full((2, 6), np.nan)}, "no finite force"),
-        ({"sigma": np.full((2, 6), -1.0)}, "no finite standard deviation"),
+        ({"wrench": np.full((2, 6), np.nan)}, "a force that is not finite"),
+        ({"sigma": np.full((2, 6), -1.0)}, "a standard deviation that is not finite, negative"),
         ({"frame": np.array([BASE, FEED])}, "two frames on one motion"),
         ({"frame": np.array([7, 7])}, "an unknown frame"),
         ({"frame": np.array([3, 3])}, "an unknown frame"),
         ({"frame": np.array([-1, -1])}, "an unknown frame"),
+        ({"ramped": np.array([True, False])}, "a ramped motion with several knots"),
+        ({"ramped": np.array([False, True])}, "a ramped motion with several knots"),
         ({"ramped": np.array([True, True])}, "a ramped motion with several knots"),
-        ({"wrench": np.zeros((3, 6))}, "do not have one row a knot"),
+        ({"wrench": np.zeros((3, 6))}, "do not have one row per knot"),
     ],
 )
 def test_what_a_source_must_not_give_is_told_with_its_name_and_line(changes, message):
@@ -76,7 +78,7 @@ def test_what_a_source_must_not_give_is_told_with_its_name_and_line(changes, mes
         put_on(rising(**changes))
     with pytest.raises(ForceError, match=message) as caught:
         put_on(rising(**changes))
-    if "one row a knot" not in message and "does not exist" not in message:
+    if "one row per knot" not in message and "does not exist" not in message:
         assert caught.value.line == (3 if message == "motions out of order" else 2)
 
 

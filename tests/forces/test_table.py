@@ -70,8 +70,8 @@ def test_knots_beyond_the_rows_of_one_line_do_not_reach_the_next(tmp_path):
         ("line,t,Fx,Fy,Fz\n2,1.5,0,0,0\n", r"forces\.csv:2: t is 1\.5"),
         ("line,t,Fx,Fy,Fz\n2,-0.1,0,0,0\n", r"forces\.csv:2: t is -0\.1"),
         ("line,t,Fx,Fy,Fz\n2,x,0,0,0\n", "column t is not a finite number"),
-        ("line,t,Fx,Fy,Fz\n2,0.5,0,0,0\n2,0.2,0,0,0\n", r"csv:3: t = 0\.2 is not behind that of the row before"),
-        ("line,t,Fx,Fy,Fz\n2,0.5,0,0,0\n2,0.5,1,0,0\n", r"csv:3: t = 0\.5 is not behind"),
+        ("line,t,Fx,Fy,Fz\n2,0.5,0,0,0\n2,0.2,0,0,0\n", r"csv:3: t = 0\.2 is not larger than in the row before"),
+        ("line,t,Fx,Fy,Fz\n2,0.5,0,0,0\n2,0.5,1,0,0\n", r"csv:3: t = 0\.5 is not larger"),
         ("line,t,Fx,Fy,Fz\n2,0.5,0,0,0\n2,,1,0,0\n", r"csv:3: a second row for line 2"),
         ("line,t,Fx,Fy,Fz\n2,,0,0,0\n2,0.5,1,0,0\n", r"csv:3: a second row for line 2"),
         ("line,line_end,t,Fx,Fy,Fz\n2,3,0.5,0,0,0\n2,2,0.6,1,0,0\n", r"csv:3: a second row for line 2"),
@@ -79,7 +79,10 @@ def test_knots_beyond_the_rows_of_one_line_do_not_reach_the_next(tmp_path):
         ("line,t,frame,Fx,Fy,Fz\n2,0.5,FEED,0,0,0\n2,0.6,BASE,1,0,0\n", "csv:3: another frame than the row before"),
         ("line,Fx,Fy,Fz,sFx\n2,0,0,0,-1\n", r"csv:2: sFx is -1"),
         ("line,Fx,Fy,Fz,sigma_percent\n2,0,0,0,-5\n", r"csv:2: sigma_percent is -5"),
-        ("line,Fx,Fy,Fz,sFx,sigma_percent\n2,0,0,0,1,5\n", "csv:2: standard deviations beside sigma_percent = 5"),
+        (
+            "line,Fx,Fy,Fz,sFx,sigma_percent\n2,0,0,0,1,5\n",
+            "csv:2: standard deviations in addition to sigma_percent = 5",
+        ),
     ],
 )
 def test_rows_that_cannot_be_meant_are_refused_with_their_place(tmp_path, text, message):
@@ -113,6 +116,11 @@ def test_sigma_percent_is_of_each_component(tmp_path):
     np.testing.assert_allclose(np.diag(force), [100, 25, 0])
     np.testing.assert_allclose(np.diag(moment), [0.64, 0, 0])
     assert not covariance(program(MOVES), tmp_path, text, 2, 1.0)[0].any()
+
+
+def test_a_sigma_of_zero_percent_is_none(tmp_path):
+    table = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,sigma_percent\n2,100,-50,0,0\n"))
+    assert not table.sigma.any()
 
 
 def test_on_the_ramp_the_deviation_is_mixed_as_the_force_is(tmp_path):

@@ -313,6 +313,36 @@ def test_lines_that_turn_the_tool_through_the_travel_get_places_where_the_force_
         assert np.linalg.norm(spots - straight, axis=1).max() > limit * 0.999
 
 
+@pytest.mark.parametrize("size", [50.0, 5000.0])
+def test_where_the_force_jumps_pieces_of_an_arc_are_halved_down_to_a_tenth_of_a_micrometre(size):
+    """The arc passes the direction of the spindle itself: there the FEED axes turn by half a turn at once."""
+    made = program([("PTP", size, 0, 0), arc((size, 0, 0), (0.0, -1.0, 0.0), (0, 0, 0), 250.0)])
+    path = toolpath.segments(made, START)
+    knots = Knots.throughout(np.array([1]), np.array([[100.0, 0, 0, 0, 0, 0]]), np.array([FEED]))
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    found = forces.estimate(load, (1e-6, 0.0))
+    halved = forces.followed(load, toolpath.pieces(made, path, 1e-5, found), found, (1e-6, 0.0), 1e-6)
+    width = (halved.end - halved.begin).min()
+    smallest = width * min(1.0, path.length[1])
+    assert 0.5e-7 < smallest <= 1e-7
+    assert (halved.begin[0], halved.end[-1]) == (0.0, 1.0)
+    np.testing.assert_array_equal(halved.begin[1:], halved.end[:-1])
+
+
+@pytest.mark.parametrize("size", [6.0, 3000.0])
+def test_where_the_force_jumps_on_a_line_places_are_a_tenth_of_a_micrometre_apart(size):
+    made = leaning(-70.0, 80.0, ("PTP", 0, 0, 0), ("LIN", 0, 0, size))  # the tool turns through the travel
+    path = toolpath.segments(made, START)
+    knots = Knots.along(
+        np.array([1, 1]), np.array([0.0, 1.0]), np.array([[100.0, 0, 0, 0, 0, 0]] * 2), np.full(2, FEED)
+    )
+    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    motion, t = forces.swung(load, (1e-6, 0.0), 1e-6)
+    assert (motion == 1).all()
+    smallest = np.diff(np.sort(t)).min() * min(1.0, path.length[1])
+    assert 0.25e-7 < smallest <= 1e-7
+
+
 def divided(made, cuts):
     """The program with motions divided at places, each piece a motion of its own, and the targets at their ends."""
     path, m = toolpath.segments(made, START), made.motions

@@ -160,7 +160,7 @@ def test_forces_come_from_stock_tools_and_speeds_of_the_job(posted):
     largest = max(float(row["Fx"]) ** 2 + float(row["Fy"]) ** 2 + float(row["Fz"]) ** 2 for row in _rows(
         folder / "cut" / "bracket.targets.csv"
     )) ** 0.5  # fmt: skip
-    assert largest == pytest.approx(json.loads(done.output)["tools"][0]["max_force_N"], rel=0.02)
+    assert largest == pytest.approx(json.loads(done.stdout)["tools"][0]["max_force_N"], rel=0.02)
     assert [row["X_cmd"] for row in _rows(folder / "by" / "bracket.targets.csv")] == [
         row["X_cmd"] for row in _rows(folder / "cut" / "bracket.targets.csv")
     ]

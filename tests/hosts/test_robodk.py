@@ -190,7 +190,7 @@ def test_joint_angles_that_are_not_those_of_robodk_are_refused(post, tmp_path):
     post.ProgFinish("Pocket 1")
     out = tmp_path / "out"
     out.mkdir()
-    with pytest.raises(Exception, match="RoboDK stands there"):
+    with pytest.raises(Exception, match="RoboDK has the robot at"):
         post.ProgSave(str(out), "Pocket 1")
     assert not list(out.glob("*.src"))
 

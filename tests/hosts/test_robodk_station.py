@@ -78,7 +78,7 @@ def test_a_model_of_another_arm_is_told_by_where_the_flange_stands(init):
     done, _ = init([arm()], "--robodk", "open", "--robot", "kuka_kr240_r2900_2")
     assert done.exit_code == 0, done.output
     assert "is it the same arm" in done.stderr
-    assert "mm from where KUKA KR 210 R2700-2 has it in RoboDK" in done.stderr
+    assert "mm away from that of KUKA KR 210 R2700-2 in RoboDK" in done.stderr
 
 
 def test_a_robot_that_is_not_shipped_has_to_be_named(init):

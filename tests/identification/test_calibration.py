@@ -1,6 +1,7 @@
 """Calibration of the geometry against a robot whose joints stand tenths of a millimetre off, and which sags."""
 
 import json
+import tomllib
 
 import msgspec
 import numpy as np
@@ -146,12 +147,28 @@ def test_command_writes_a_folder_that_carries_the_geometry(tmp_path):
     assert run.exit_code == 0, run.output
     model = robot.load(tmp_path / "g")
     assert not model.geometry_is_nominal
+    told = json.loads((tmp_path / "g" / "identification.json").read_text(encoding="utf-8"))["geometry"]["parameters"]
+    content = tomllib.loads((tmp_path / "g" / "model.toml").read_text(encoding="utf-8"))
+    for name, entry in told.items():
+        joint, axis = name.split(".")
+        table = content["geometry" if axis[-1] in "XYZ" else "transmission"][joint]
+        assert f"{axis} ± {entry['ci95']:.2g} {entry['unit']}" in table["source"]
+        assert table[f"{axis}_{entry['unit']}"] == pytest.approx(entry["value"], rel=1e-6)
     data = json.loads((tmp_path / "g" / "identification.json").read_text(encoding="utf-8"))
     variants = data["geometry"]["variants"]
     assert (
         variants[data["geometry"]["chosen"]]["held_out_rms_mm"] < 0.4 * variants["nominal geometry"]["held_out_rms_mm"]
     )
     assert "Geometry: unloaded readings" in (tmp_path / "g" / "report.html").read_text(encoding="utf-8")
+
+
+def test_of_variants_the_simplest_is_taken_that_is_worse_by_no_more_than_one_standard_error():
+    base = np.linspace(1.0, 3.0, 16)
+    other = np.where(np.arange(16) % 2, 0.4, -0.4) * np.sqrt(15 / 16)  # standard error 0.1
+    for worse, taken in ((0.099, "simple"), (0.101, "rich")):
+        found = {"poor": base + 9.0, "simple": base + other + worse, "rich": base, "richest": base}
+        assert calibration.simplest(found) == taken
+    assert calibration.simplest({"simple": base, "rich": base + 0.1}) == "simple"
 
 
 def test_an_exact_robot_keeps_its_nominal_geometry(tmp_path):

@@ -114,7 +114,7 @@ def test_swapped_marker_names_are_an_error_that_names_the_marker(tmp_path):
         (lambda t: t.replace("P03", "Q3"), "unknown marker 'Q3'"),
         (lambda t: t.replace(",Z\n", ",Z,W\n", 1), "unknown column 'W'"),
         (lambda t: t + "-30,P1,4,1,nan,3\n", "not a finite number"),
-        (lambda t: t + t.splitlines()[1] + "\n", "repeat stands twice"),
+        (lambda t: t + t.splitlines()[1] + "\n", "repeat is given twice"),
         (lambda t: "\n".join(r for r in t.splitlines() if r[0] == "q" or r.startswith(("0,", "-30,"))), "2 angles q2"),
     ],
 )
@@ -238,3 +238,125 @@ def test_the_bias_holds_every_term_on_a_wide_arc_of_few_points():
     bias = cg.pivot_bias(exact, np.full((1, 4), sigma**2))
     assert np.linalg.norm(found.std(axis=0)) / np.sqrt(runs) < 0.025 * np.linalg.norm(bias)
     assert np.linalg.norm(found.mean(axis=0) - bias) < 0.08 * np.linalg.norm(bias)
+
+
+def test_the_result_is_the_same_in_any_tracker_frame():
+    exact, _ = readings(markers=2, sigma=0.2e-3)
+    turn, shift = Rotation.from_rotvec([0.4, -1.0, 0.7]).as_matrix(), np.array([2.0, -1.0, 0.5])
+    moved = msgspec.structs.replace(exact, p1=exact.p1 @ turn.T + shift, p0=exact.p0 @ turn.T + shift)
+    one, other = cg.identify(exact), cg.identify(moved)
+    np.testing.assert_allclose(other.value, one.value, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6)
+    np.testing.assert_allclose(other.markers.bias, one.markers.bias, rtol=1e-6)
+    assert one.markers.bias[0] == 0.0
+    assert np.abs(one.markers.bias[1:]).min() > 1e-6
+    for name in ("radius", "angle", "ci95_even"):
+        np.testing.assert_allclose(getattr(other.markers, name), getattr(one.markers, name), rtol=1e-6)
+    assert (one.dof, other.sigma) == (exact.scatter_dof + 18 - 7 + 24 - 4 - 4, pytest.approx(one.sigma, rel=1e-9))
+
+
+def test_everything_in_the_file_is_in_millimetres_and_degrees(tmp_path):
+    result = cg.identify(readings(markers=2)[0])
+    cg.save(tmp_path / "out.toml", result, "c.csv")
+    content, markers = tomllib.loads((tmp_path / "out.toml").read_text()), result.markers
+    for key, value in (
+        ("sigma_mm", result.sigma * 1e3), ("turn_deg", np.degrees(result.turn)), ("source", "c.csv"),
+        ("covariance_mm2", result.covariance * 1e6), ("warnings", list(result.warnings)),
+    ):  # fmt: skip
+        assert content[key] == value if key in ("source", "warnings") else np.allclose(content[key], value, rtol=1e-6)
+    for key, value in (
+        ("R_mm", markers.radius * 1e3), ("beta_deg", np.degrees(markers.angle)), ("bias_mm", markers.bias * 1e3),
+        ("sum_R_cos_beta_mm", np.sum(markers.radius * np.cos(markers.angle)) * 1e3),
+        ("sum_R_sin_beta_mm", np.sum(markers.radius * np.sin(markers.angle)) * 1e3),
+        ("imbalance", markers.imbalance), ("ci95_even_mm", markers.ci95_even * 1e3),
+    ):  # fmt: skip
+        np.testing.assert_allclose(content["markers"][key], value, rtol=1e-6, err_msg=key)
+    np.testing.assert_allclose(cg.load(tmp_path / "out.toml"), result.value, rtol=1e-9)
+    text = "\n".join(cg.text_lines(result))
+    assert f"would give {markers.radius.sum() * 1e3:.1f} mm" in text
+    assert f"a_x {markers.bias[1] * 1e3:.4f} mm, a_y {markers.bias[2] * 1e3:.4f} mm, contained" in text
+    assert f"   L = {result.value[0] * 1e3:8.3f} ± {result.ci95[0] * 1e3:.3f} mm" in text
+
+
+@pytest.mark.parametrize(("span", "refused"), [(9.9, True), (10.1, False)])
+def test_angles_over_less_than_ten_degrees_are_too_few_for_a_circle(tmp_path, span, refused):
+    q2 = np.radians(np.linspace(-40.0, -40.0 - span, 4))
+    exact, raw = readings(q2=q2, sigma=0.0)
+    path = write(tmp_path / "c.csv", q2, raw, ("P1", *exact.markers))
+    if refused:
+        with pytest.raises(MeasurementError, match=r"4 angles q2 over 9\.9°: too few for a circle"):
+            cg.read(path)
+    else:
+        assert len(cg.read(path).q2) == 4
+
+
+def spread(tmp_path, points):
+    """Readings whose repeats deviate by ±0.1 mm; those of some points (marker, angle) by offsets (n, 3) [mm]."""
+    exact, _ = readings(sigma=0.0)
+    mean = np.array([exact.p1, *exact.p0])
+    rows = ["q2,marker,repeat,X,Y,Z"]
+    for k, name in enumerate(("P1", *exact.markers)):
+        for a, q2 in enumerate(np.degrees(PAPER_Q2)):
+            for r, offset in enumerate(points.get((k, a), 0.1 * np.array([[-1, -1, -1], [0, 0, 0], [1, 1, 1]]))):
+                x, y, z = mean[k, a] * 1e3 + offset
+                rows.append(f"{q2:g},{name},{r + 1},{x:.9f},{y:.9f},{z:.9f}")
+    (tmp_path / "c.csv").write_text("\n".join(rows) + "\n")
+    return cg.read(tmp_path / "c.csv")
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(("by", "out"), [(0.99, False), (1.01, True)])
+def test_a_repeat_farther_from_the_others_than_nine_standard_deviations_is_left_out(tmp_path, axis, by, out):
+    """The median deviation of the outer two of three repeats, 0.1 mm here, is 0.9 standard deviations."""
+    offsets = np.zeros((3, 3))
+    offsets[2, axis] = by * 9.0 * 0.1 / 0.9
+    found = spread(tmp_path, {(2, 3): offsets})
+    assert found.count_p0[1, 3] == 3 - out
+    assert found.count_p0.sum() + found.count_p1.sum() == 5 * 6 * 3 - out
+    expected = (
+        f"line {1 + 2 * 18 + 3 * 3 + 3}: marker P02 at q2 = -90° is {by:.2f} mm from its other repeats: left out",
+    )
+    assert found.warnings == (expected if out else ())
+
+
+def test_no_repeat_is_left_out_where_the_others_do_not_outvote_it(tmp_path):
+    far = {
+        (1, 0): np.array([[0.0, 0, 0], [5.0, 0, 0]]),
+        (2, 1): np.array([[0.0, 0, 0], [0, 0, 0.1], [5, 0, 0], [5, 0, 0.1]]),
+    }
+    found = spread(tmp_path, far)
+    assert found.warnings == ()
+    assert (found.count_p0[0, 0], found.count_p0[1, 1]) == (2, 4)
+    assert found.scatter == pytest.approx((28 * 6 * 0.1**2 + 12.5 + 25.0 + 0.01) * 1e-6, rel=1e-6)
+    assert found.scatter_dof == 28 * 6 + 3 + 9
+
+
+@pytest.mark.parametrize(("by", "refused"), [(1.99e-3, False), (2.01e-3, True)])
+def test_a_marker_more_than_two_millimetres_off_its_circle_is_refused(by, refused):
+    """All markers move together along the normal, as no circle does, and keep their distances."""
+    exact, _ = readings(sigma=0.0)
+    _, axes, _ = cg.joint_axis_radius(exact.q2, exact.p1)
+    flat = (exact.p0 @ axes[:, :2]).sum(axis=0)
+    _, _, rest = np.linalg.svd(np.column_stack([np.ones(6), flat]).T)
+    pattern = rest[-1] / np.abs(rest[-1]).max()  # no plane follows it
+    wrong = msgspec.structs.replace(exact, p0=exact.p0 + by * pattern[:, None] * axes[:, 2])
+    if not refused:
+        cg.identify(wrong)
+        return
+    angle = np.degrees(PAPER_Q2[np.argmax(np.abs(pattern))])
+    with pytest.raises(MeasurementError, match=rf"up to 2\.0 mm off its circle \(at q2 = {angle:g}°\)"):
+        cg.identify(wrong)
+
+
+@pytest.mark.parametrize(("by", "refused"), [(1.9e-3, False), (2.1e-3, True)])
+def test_markers_that_change_their_distance_by_more_than_two_millimetres_are_refused(by, refused):
+    exact, _ = readings(sigma=0.0, markers=3)
+    p0 = exact.p0.copy()
+    away = p0[1, 2] - p0[0, 2]
+    p0[1, 2] += by * away / np.linalg.norm(away)
+    wrong = msgspec.structs.replace(exact, p0=p0)
+    if not refused:
+        cg.identify(wrong)
+        return
+    with pytest.raises(MeasurementError, match=r"at q2 = -60° .* distances \(2\.1 mm\)\. Measure this angle again"):
+        cg.identify(wrong)

@@ -266,7 +266,7 @@ def swapped(rows):
         (moved_tracker, "readings from config 9 on are in another frame"),
         (lambda r: [x for x in r if x.split(",")[0] in ("config", "1")], "1 configurations of 3 points"),
         (lambda r: [x.replace(",P2,", ",Q2,") for x in r], "unknown point 'Q2'"),
-        (lambda r: [*r, r[-1]], "stands twice"),
+        (lambda r: [*r, r[-1]], "given twice"),
     ],
 )
 def test_bad_measurements_name_the_row_or_say_what_to_measure(tmp_path, change, message):
@@ -315,7 +315,7 @@ def test_wrong_angles_of_one_configuration_are_named(tmp_path):
             cells[4] = str(-float(cells[4]) + 25.0)
         rows.append(",".join(cells))
     (tmp_path / "measurements.csv").write_text("\n".join(rows) + "\n")
-    with pytest.raises(Exception, match="config 3: the readings without load stand far from where A1…A6"):
+    with pytest.raises(Exception, match="config 3: the readings without load are far from the points that A1…A6"):
         identify(harness.PRIOR, harness.load(tmp_path))
 
 

@@ -280,7 +280,7 @@ def test_the_verdict_says_what_the_readings_tell():
         line[name] = result.line
     assert line["holds"].startswith("the model holds for the torques listed below: at 600 N 97%")
     for name in ("can not tell", "too few"):
-        assert line[name].startswith("IT CANNOT BE TOLD whether the model holds")
+        assert line[name].startswith("IT IS NOT KNOWN whether the model holds")
     share = "87% of the displacements of 15 configurations are inside its bound, so the share of all is 60% to 98%"
     assert share in line["can not tell"]
     for name in ("narrow", "wrong"):

@@ -44,9 +44,7 @@ def forces(folder, text, process_text, cell=CELL, name="part.nc", **options):
     (folder / "process.toml").write_text(process_text)
     place = RobotInCell.of(ROBOT, cell)
     path = toolpath.segments(program, place.start_flange)
-    return program, machining.estimate(
-        program, path, machining.load(folder / "process.toml"), place.spindle, place.ramp, **options
-    )
+    return program, machining.estimate(program, path, machining.load(folder / "process.toml"), place.spindle, **options)
 
 
 def on_line(program, found, line, t):

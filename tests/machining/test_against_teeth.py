@@ -184,3 +184,27 @@ def test_another_plane(tmp_path):
     teeth = Teeth(5.0, 5.0, 2, AL7075, discs=300).side(12.0)
     expected = tooth_by_tooth(teeth, tip, direction, 0.2, in_box, steps=360)
     close(on_line(program, found, line, share), expected)
+
+
+def test_a_spindle_that_turns_the_other_way_through_the_mirrored_part_gives_mirrored_forces(tmp_path):
+    """A curve whose direction changes all the time, half in material, downhill in part."""
+    blocks = ["G0 X-20 Y{}12 Z5", "G1 Z-2 F600", "G{} X20 Y{}12 I20 J{}30 F900", "G1 X26 Y{}16 Z-3", "G0 Z20"]
+    found = []
+    for sign, arc, spindle in (("-", 3, "S6000 M3"), ("", 2, "S6000 M4")):
+        other = "" if sign else "-"
+        text = [
+            blocks[0].format(sign),
+            blocks[1],
+            blocks[2].format(arc, sign, other),
+            blocks[3].format(sign),
+            blocks[4],
+        ]
+        box = ((-30.0, 30.0), (-40.0, 40.0), (-10.0, 0.0))
+        folder = tmp_path / spindle[-2:]
+        folder.mkdir()
+        program_text = gcode(*text, spindle=spindle)
+        found.append(forces(folder, program_text, process(tool(8.0, 3, "ball"), box))[1].cuts)
+    one, two = found
+    np.testing.assert_array_equal(one.motion, two.motion)
+    size = np.abs(one.wrench).max(axis=0)
+    np.testing.assert_allclose(two.wrench * [1, -1, 1, -1, 1, -1] / size, one.wrench / size, rtol=0, atol=1e-4)

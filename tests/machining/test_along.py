@@ -41,7 +41,7 @@ def computed(tmp_path):
 def test_forces_have_no_steps(computed):
     program, given, _ = computed
     place = RobotInCell.of(ROBOT, CELL)
-    path, found = path_forces(program, machining.ProcessSource(given, place.spindle, place.ramp))
+    path, found = path_forces(program, machining.ProcessSource(given, place.spindle))
     cutting = np.flatnonzero(~program.motions.rapid[1:] & ~program.motions.rapid[:-1]) + 1
     begin, end = at(program, path, found, 1e-9), at(program, path, found, 1.0)
     assert np.abs(end).max() > 300.0
@@ -51,7 +51,7 @@ def test_forces_have_no_steps(computed):
 def test_what_is_written_is_what_is_in_memory_and_base_axes_are_the_same(computed):
     program, given, folder = computed
     place = RobotInCell.of(ROBOT, CELL)
-    path, found = path_forces(program, machining.ProcessSource(given, place.spindle, place.ramp))
+    path, found = path_forces(program, machining.ProcessSource(given, place.spindle))
     for option in ([], ["--base"]):
         result = CliRunner().invoke(
             main,
@@ -69,10 +69,24 @@ def test_what_is_written_is_what_is_in_memory_and_base_axes_are_the_same(compute
 
 def test_standard_deviations_are_those_of_the_material(tmp_path):
     _, found = forces(tmp_path, gcode(*WAYS), process(tool(10, 4), BOX, 0.5))
-    np.testing.assert_allclose(found.along.sigma, 0.15 * np.abs(found.along.wrench))
+    np.testing.assert_allclose(found.along.sigma, 0.33 * np.abs(found.along.wrench))
     text = process(tool(10, 4), BOX, 0.5).replace("[tools.1]", "sigma_percent = 40\n[tools.1]")
     _, found = forces(tmp_path, gcode(*WAYS), text)
     np.testing.assert_allclose(found.along.sigma, 0.40 * np.abs(found.along.wrench))
+
+
+def test_a_material_without_axial_coefficients_has_a_wide_axial_force(tmp_path):
+    """Measured axial forces are 40 to 90 % of the force across the feed: they lie within the bound."""
+    text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110 (here)")
+    for material in ("kc11_N_per_mm2 = 641.0\nmc = 0.27", 'name = "al_6061_t6_carbide"'):
+        _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5, material))
+        row = int(np.argmax(np.abs(found.along.wrench[:, 1])))
+        across, axial = found.along.wrench[row, :2], found.along.sigma[row, 2]
+        assert found.along.wrench[row, 2] == 0.0
+        assert 0.9 * abs(across[1]) < 1.96 * axial < 2.0 * np.linalg.norm(across)
+        assert "no-axial-force" in {issue.kind for issue in found.issues}
+    _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))
+    assert "no-axial-force" not in {issue.kind for issue in found.issues}
 
 
 def test_forces_by_operation(tmp_path):
@@ -102,13 +116,30 @@ def test_operations_and_subprograms(tmp_path):
     assert machining.by_operation(whole, process).wrench[:, 0].tolist() == [-110.0] * 6
     (tmp_path / "process.toml").write_text("[operations.rough]\nFx = -110\n[operations.finish]\nFx = -20\n")
     two = read(tmp_path, gcode(*one[:4], "(finish)", *one[4:]) + below)
-    with pytest.raises(ForceError, match="not certain") as caught:
-        machining.by_operation(two, machining.load(tmp_path / "process.toml"))
-    assert caught.value.line == 14
+    own = machining.by_operation(two, machining.load(tmp_path / "process.toml"))
+    assert own.wrench[:, 0].tolist() == [-110.0] * 3 + [-20.0] * 3
+
+
+def test_a_comment_before_a_tool_change_names_the_operation_after_it(tmp_path):
+    """The order of Fusion; a comment that speaks of finishing ends nothing, and N words and tools still count."""
+    text = "\n".join((
+        "(1001)", "(T1 D=10. CR=0. - ZMIN=-5. - flat end mill)", "G21 G90", "(2D Adaptive1)", "T1 M6", "S6000 M3",
+        "G0 X0 Y0 Z5", "G1 Z-3 F2400", "(finish with 0.2 mm left)", "X20", "G0 Z5",
+        "(2D Contour2)", "T2 M6", "S6000 M3", "G0 X0 Y0", "G1 Z-3 F900", "X30", "G0 Z5", "(Chamfer1)", "G1 X40",
+        "M30", "",
+    ))  # fmt: skip
+    program = read(tmp_path, text)
+    table = '[operations."2D Adaptive1"]\nFx = -300\n[operations."2D Contour2"]\nFx = -20\n[operations.T2]\nFx = -7\n'
+    (tmp_path / "process.toml").write_text(table)
+    own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+    assert dict(zip(program.motions.line[own.motion].tolist(), own.wrench[:, 0].tolist(), strict=True)) == {
+        8: -300.0, 10: -300.0, 16: -20.0, 17: -20.0, 20: -7.0,
+    }  # fmt: skip
 
 
 def test_an_operation_that_is_not_there(tmp_path):
-    program = read(tmp_path, gcode(*WAYS))
-    (tmp_path / "process.toml").write_text("[operations.Pocket]\nFx = -110\n")
-    with pytest.raises(ForceError, match="no comment, tool or block"):
+    program = read(tmp_path, gcode("(2D Pocket1)", *WAYS, "(Contour 2)", *WAYS))
+    (tmp_path / "process.toml").write_text('[operations."2D pocket"]\nFx = -110\n')
+    with pytest.raises(ForceError, match="no comment, tool or block") as caught:
         machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+    assert "Did you mean '2D Pocket1'? Operations found: '2D Pocket1', 'Contour 2'." in str(caught.value)

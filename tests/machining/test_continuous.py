@@ -8,7 +8,6 @@ from msgspec.structs import replace
 
 from postproc import frames, toolpath
 from postproc.machining.continuous import BASE, FEED, without_steps
-from postproc.machining.source import knots_of
 from tests.programs import program
 from tests.toolpath.setting import arc, begins, point
 
@@ -92,7 +91,9 @@ def test_forces_along_motions_follow_on_from_those_before(seed, base_axes):
     program, to_base = made()
     path = toolpath.segments(program, np.eye(4))
     given = stations(np.random.default_rng(seed), program)
-    found = without_steps(program, path, given, MAP, RAMP, 0.2, base_axes=base_axes)
+    found = without_steps(
+        program, path, given, MAP, np.full(len(program.motions), RAMP), (0.2, 0.0), base_axes=base_axes
+    )
     np.testing.assert_allclose(found.sigma, 0.2 * np.abs(found.wrench))
     assert np.unique(found.motion).tolist() == np.unique(given[0]).tolist()
     for k in np.unique(given[0]).tolist():
@@ -100,8 +101,7 @@ def test_forces_along_motions_follow_on_from_those_before(seed, base_axes):
         t, reach = found.t[rows], min(1.0, RAMP / path.length[k])
         steady = own.sum() == 1
         inner = [place for place in given[1][own] if reach + 1e-9 < place] if not steady else []
-        np.testing.assert_allclose(t, np.unique([0.0, reach, *inner, *([] if steady else [1.0])]))
-        assert found.steady[rows].tolist() == [steady] * rows.sum()
+        np.testing.assert_allclose(t, np.unique([0.0, reach, *inner, 1.0]))
         plunge = k in (1, 8)
         in_base = plunge or (base_axes and not (steady and program.motions.kind[k] == 1))
         assert found.frame[rows].tolist() == [BASE if in_base else FEED] * rows.sum()
@@ -111,23 +111,15 @@ def test_forces_along_motions_follow_on_from_those_before(seed, base_axes):
             np.testing.assert_allclose(have, expected, atol=2e-4)
 
 
-def test_a_steady_force_is_one_knot_that_comes_up_over_the_ramp():
+def test_a_small_change_is_spread_over_the_motion():
+    """No knot more than the force needs: one at each end where it goes on as it was."""
     program, _ = made()
     path = toolpath.segments(program, np.eye(4))
-    given = stations(np.random.default_rng(1), program)
-    along = without_steps(program, path, given, MAP, RAMP, 0.1, base_axes=False)
-
-    class Found:
-        issues = ("told",)
-
-    knots = knots_of(along, Found)
-    assert knots.issues == ("told",)
-    for k in np.unique(given[0]).tolist():
-        rows, own = knots.motion == k, given[0] == k
-        if own.sum() == 1:
-            assert (knots.t[rows].tolist(), knots.ramped[rows].tolist()) == ([1.0], [True])
-            np.testing.assert_allclose(knots.wrench[rows][0], given[2][own][0])
-            np.testing.assert_allclose(knots.sigma[rows][0], 0.1 * np.abs(given[2][own][0]))
-        else:
-            np.testing.assert_array_equal(knots.t[rows], along.t[along.motion == k])
-            assert not knots.ramped[rows].any()
+    motion = np.array([2, 3, 4])
+    wrench = np.array([[0, 0, 400.0, 0, 0, 0], [0, 0, 403.0, 0, 0, 0], [0, 0, 300.0, 0, 0, 0]])
+    given = motion, np.full(3, 0.5), wrench
+    found = without_steps(program, path, given, MAP, np.full(10, 1e-4), (0.1, 0.0), base_axes=False)
+    assert [found.t[found.motion == k].tolist() for k in (2, 3, 4)] == [
+        pytest.approx([0.0, 1e-4 / path.length[2], 1.0]), [0.0, 1.0], pytest.approx([0.0, 1e-4 / path.length[4], 1.0]),
+    ]  # fmt: skip
+    np.testing.assert_allclose(found.wrench[found.motion == 3][:, 2], [400.0, 403.0])

@@ -13,7 +13,7 @@ from postproc.machining import cutting
 from postproc.machining.material import CuttingLaw
 from postproc.machining.sampling import Engaged
 from postproc.machining.tool import Cutter, edge
-from postproc.machining.turn import Turn
+from postproc.machining.turn import Turn, _covered
 
 LINEAR = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
 KIENZLE = CuttingLaw((900e6, 400e6, 250e6), (0.0, 0.0, 0.0), 0.25, 0.1, "Kienzle")
@@ -187,3 +187,18 @@ def test_the_edge_is_as_long_as_the_profile_and_as_high():
             assert np.abs(quad(lambda x, c=cutter: c.height(np.array([x]))[0], 0, cutter.radius)[0]) == pytest.approx(
                 cutter.corner**2 * (1 - np.pi / 4), abs=1e-9
             )
+
+
+@pytest.mark.parametrize("pitch", [2.0 * np.pi, 2.0 * np.pi / 3.0])
+def test_a_place_covers_the_parts_of_a_pitch_whose_middles_are_within_it(pitch):
+    """Places of several pitches; one is as wide as the pitch, and one covers it more than once."""
+    rng = np.random.default_rng(3)
+    phi = np.append(rng.uniform(0.0, 2.0 * np.pi, 12), [1.0, 2.0])
+    width = np.append(rng.uniform(0.05, 0.9, 12) * pitch, [pitch, 1.7 * pitch])
+    found = _covered(phi, width, 24, pitch)
+    for place in range(len(phi)):
+        for part in range(24):
+            middle = (part + 0.5) * pitch / 24
+            turns = middle + np.arange(-8, 9) * pitch
+            there = bool((np.abs(turns - phi[place]) < 0.5 * width[place]).any())
+            assert found[place, part] == pytest.approx(there * max(1.0, width[place] / pitch))

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from postproc.errors import ForceError
+from postproc.report import process_forces
 from tests.machining.setting import forces, gcode, process, tool
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
@@ -21,7 +22,7 @@ def refused(folder, text, process_text=None, **options):
 
 def test_stock_elsewhere(tmp_path):
     told = refused(tmp_path, gcode(*SLOT), process(tool(10, 4), ((500, 600), (0, 80), (-20, 0)), 1.0))
-    assert "never meets the stock" in told
+    assert "never touches the stock" in told
     assert "X 498" in told
 
 
@@ -35,13 +36,13 @@ def test_no_spindle(tmp_path):
 
 def test_spindle_off_while_cutting(tmp_path):
     told = refused(tmp_path, gcode(*SLOT[:2], "X50", "M5", "X110"))
-    assert "part.nc:8: the tool is moved through material while the spindle stands still" in told
+    assert "part.nc:8: the tool moves through material while the spindle is off" in told
 
 
 def test_a_tool_that_is_not_described(tmp_path):
     told = refused(tmp_path, gcode(*SLOT).replace("T1 M6", "T7 M6"))
     assert "part.nc:5: tool T7 is not in" in told
-    assert "Give [tools.7]; there: [tools.1]" in told
+    assert "Give [tools.7]; found: [tools.1]" in told
 
 
 def test_no_tool_number_takes_the_only_tool_but_not_one_of_two(tmp_path):
@@ -128,10 +129,35 @@ def test_a_rapid_move_through_material_is_told_with_its_line(tmp_path):
         (('name = "al_7075_t6_carbide"', "mc = 0.3"), "[material] does not say how it cuts"),
         (("[tools.1]", "[tools.one]"), "'one' is not a tool number"),
         (("X = [0.0, 100.0]", "X = [100.0, 0.0]"), "is not from smaller to larger"),
-        (("resolution_mm = 1.0", "resolution_mm = 0.001"), "Take [stock] resolution_mm"),
+        (("resolution_mm = 1.0", "resolution_mm = 0.001"), "Give [stock] resolution_mm"),
         (('shape = "flat"', 'shape = "bull"'), "a bull tool without a corner radius"),
         (('shape = "flat"', 'shape = "flat"\ncorner_radius_mm = 1.0'), "corner_radius_mm with shape 'flat'"),
     ],
 )
 def test_a_process_that_cannot_be_used(tmp_path, change, told):
     assert told in refused(tmp_path, gcode(*SLOT), process(tool(10, 4), BOX, 1.0).replace(*change))
+
+
+HOLES = ("G0 X20 Y20 Z30", "G98 G83 X20 Y20 Z-12 R2 Q5 F200", "X40 Z-6", "G80")
+
+
+def test_drills_have_depth_feed_force_and_torque(tmp_path):
+    """Deepest hole 12 mm below the surface although it is pecked; thrust and torque of a full edge."""
+    program, found = forces(tmp_path, gcode(*HOLES), process(tool(8, 2, "drill"), BOX))
+    (summary,) = process_forces.summary(program, found, 0)["tools"]
+    assert summary["max_depth_mm"] == pytest.approx(12.0, abs=0.02)
+    chip = 200 / 6000 / 2
+    thrust, torque = 2 * 4.0 * (168.8 * chip + 26.6), 2 * 4.0**2 * (767.01 * chip + 27.7) / 2 / 1e3
+    assert summary["max_feed_force_N"] == pytest.approx(thrust, rel=0.02)
+    assert summary["max_torque_Nm"] == pytest.approx(torque, rel=0.02)
+    text = process_forces.as_text(process_forces.summary(program, found, 0))
+    assert "drilled up to 12 mm deep, feed force up to" in text
+    assert "drilled-by-mill" not in {issue.kind for issue in found.issues}
+
+
+def test_a_drilling_cycle_with_a_milling_tool_is_named(tmp_path):
+    _, found = forces(tmp_path, gcode(*HOLES), process(tool(8, 2), BOX))
+    (issue,) = [issue for issue in found.issues if issue.kind == "drilled-by-mill"]
+    assert (issue.source_line, "G83" in HOLES[1]) == (5, True)
+    _, found = forces(tmp_path, gcode("G0 X20 Y20 Z30", "G1 Z-5 F200", "G0 Z30"), process(tool(8, 2), BOX))
+    assert "drilled-by-mill" not in {issue.kind for issue in found.issues}

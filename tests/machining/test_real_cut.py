@@ -67,6 +67,7 @@ def test_it_is_told_and_the_corrected_program_is_that_of_the_nominal_cut(tmp_pat
     told = json.loads((tmp_path / "predict" / "part.predict.report.json").read_text())
     (cut,) = [issue for issue in told["issues"] if issue["kind"] == "real-cut"]
     assert cut["level"] == "info"
+    assert int(cut["message"].partition("(")[2].split()[0]) <= 3
     assert "The corrected program has the nominal engagement" in cut["message"]
     assert (tmp_path / "predict" / "part.predict.stock.glb").stat().st_size > 1000
     assert {path.name for path in (tmp_path / "convert").iterdir()} == {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import os
@@ -25,6 +26,10 @@ from tests.mutation.mutants import Mutant, compiles, mutants_of
 IGNORED = shutil.ignore_patterns(
     ".*", "*.egg-info", "build", "dist", "corrected", "out", "tests-out"
 )  # what git ignores too
+
+
+_MOST_SECONDS = 30.0
+"""Processor time of the tests of one mutant [s]."""
 
 
 class Found(NamedTuple):
@@ -91,7 +96,9 @@ def run(
     *,
     seed: int = 1,
     most: int | None = None,
+    again: Sequence[Sequence[str]] | None = None,
     workers: int = 2,
+    minutes: float = 60.0,
     equal: Callable[[list[Mutant]], set[Mutant]] = lambda _: set(),
     say: Callable[[str], None] = lambda _: None,
 ) -> list[Found]:
@@ -99,36 +106,44 @@ def run(
 
     :param root: of the repository; it is copied, and stays as it is.
     :param most: how many mutants of all are taken, by chance; the same for the same seed.
+    :param again: mutants to take instead, by file, line before and line after.
+    :param minutes: after these no further mutant is run: those that were are a random sample of the ones taken.
     :param equal: returns the mutants that are accepted: they are not run.
     :returns: one row for each mutant taken, in the order of the text.
     :raises MutationError: tests fail without a fault.
     """
     every = [mutant for path in files for mutant in mutants_of(path, root)]
-    taken = chosen(root, every, seed, most)
+    if again is None:
+        taken = chosen(root, every, seed, most)
+    else:
+        taken = [
+            mutant for mutant in every if [mutant.file, mutant.before, mutant.after] in [list(one) for one in again]
+        ]
     spared = equal(every)
+    found = [Found(mutant, "accepted", 0.0) for mutant in taken if mutant in spared]
+    if len(found) == len(taken):
+        return found
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
         copies = [Path(folder, str(number)) for number in range(workers)]
         for copy in copies:
             shutil.copytree(root, copy, ignore=IGNORED)
         say(f"{len(taken)} of {len(every)} mutants; tests without a fault …")
         start = time.monotonic()
-        recorded = _record(copies[0], [path.relative_to(root).as_posix() for path in files], tests)
+        recorded = _record(root, copies, [path.relative_to(root).as_posix() for path in files], tests)
         say(f"{len(recorded['tests'])} tests, {time.monotonic() - start:.0f} s")
-        for copy in copies[1:]:  # with what was compiled
-            shutil.rmtree(copy)
-            shutil.copytree(copies[0], copy)
         waiting: queue.SimpleQueue[Mutant] = queue.SimpleQueue()
-        for mutant in taken:
+        for mutant in random.Random(seed).sample(taken, len(taken)):
             if mutant not in spared:
                 waiting.put(mutant)
-        found = [Found(mutant, "accepted", 0.0) for mutant in taken if mutant in spared]
+        end = time.monotonic() + 60.0 * minutes
         failures: list[BaseException] = []
 
         def work(copy: Path) -> None:
             try:
                 _work(
-                    copy, recorded, waiting, lambda one: (found.append(one), say(_line_of(one, len(found), len(taken))))
-                )
+                    copy, recorded, waiting, end,
+                    lambda one: (found.append(one), say(_line_of(one, len(found), len(taken)))),
+                )  # fmt: skip
             except BaseException as error:
                 failures.append(error)
 
@@ -159,22 +174,80 @@ def _environment(copy: Path) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
 
 
-def _record(copy: Path, files: Sequence[str], tests: Sequence[str]) -> dict[str, Any]:
-    out = copy.parent / "recorded.json"
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.mutation.recording", str(out), str(len(files)), *files, *tests],
-        cwd=copy, env=_environment(copy), stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    recorded = json.loads(out.read_text()) if out.exists() else {"code": 1, "failed": []}
-    if recorded["code"] != 0:
-        raise MutationError(
-            f"the tests fail without a fault: {recorded['failed']}\n{done.stdout[-3000:]}{done.stderr[-2000:]}"
+def _record(root: Path, copies: Sequence[Path], files: Sequence[str], tests: Sequence[str]) -> dict[str, Any]:
+    """Return what the tests execute, and their times; the test files that are new or changed run, half in each copy.
+
+    Recordings are kept in `.mutation`, by the content of the test file and of everything else that tests may read.
+    """
+    places = [copies[0] / test for test in tests]
+    paths = [path for place in places for path in ([place] if place.suffix else place.rglob("test_*.py"))]
+    common, kept = _digest(copies[0], files), {}
+    for name, path in sorted((path.relative_to(copies[0]).as_posix(), path) for path in paths):
+        read = b"".join(one.read_bytes() for one in _with_helpers(path, copies[0]))
+        kept[name] = (
+            root / ".mutation" / (hashlib.sha256(f"{common} {name}".encode() + read).hexdigest()[:32] + ".json")
         )
-    return recorded
+    missing = sorted((name for name in kept if not kept[name].exists()), key=lambda name: -(root / name).stat().st_size)
+    processes = []
+    for number, copy in enumerate(copies):
+        if part := missing[number :: len(copies)]:
+            out = copy.parent / f"recorded-{number}.json"
+            arguments = ["-m", "tests.mutation.recording", str(out), str(len(files)), *files, *part]
+            log = (copy.parent / f"recorded-{number}.log").open("w+")
+            process = subprocess.Popen(
+                [sys.executable, *arguments], cwd=copy, env=_environment(copy), stdin=subprocess.DEVNULL, stdout=log,
+                stderr=log,
+            )  # fmt: skip
+            processes.append((process, part, out, log))
+    (root / ".mutation").mkdir(exist_ok=True)
+    failed = ""
+    for process, part, out, log in processes:
+        process.wait()
+        log.seek(0)
+        recorded = json.loads(out.read_text()) if out.exists() else {"code": 1, "failed": []}
+        if recorded["code"] != 0:
+            failed += f"{recorded['failed']}, exit code {process.returncode}\n{log.read()[-3000:]}"
+        log.close()
+        for name in part if recorded["code"] == 0 else []:
+            mine = {test: row for test, row in recorded["tests"].items() if test.split("::")[0] == name}
+            kept[name].write_text(json.dumps({"tests": mine, "imported": recorded["imported"]}))
+    if failed:
+        raise MutationError(f"the tests fail without a fault: {failed}")
+    found = [json.loads(path.read_text()) for path in kept.values()]
+    return {
+        "tests": {test: row for one in found for test, row in one["tests"].items()},
+        "imported": list(dict.fromkeys(name for one in found for name in one["imported"])),
+    }
 
 
-def _work(copy: Path, recorded: dict, waiting: queue.SimpleQueue[Mutant], tell: Callable[[Found], object]) -> None:
-    """Take mutants until none is left."""
+def _with_helpers(path: Path, copy: Path) -> list[Path]:
+    """Return a test file and the test files that it imports from, directly or not."""
+    found = [path]
+    for each in found:
+        text = each.read_text(encoding="utf-8")
+        for module in re.findall(r"^from (tests[\w.]*\.test_\w+) import", text, re.MULTILINE):
+            other = copy / (module.replace(".", "/") + ".py")
+            found += [other] if other not in found and other.exists() else []
+    return found
+
+
+def _digest(copy: Path, files: Sequence[str]) -> str:
+    """Return a digest of what all tests may read: package, data and helpers, but no tests."""
+    digest = hashlib.sha256("\n".join(files).encode())
+    skipped = ("tests/mutation/", "tests/test_", "tests/documentation/")
+    for path in sorted(path for path in copy.rglob("*") if path.is_file()):
+        name = path.relative_to(copy).as_posix()
+        if path.suffix in (".py", ".toml", ".urdf", ".json", ".csv") and not name.startswith(skipped):
+            if path.name.startswith("test_"):
+                continue
+            digest.update(name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _work(
+    copy: Path, recorded: dict, waiting: queue.SimpleQueue[Mutant], end: float, tell: Callable[[Found], object]
+) -> None:
+    """Take mutants until none is left, or the time `end` has come."""
     log = copy.parent / f"{copy.name}.log"
     with subprocess.Popen(
         [sys.executable, "-m", "tests.mutation.worker"], cwd=copy, env=_environment(copy), text=True,
@@ -183,18 +256,16 @@ def _work(copy: Path, recorded: dict, waiting: queue.SimpleQueue[Mutant], tell: 
         assert process.stdin is not None
         assert process.stdout is not None
         process.stdin.write(json.dumps(recorded["imported"]) + "\n")
-        while True:
+        while time.monotonic() < end:
             try:
                 mutant = waiting.get_nowait()
             except queue.Empty:
                 break
-            names = concerned(mutant, recorded["tests"])
+            names = quick(concerned(mutant, recorded["tests"]), recorded["tests"])
             if not names:
                 tell(Found(mutant, "unseen", 0.0))
                 continue
             source = (copy / mutant.file).read_bytes()
-            for compiled in (copy / mutant.file).parent.glob(f"__pycache__/{Path(mutant.file).stem}.*"):
-                compiled.unlink()
             seconds = {name: recorded["tests"][name]["seconds"] for name in names}
             request = {
                 "file": mutant.file, "text": mutant.text(source).decode(), "batches": batches(seconds),
@@ -221,6 +292,15 @@ def concerned(mutant: Mutant, tests: dict[str, dict]) -> list[str]:
         name for name, test in tests.items()
         if any(not mutant.in_function or first <= line <= last for line in test["lines"].get(mutant.file, ()))
     ]  # fmt: skip
+
+
+def quick(names: list[str], tests: dict[str, dict]) -> list[str]:
+    """Return the quickest of some tests, those of half a minute together: a fault that only others see has survived."""
+    ordered = sorted(names, key=lambda name: tests[name]["seconds"])
+    until = itertools.accumulate(tests[name]["seconds"] for name in ordered)
+    return [
+        name for at, (name, total) in enumerate(zip(ordered, until, strict=True)) if at == 0 or total <= _MOST_SECONDS
+    ]
 
 
 def batches(seconds: dict[str, float]) -> list[list[str]]:

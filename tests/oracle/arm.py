@@ -1,5 +1,5 @@
 """An elastic arm that shares no code with the package: URDF by ElementTree, forward kinematics in plain numpy,
-equilibrium as the stationary point of the potential V(θ) of ARCHITECTURE.md, "The model", derivatives by the complex
+equilibrium as the stationary point of the potential V(θ) of "The model" in docs/architecture.md, derivatives by complex
 step.
 
 SI units, root frame, KUKA signs. One configuration at a time; slow and simple on purpose.
@@ -10,6 +10,7 @@ from __future__ import annotations
 import tomllib
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,15 @@ G = 9.81
 
 def rot(axis, angle):
     """Rodrigues' formula, safe for complex angles."""
-    x, y, z = axis
+    k, square = _hat(*axis)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * square
+
+
+@cache
+def _hat(x, y, z):
+    """The matrix of a vector product, and its square."""
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+    return k, k @ k
 
 
 def rpy(r, p, y):

@@ -20,23 +20,29 @@ def joint_frames(arm, q):
     return points, axes, frames
 
 
-def torques(arm, q, tool, wrench):
-    """Torques of a wrench at the tip, (6,)."""
-    points, axes, frames = joint_frames(arm, q)
+def cross(a, b):
+    """Vector products (n, 3) of (n, 3) and (n, 3) or (3,); `numpy.cross` takes ten times as long for so few."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T
+
+
+def torques(arm, q, tool, wrench, placed=None):
+    """Torques of a wrench at the tip, (6,); `placed`: the joint frames, where they are known."""
+    points, axes, frames = placed or joint_frames(arm, q)
     tip = (frames[-1] @ tool)[:3, 3]
-    return np.einsum("ij,ij->i", axes, np.cross(tip - points, wrench[:3])) + axes @ wrench[3:]
+    return np.einsum("ij,ij->i", axes, cross(tip - points, wrench[:3])) + axes @ wrench[3:]
 
 
-def load(arm, q, payload=True):
-    """Gradient of the potential of weights and compensator, (6,)."""
-    points, axes, frames = joint_frames(arm, q)
+def load(arm, q, payload=True, placed=None):
+    """Gradient of the potential of weights and compensator, (6,); `placed` as for `torques`."""
+    points, axes, frames = placed or joint_frames(arm, q)
     out = np.zeros(6)
     bodies = [(n, m, frames[n] @ [*c, 1.0]) for n, (m, c) in enumerate(zip(arm.masses, arm.centres, strict=True))]
     if payload and arm.payload[0]:
         bodies.append((5, arm.payload[0], frames[6] @ [*arm.payload[1], 1.0]))
     for link, mass, centre in bodies:
-        for joint in range(link + 1):
-            out[joint] += mass * G * np.cross(axes[joint], centre[:3] - points[joint])[2]
+        moved = slice(link + 1)
+        out[moved] += mass * G * cross(axes[moved], centre[:3] - points[moved])[:, 2]
     step = 1e-30
     out[1] += np.imag(arm.spring_energy(q[1] + 1j * step)) / step
     return out
@@ -47,7 +53,9 @@ def loaded_tip(arm, q, tool, wrench):
     balanced = np.zeros(6) if arm.rigid else load(arm, q, payload=False)
     theta = np.zeros(6)
     for _ in range(30):
-        new = (balanced - load(arm, q + theta) + torques(arm, q + theta, tool, wrench)) / arm.stiffness
+        placed = joint_frames(arm, q + theta)
+        change = balanced - load(arm, q + theta, placed=placed) + torques(arm, q + theta, tool, wrench, placed)
+        new = change / arm.stiffness
         done = np.abs(new - theta).max() < 1e-14
         theta = new
         if done:
@@ -66,7 +74,7 @@ def inverse(arm, pose, tool, guess):
         error = np.concatenate([pose[:3, 3] - here[:3, 3], rotation])
         if np.abs(error).max() < 1e-12:
             return q
-        jacobian = np.vstack([np.cross(axes, here[:3, 3] - points).T, axes.T])
+        jacobian = np.vstack([cross(axes, here[:3, 3] - points).T, axes.T])
         step = np.linalg.solve(jacobian, error)
         q = q + step * min(1.0, 0.3 / np.abs(step).max())
     raise ArithmeticError(f"not reached: {error}")

@@ -1,4 +1,4 @@
-"""An arm with all that the model of ARCHITECTURE.md knows, written anew: chain and weights by Pinocchio, springs,
+"""An arm with all that the model of docs/architecture.md knows, written anew: chain and weights by Pinocchio, springs,
 compensator and errors of transmission in plain numpy, the loaded equilibrium by Newton's method with differences.
 
 One configuration at a time. Of the package it takes the content of a model file, and computes nothing with it.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from postproc.report import page as rendered
-from postproc.report.digits import estimate
+from postproc.report.formatting import estimate
 from tests import fabricated
 from tests.pages.browser import needs_chromium, opened, without_webgl
 
@@ -266,6 +266,104 @@ def test_a_line_can_be_asked_for(page):
     page.locator("#place-line").fill("57")
     page.keyboard.press("Enter")
     assert _chosen(page) == 57
+
+
+def test_a_line_without_a_target_leads_to_the_nearest_and_says_so(page):
+    page.locator("#place-line").fill("3")
+    page.keyboard.press("Enter")
+    lines = set(page.evaluate("Array.from(places.at.source_line)"))
+    nearest = min(lines, key=lambda line: abs(line - 3))
+    assert 3 not in lines
+    assert _chosen(page) == nearest
+    assert page.locator("#place .said").inner_text() == f"no target on line 3: nearest is line {nearest}"
+    page.locator("#place-line").fill("57")
+    page.keyboard.press("Enter")
+    assert page.locator("#place .said").inner_text() == ""
+
+
+def test_after_a_click_the_keys_are_heard(page):
+    page.locator("#view3d-view").scroll_into_view_if_needed()
+    box = page.locator("#view3d-view").bounding_box()
+    page.mouse.click(box["x"] + 5, box["y"] + 40)
+    assert page.evaluate("document.activeElement.id") == "view3d-view"
+    page.keyboard.press("w")
+    assert page.evaluate("selection.chosen") == page.evaluate("facts.worst.before")
+
+
+_SIZE = """(() => {
+  const { glplot } = document.getElementById('view3d-view')._fullLayout.scene._scene;
+  const { projection, view, model } = glplot.cameraParams;
+  const { dataScale } = document.getElementById('view3d-view')._fullLayout.scene._scene;
+  const times = (a, b) => Array.from({ length: 16 }, (_, k) =>
+    [0, 1, 2, 3].reduce((sum, j) => sum + a[4 * j + (k % 4)] * b[4 * (k >> 2) + j], 0));
+  const m = times(projection, times(view, model)).map((value, k) => value * (k < 12 ? dataScale[k >> 2] : 1));
+  const at = (p) => [0, 1, 3].map((r) => m[r] * p[0] + m[4 + r] * p[1] + m[8 + r] * p[2] + m[12 + r]);
+  return [[40, 35, 0], [80, 65, 0], [60, 50, 50]].map((p) => { const [x, y, w] = at(p); return [x / w, y / w]; });
+})()"""
+
+
+def test_the_path_keeps_its_size_and_place_when_the_robot_is_shown(page):
+    page.get_by_role("button", name="Oblique").click()
+    page.wait_for_timeout(300)
+    without = page.evaluate(_SIZE)
+    page.locator("#view3d-robot").check()
+    page.wait_for_timeout(600)
+    np.testing.assert_allclose(page.evaluate(_SIZE), without, atol=2e-3)
+    page.locator("#view3d-robot").uncheck()
+    page.wait_for_timeout(600)
+    np.testing.assert_allclose(page.evaluate(_SIZE), without, atol=2e-3)
+
+
+def test_a_slider_moves_the_robot_along_the_program(page):
+    page.locator("#view3d-robot").check()
+    slider = page.locator("#view3d-time")
+    tips = []
+    for share in ("0.2", "0.9"):
+        slider.fill(share)
+        page.wait_for_timeout(400)
+        chosen, time, last = page.evaluate(
+            "[selection.chosen, places.at.time[selection.chosen], places.at.time.at(-1)]"
+        )
+        assert time == pytest.approx(float(share) * last, abs=0.02 * last)
+        mesh = page.evaluate("(() => { const d = document.getElementById('view3d-view').data.at(-1);"
+                             "return [d.type, d.x.length, d.x.at(-1), d.y.at(-1), d.z.at(-1)] })()")  # fmt: skip
+        assert mesh[0] == "mesh3d"
+        place = page.evaluate("(i) => places.position(i)", chosen)
+        assert math.dist(mesh[2:], place) < 12.0  # the rim of the cone's end
+        tips.append(place)
+    assert math.dist(*tips) > 10.0
+    run = page.locator("#view3d-run")
+    slider.fill("0.1")
+    run.click()
+    page.wait_for_timeout(700)
+    run.click()
+    stopped = page.evaluate("selection.chosen")
+    assert page.evaluate("places.at.time[selection.chosen] / places.at.time.at(-1)") > 0.105
+    page.wait_for_timeout(200)
+    assert page.evaluate("selection.chosen") == stopped
+    page.locator("#view3d-robot").uncheck()
+
+
+def test_a_browser_that_cannot_inflate_unpacks_the_library_itself(browser, results, tmp_path):
+    content = (results / "pocket.report.html").read_text(encoding="utf-8")
+    assert len(content) < 2_600_000
+    old = tmp_path / "old.html"
+    old.write_text(content.replace("<body>", "<body><script>delete window.DecompressionStream</script>", 1), "utf-8")
+    with opened(browser, old) as page:
+        assert page.evaluate("typeof DecompressionStream") == "undefined"
+        assert page.evaluate("typeof Plotly.react") == "function"
+
+
+def test_on_a_phone_the_place_is_folded_until_it_is_asked_for(browser, results):
+    with opened(browser, results / "pocket.report.html", width=420, height=900) as page:
+        assert not page.locator("#place-view").is_visible()
+        assert page.locator("#place-controls").is_visible()
+        assert page.locator("aside").bounding_box()["height"] < 130
+        page.locator("aside h2 button").click()
+        assert page.locator("#place-view").is_visible()
+    with opened(browser, results / "pocket.report.html") as page:
+        assert page.locator("#place-view").is_visible()
+        assert not page.locator("aside h2 button").is_visible()
 
 
 def test_the_keyboard_reaches_everything(page):

@@ -31,7 +31,7 @@ from postproc.report.kit import (
     Tiles,
     Verdict,
 )
-from postproc.report.kit.plots import Traced
+from postproc.report.kit.parts import Traced
 from tests.html_page import read_page
 from tests.pages.browser import needs_chromium, opened
 

@@ -21,7 +21,8 @@ def test_each_facet_has_the_colour_of_its_deviation(browser, tmp_path):
     row = np.arange(50) + 30
     before[7], row[7] = np.nan, -1
     result = fabricated.with_changes(fabricated.result(), bound=np.full(100, 3e-5))
-    surface = Surface(corners, np.tile([0.0, 0, 1], (50, 1)), before, 0.02 * before, np.full(50, 3e-5), row)
+    normal, none = np.tile([0.0, 0, 1], (50, 1)), np.full(50, -1)
+    surface = Surface(corners, normal, before, 0.02 * before, np.full(50, 3e-5), row, np.zeros(50), none)
     path = tmp_path / "part.html"
     path.write_bytes(b"".join(rendered(result, 1e-5, surface)))
     with opened(browser, path) as page:

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc import cell, robot
+from postproc.correction import read
 from postproc.errors import Issue
-from postproc.program import CIRC, Event
+from postproc.program import CIRC, Document, Event
 from postproc.report import page, summary
-from postproc.report.deviation import places
-from postproc.report.deviation.drawn import drawn_path
-from postproc.report.deviation.operations import operations
+from postproc.report.deviation import data as places
+from postproc.report.path import drawn_path, operation_starts, operations
 from tests import fabricated
+from tests.documentation.pages import ROOT
 from tests.html_page import ReadPage, read_page
 
 _SECTIONS = {"verdict", "numbers", "view3d", "along", "histogram", "worst", "place", "issues", "operations", "model"}
@@ -204,3 +206,58 @@ def test_an_issue_is_told_with_all_its_lines():
     issue = Issue("warning", "no-force", "no force", 3, count=7, lines=(3, 4, 5, 9, 20, 21, 22))
     text = _read(fabricated.with_changes(fabricated.result(), issues=(issue,))).text("issues")
     assert "warning no force 3–5, 9, 20–22 7" in text
+
+
+_HOME = """%
+(ROUGH)
+G91 G28 Z0
+G90
+T1 M6
+G0 X60 Y50 Z50
+G1 Z1 F600
+X70
+G0 Z50
+(FINISH)
+G91 G28 Z0
+G90
+T2 M6
+G0 X60 Y50 Z5
+G1 Z0 F600
+X70
+T3 M6
+G1 X60
+G0 Z50
+M30
+"""
+
+
+@pytest.mark.parametrize("machine", ["clearance_Z = 200.0", "home = [0, -90, 90, 0, 30, 0]"])
+def test_a_comment_before_a_move_to_home_and_a_tool_change_names_what_is_cut_with_that_tool(tmp_path, machine):
+    """The third operation has no comment of its own: it is called by its tool."""
+    text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(f"{text}\n[machine]\n{machine}\n", encoding="utf-8")
+    model, setup = robot.load(robot.find("kuka_kr270")), cell.load(tmp_path / "cell.toml")
+    program = read([Document("part.nc", _HOME)], model, setup, "part", "gcode")
+    cutting = np.flatnonzero(~program.motions.rapid)
+    starts = operation_starts(program, np.arange(len(program.motions)))
+    last = np.array(sorted(starts))[np.searchsorted(sorted(starts), cutting, side="right") - 1]
+    assert [starts[row] for row in last.tolist()] == [("ROUGH", 1)] * 2 + [("FINISH", 2)] * 2 + [("T3", 3)]
+
+
+def test_of_many_targets_every_row_of_a_table_leads_to_its_own_line():
+    """Thinning keeps what tables name: worst places close to each other, operations, issues."""
+    base = fabricated.result(50_000)
+    before = base.before.copy()
+    before[20_000:20_024] = np.linspace(5e-3, 4e-3, 24)
+    events = tuple(Event(row, "comment", row + 3, text=f"POCKET {row}") for row in (0, 12_347, 33_331))
+    issues = tuple(Issue("warning", "near", "look here", row + 3) for row in (7, 20_011, 41_113, 49_998))
+    program = replace(base.program, events=events)
+    read = _read(fabricated.with_changes(base, before=before, program=program, issues=issues))
+    line = read.columns()["source_line"]
+    rows = [row for row in read.rows if row["data-place"] is not None]
+    assert {row["in"] for row in rows} >= {"worst", "operations", "issues"}
+    assert len(line) < 50_000
+    for row in rows:
+        wanted = int(row["data-source-line"])
+        found = line[int(row["data-place"])]
+        assert found == wanted or (row["in"] == "operations" and abs(found - wanted) <= 1)  # it may begin with a rapid

@@ -8,6 +8,7 @@ import trimesh
 from msgspec.structs import replace
 
 from postproc.frames import pose_from_xyzabc
+from postproc.jobs.part_file import read_facets
 from postproc.machining.tool import Cutter
 from postproc.program import LIN
 from postproc.report.surface import Surface, glb, ply, surface
@@ -139,6 +140,65 @@ def test_a_part_whose_program_has_two_bases_lies_in_its_own_frame():
     np.testing.assert_allclose(moved.before, surface(one, corners, FLAT).before, atol=1e-9)
 
 
+@pytest.mark.parametrize("cutters", [FLAT, BALL, None])
+@pytest.mark.parametrize("higher", [0.0, 2e-4, 1e-3, 3e-3, 8e-3])
+def test_a_mesh_that_is_too_high_is_cut_into_by_the_programmed_path_as_deep(cutters, higher):
+    """Passes at two depths: the deeper one cuts, and is found where the upper one is nearer."""
+    x, y = np.linspace(-0.01, 0.06, 15), np.arange(-0.005, 0.058, 0.003)
+    lower = _zigzag(x, y, lambda x, y: 0 * x)
+    points = np.concatenate([lower + np.array([0, 0, 0.009]), lower])
+    box = trimesh.creation.box(bounds=[[0, 0, -0.02], [0.05, 0.05, higher]])
+    vertices, faces = trimesh.remesh.subdivide_to_size(box.vertices, box.faces, 0.0021)
+    corners = _facets(vertices, faces)
+    upper = (corners[:, :, 2] > higher - 1e-9).all(axis=1)
+    found = surface(_result(points, [0, 0, -1e-5]), corners, cutters)
+    if higher == 0.0:
+        assert (found.programmed_row < 0).all()
+        assert cutters is None or found.programmed[upper] == pytest.approx(0.0, abs=MICRON)
+        return
+    cut = found.programmed_row >= 0
+    assert (found.programmed_row[cut] >= len(lower)).all()
+    ridge = 0.0 if cutters is not BALL else 0.005 - np.sqrt(0.005**2 - 0.0015**2)  # half-way between passes
+    assert -found.programmed[cut].min() == pytest.approx(higher, abs=MICRON)
+    inner = upper & (np.abs(corners[:, :, :2] - 0.025) < 0.015).all(axis=(1, 2))  # no side of the box is nearer
+    assert cutters is None or found.programmed[inner].max() <= max(-(higher - ridge - 2e-6), 0.0) + MICRON
+
+
+def test_a_mesh_that_is_shifted_sideways_is_cut_into_by_the_shift_not_by_its_height():
+    box = trimesh.creation.box(extents=(0.03, 0.02, 0.01))
+    box.apply_translation((0.0, 0.0, -0.005))
+    way = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * [0.02, 0.015]
+    points = np.column_stack([way, np.full(5, -0.011)])  # a tool of radius 5 mm along the outline, through its bottom
+    for vertices, faces in [trimesh.remesh.subdivide_to_size(box.vertices, box.faces, 4e-4)]:
+        for shift in (0.0, 1e-3):
+            found = surface(_result(points, [0, 0, -1e-5]), _facets(vertices + np.array([shift, 0, 0]), faces), FLAT)
+            assert -found.programmed[found.programmed_row >= 0].min(initial=0.0) == pytest.approx(shift, abs=2e-5)
+
+
+def test_a_mesh_that_is_too_low_is_left_by_the_programmed_path():
+    size = 0.05
+    points = _zigzag(np.linspace(-0.01, size + 0.01, 15), np.arange(0, size + 0.003, 0.003), lambda x, y: 0 * x)
+    found = surface(_result(points, [0, 0, -1e-5]), _plane(size, 17) - np.array([0, 0, 5e-4]), FLAT)
+    assert (found.programmed_row < 0).all()
+    assert found.programmed == pytest.approx(5e-4, abs=MICRON)
+
+
+def test_what_a_coarse_mesh_stands_off_its_surface_is_not_cut_into(tmp_path):
+    """A hole as its chords: a tool along its wall, exactly, cuts into the chords by their height."""
+    ring = trimesh.creation.annulus(r_min=10.0, r_max=20.0, height=5.0, sections=24)
+    ring.apply_translation((0, 0, -2.5))
+    ring.export(tmp_path / "ring.stl")
+    corners, coarse = read_facets(tmp_path / "ring.stl")
+    angle = np.linspace(0.0, 2.0 * np.pi, 721)
+    points = np.column_stack([0.005 * np.cos(angle), 0.005 * np.sin(angle), np.full(721, -0.006)])
+    exact = surface(_result(points, [0, 0, -1e-5]), corners, FLAT)
+    height = 0.01 * (1.0 - np.cos(np.pi / 24))
+    assert -np.nanmin(exact.programmed) == pytest.approx(height, rel=0.05)
+    assert coarse.max() == pytest.approx(2 * height, rel=0.1)  # of the outer side, which is twice as large
+    allowed = surface(_result(points, [0, 0, -1e-5]), corners, FLAT, coarse=coarse)
+    assert (allowed.programmed_row < 0).all()
+
+
 def test_rapid_moves_touch_nothing():
     points = _zigzag(np.linspace(0, 0.05, 11), np.arange(0, 0.05, 0.004), lambda x, y: 0 * x)
     found = surface(_result(points, [0, 0, 1e-4], np.ones(len(points), dtype=bool)), _plane(0.05, 5), FLAT)
@@ -149,7 +209,9 @@ def test_colours_and_numbers_of_the_file_are_those_of_the_facets():
     corners = _plane(0.05, 3)
     values = np.linspace(-2e-5, 2e-5, 9)
     values[4] = np.nan
-    made = Surface(corners, np.tile([0.0, 0, 1], (9, 1)), values, 0.1 * values, None, np.where(np.isnan(values), -1, 3))
+    row = np.where(np.isnan(values), -1, 3)
+    normal = np.tile([0.0, 0, 1], (9, 1))
+    made = Surface(corners, normal, values, 0.1 * values, None, row, np.zeros(9), np.full(9, -1))
     content = ply(made, 1e-5)
     mesh = trimesh.load(trimesh.util.wrap_as_stream(content), file_type="ply", process=False)
     assert mesh.faces.tolist() == np.arange(27).reshape(9, 3).tolist()

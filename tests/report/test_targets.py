@@ -6,7 +6,7 @@ import io
 import numpy as np
 
 from postproc.frames import xyzabc_from_pose
-from postproc.report import COLUMNS, targets_csv
+from postproc.report import TARGET_COLUMNS, targets_csv
 from tests import fabricated
 
 
@@ -16,13 +16,13 @@ def _read(result):
 
 
 def test_columns_are_those_of_the_contract_in_order():
-    assert ",".join(COLUMNS) == (
+    assert ",".join(TARGET_COLUMNS) == (
         "output_line,source_line,t,rapid,X,Y,Z,A,B,C,X_cmd,Y_cmd,Z_cmd,A_cmd,B_cmd,C_cmd,Fx,Fy,Fz,Mx,My,Mz,dX,dY,dZ,"
         "before_mm,after_mm,u95_mm,A1,A2,A3,A4,A5,A6"
     )
     _, text = _read(fabricated.result(3))
-    assert text.splitlines()[0] == ",".join(COLUMNS)
-    assert all(line.count(",") == len(COLUMNS) - 1 for line in text.splitlines())
+    assert text.splitlines()[0] == ",".join(TARGET_COLUMNS)
+    assert all(line.count(",") == len(TARGET_COLUMNS) - 1 for line in text.splitlines())
     assert text.endswith("\n")
     assert "\r" not in text
 
@@ -80,7 +80,7 @@ def test_bound_is_empty_without_covariance_and_a_number_with_it():
 
 
 def test_a_result_without_targets_is_a_header_alone():
-    assert _read(fabricated.result(0))[1] == ",".join(COLUMNS) + "\n"
+    assert _read(fabricated.result(0))[1] == ",".join(TARGET_COLUMNS) + "\n"
 
 
 def test_rows_do_not_depend_on_where_the_chunks_end(monkeypatch):

@@ -12,7 +12,7 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
         "part.nc  on kuka_kr270: 100 targets\n"
         "Look before you run it.\n"
         "  - how far the part will be off is unknown: the robot model states no uncertainty of its parameters\n"
-        "  - line 12 and 310 more: cutting moves <without> a force: none is assumed\n"
+        "  - line 12 and 310 more: cutting moves <without> a force: zero force is assumed\n"
         "\n"
         "  deviation [mm]  before   after  improvement\n"
         "  max                1.5  0.0002         7500\n"
@@ -60,7 +60,7 @@ def test_where_there_was_nothing_to_correct_no_noise_is_printed(mode):
         fabricated.result(mode=mode), before=noise, after=noise * 0.9, between=1e-13, wrench=np.zeros((100, 6))
     )
     text = of_one(summary(result, 1e-5))
-    assert "Nothing to correct: no cutting move carries a force, the arm stands as programmed." in text
+    assert "Nothing to correct: no cutting move carries a force, the tool follows the programmed path." in text
     assert "improvement" not in text
     assert "compensated" not in text
 

@@ -184,3 +184,12 @@ def test_three_points_on_a_line_give_a_circle_that_is_finite():
     a = np.array([[0.1, 0.2, 0.3], [1.0, 1.0, 1.0]])
     b, c = a + np.array([0.05, 0.05, 0.0]), a + np.array([0.1, 0.1, 0.0])
     assert all(np.isfinite(each).all() for each in toolpath.circle_through(a, b, c))
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 100.0])
+def test_a_flat_arc_of_any_size_is_an_arc(length):
+    """The sagitta is a billionth of the chord: beyond rounding, and no line."""
+    a, b, c = (np.array([[x * length, y * length, 0.0]]) for x, y in ((0.0, 0.0), (0.5, 1e-9), (1.0, 0.0)))
+    centre, _, _, angle = toolpath.circle_through(a, b, c)
+    assert angle[0] == pytest.approx(8e-9, rel=1e-6)
+    assert centre[0] == pytest.approx([0.5 * length, -length / 8e-9, 0.0], rel=1e-6)

@@ -9,7 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc import correction, jobs, kinematics, robot, toolpath
+from postproc import correction, frames, jobs, kinematics, robot, toolpath
+from postproc.program import Carriage
 from postproc.under_load import ImpossiblePathError, bounds
 from tests.programs import program
 
@@ -55,9 +56,13 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
         bounds.check_between(made, ROBOT, path)
 
 
+@pytest.mark.parametrize("zero_of_A5", [0.0, np.pi], ids=["outstretched", "folded back"])
 @pytest.mark.parametrize("name", sorted(robot.shipped()))
-def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str) -> None:
+def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str, zero_of_A5: float) -> None:
     model = jobs.load_robot(name)
+    placement = model.nominal.placement.copy()
+    placement[4, :3, :3] @= frames.rotation_from_vector(zero_of_A5 * model.nominal.axis[4])
+    model = replace(model, nominal=replace(model.nominal, placement=placement))
     rng = np.random.default_rng(3)
     q = rng.uniform(-np.pi, np.pi, (50_000, 6))
     away = np.linalg.norm(kinematics.tcp(model.nominal, q, np.eye(4))[0][:, :3, 3], axis=1)
@@ -92,7 +97,7 @@ def test_ends_are_refused_exactly_beyond_the_reach_and_the_message_says_by_how_m
         issue = refused(made)
         assert (issue is not None) == bad
     assert (issue.kind, issue.source_line) == ("unreachable", 2)
-    assert f"up to {REACH * 1001:.0f} mm from the robot's root, and gets {REACH * 1000:.0f} mm far" in issue.message
+    assert f"up to {REACH * 1001:.0f} mm from the robot's root, and its reach is {REACH * 1000:.0f} mm" in issue.message
 
 
 def arc(angles, centre, radius, height=1000.0):
@@ -114,7 +119,7 @@ def test_an_arc_whose_ends_are_within_reach_is_refused_where_it_swings_out_of_it
         issue = refused(program(arc((first, first + sweep), centre, radius), orientation=DOWN))
         assert (issue is not None) == bad
     assert (issue.kind, issue.source_line) == ("unreachable", 4)
-    assert f"farther than the {REACH * 1e3:.0f} mm that the flange gets" in issue.message
+    assert f"leaves the reach of the flange, {REACH * 1e3:.0f} mm" in issue.message
 
 
 def test_full_circles_are_refused_by_their_radius_alone() -> None:
@@ -127,13 +132,30 @@ def test_full_circles_are_refused_by_their_radius_alone() -> None:
     assert issue.kind == "unreachable"
 
 
+def test_full_circles_may_be_anywhere_within_reach() -> None:
+    """Behind the robot, far from the origin of $BASE."""
+    start, centre = at_flange(-1100.0, 0.0, 1000.0), at_flange(-1000.0, 0.0, 1000.0)
+    made = program([*HEAD, ("LIN", *start), ("CIRC", *start, *centre, 360.0, UP)], orientation=DOWN)
+    assert np.linalg.norm(np.add(start, centre)) > 1.2e3 * REACH
+    assert refused(made) is None
+
+
+def test_ends_are_seen_from_where_the_linear_axis_has_carried_the_robot() -> None:
+    for size, bad in ((0.999, False), (1.001, True)):
+        spot = at_flange(1e3 * (1.0 + size * REACH), 0.0, 0.0)
+        made = program([("PTP", 0, 0, 50), ("PTP", *spot)], orientation=DOWN)
+        assert refused(made) is not None
+        carriage = Carriage(np.array([0.0, 0.0]), np.array([0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
+        assert (refused(replace(made, carriage=carriage)) is not None) == bad
+
+
 def test_arcs_of_up_to_a_thousand_turns_are_taken() -> None:
     for turns, bad in ((999.0, False), (1002.5, True)):
         made = program([*HEAD, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * turns, UP)], orientation=DOWN)
         issue = refused(made)
         assert (issue is not None) == bad
     assert (issue.kind, issue.source_line) == ("turns", 3)
-    assert issue.message.startswith("an arc of 1002.5 turns: more than 1000 are taken for a mistake")
+    assert issue.message.startswith("an arc of 1002.5 turns, more than the permitted 1000")
 
 
 def test_the_longest_path_is_some_thousand_times_the_reach(monkeypatch) -> None:
@@ -147,7 +169,7 @@ def test_the_longest_path_is_some_thousand_times_the_reach(monkeypatch) -> None:
         issue = refused(made)
         assert (issue is not None) == bad
     assert (issue.kind, issue.source_line) == ("path-length", 1)
-    assert issue.message.startswith("the path is 0 km long: more than 10 times the reach of the robot")
+    assert issue.message.startswith("the path is 0 km long, more than 10 times the reach of the robot")
 
 
 def test_axis_targets_are_not_asked_where_they_are() -> None:

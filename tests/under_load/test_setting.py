@@ -42,6 +42,23 @@ def test_payload_start_and_output_of_the_cell_are_those_of_its_file_in_si_units(
     assert (setting.spindle, setting.ramp, setting.tolerance) == ("+Z", pytest.approx(1e-3), pytest.approx(1e-5))
 
 
+@pytest.mark.parametrize("own", [(0.3, 0.2, 0.05, 20.0, 10.0, 5.0), (0.05, 0.2, 30.0, 5.0, 10.0, 20.0)])
+def test_holder_and_tool_add_their_largest_compliance_to_that_of_the_arm(own):
+    setting = RobotInCell.of(ROBOT, CELL)
+    soft = RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, tool_compliance=cells.ToolCompliance(*own)))
+    added = np.subtract(soft.softness(TOOLS[1]), setting.softness(TOOLS[1]))
+    np.testing.assert_allclose(added, [max(own[:3]) * 1e-6, 20e-6], rtol=1e-9)
+
+
+@pytest.mark.parametrize("component", range(6))
+def test_a_tool_that_is_compliant_in_one_component_is_no_rigid_tool(component):
+    own = np.eye(6)[component]
+    setting = RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, tool_compliance=cells.ToolCompliance(*own.tolist())))
+    assert setting.tool_spring is not None
+    assert setting.tool_spring.compliance.tolist() == pytest.approx(own * 1e-6)
+    assert RobotInCell.of(ROBOT, CELL).tool_spring is None
+
+
 def test_rest_is_nominal_only_of_a_calibrated_robot_of_nominal_geometry_without_payload():
     assert RobotInCell.of(ROBOT, CELL).rest_is_nominal
     assert not RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, payload=PAYLOAD)).rest_is_nominal
@@ -88,7 +105,7 @@ def two_frames(cell=CELL, carriage=None):
     made = program(moves, NOTES, bases=BASES, tools=TOOLS, base=[0, 0, 1, 1], orientation=DOWN)
     made = replace(made, motions=replace(made.motions, tool=np.array([0, 0, 0, 1])), carriage=carriage)
     motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, cell), None)
-    return PathUnderLoad.of(motions, motions.pieces())
+    return PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
 
 
 @CARRIAGES
@@ -155,7 +172,7 @@ def test_places_are_chosen_by_a_share_of_the_tolerance(monkeypatch):
 def test_places_asked_for_in_addition_are_sampled_in_place_of_those_of_the_forces():
     motions = two_frames().motions
     also = (np.array([1, 3]), np.array([0.123, 0.777]))
-    path = PathUnderLoad.of(motions, motions.pieces(), also)
+    path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), also)
     for motion, t in zip(*also, strict=True):
         assert ((path.sample.motion == motion) & (path.sample.t == t)).any()
 
@@ -167,7 +184,7 @@ def test_where_the_axes_of_the_feed_turn_with_the_tool_there_are_samples_between
     motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
     motion, t = motions.swung
     assert len(motion) > 3
-    path = PathUnderLoad.of(motions, motions.pieces())
+    path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     for one, at in zip(motion, t, strict=True):
         assert ((path.sample.motion == one) & (np.abs(path.sample.t - at) < 1e-12)).any()
 
@@ -176,7 +193,7 @@ def test_a_sample_out_of_reach_names_its_line():
     far = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", -1500, 200, -500)], orientation=DOWN)
     motions = MotionsUnderLoad.of(far, RobotInCell.of(ROBOT, CELL), None)
     with pytest.raises(ImpossiblePathError) as found:
-        PathUnderLoad.of(motions, motions.pieces())
+        PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     assert (found.value.issue.kind, found.value.issue.level, found.value.issue.source_line) == (
         "unreachable",
         "error",

@@ -118,7 +118,7 @@ def test_the_command_puts_the_tip_at_its_target_and_turns_it_back():
 def test_each_of_the_six_compliances_shifts_or_turns_along_its_own_axis_of_the_tool():
     turned = Rotation.from_euler("ZYX", [[30.0, -50, 110], [-70.0, 20, 10]], degrees=True).as_matrix()
     spring = ToolSpring(SOFT.diagonal())
-    found = spring.given_way(turned, WRENCH)
+    found = spring.deflection(turned, WRENCH)
     matrices = spring.matrices(turned)
     for row in range(2):
         axes = np.block([[turned[row], np.zeros((3, 3))], [np.zeros((3, 3)), turned[row]]])

@@ -8,8 +8,9 @@ Decisions where controls differ:
 - **G61, G61.1** switch approximate positioning off, **G64** switches it on again. ``G64 P`` allows the path to leave a
   corner by P. The approximation distance is then at most 2·P: the parabola of the controller leaves the corner by half
   the distance times the sine of half the turn, so no corner is rounded by more than P.
-- **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first. A retract along the tool is the
-  exception: it is a rapid, as on Fanuc controls, whose posts rely on it.
+- **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first. A retract along the tool, and
+  moves at heights to which the program has moved in rapid, are rapids, as on Fanuc controls, whose posts rely on it.
+- **G41, G42** with D0 are without effect. Others are refused: the radius is not in the program.
 - **F** is in the units of its own block, also if G20 or G21 is in the same block.
 - **A0, U0** (and B, C, V, W) keep an axis at zero that the robot does not have: they are ignored, and an issue says so.
 - **%**: the first one opens the program (text after it is ignored), the next one ends it. A program that begins with %
@@ -411,6 +412,7 @@ class _Reader:
         for step in (
             self._smoothing,
             self._modes,
+            self._radius,
             self._frames,
             self._dwell,
             self._blending,
@@ -466,6 +468,7 @@ class _Reader:
             elif (
                 self._tip(row, f"G{code:g}")
                 or self._said_before(code)
+                or code in codes.RADIUS
                 or (row in self.smooth and code in codes.SMOOTHING)
             ):
                 pass
@@ -516,6 +519,16 @@ class _Reader:
             if seconds > _LONG_DWELL_S:
                 message = f"Dwell of {seconds:g} s: P is in seconds. Check it if your control counts milliseconds."
                 self._remark("warning", "dwell", message, row)
+
+    def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        """Read G41 and G42: without effect with D0, which is no radius."""
+        for code in g:
+            if code in codes.RADIUS and values.get("D") != 0.0:
+                raise BlockError(*codes.refusal("G", code))
+            if code in codes.RADIUS:
+                del values["D"]
+                message = "Radius compensation with D0 has no effect: the path is read as that of the tool centre."
+                self._remark("info", "radius-compensation", message, row)
 
     def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.BLENDING in g:

@@ -1,8 +1,12 @@
 """From lines to moves: modal state of all lines, then start and end of each move in its program frame.
 
-Lines between two changes of mode are processed together. Where the tool is before the program starts is not used: no
-coordinate comes from there. Rapid moves are held back until X, Y and Z have all been programmed, and again after G28
-for the axes that it sends home.
+Lines between two changes of mode are processed together. Rapid moves are held back until X, Y and Z have all been
+programmed, and again after G28 for the axes that it sends home. If the program begins with moves at feed instead
+(Fusion: "Using high feed G1 F5000. instead of G0."), all moves begin at `[start]` of the cell, and no force may act
+until X, Y and Z have been programmed.
+
+After G80 a Fanuc control takes coordinates without a motion code as a rapid, LinuxCNC refuses them. They are read as
+a rapid if they retract along the tool, or stay at or above a height to which the program has moved in rapid before.
 """
 
 from __future__ import annotations
@@ -168,6 +172,7 @@ class Moves(Struct, frozen=True, eq=False):
     :param frames: (nf, 4, 4) program frames in `$BASE` [m].
     :param events: events of cycles: number of moves before, row, event.
     :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
+    :param started: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
     :param offset: (L,) active work offset of each line.
     :param faults: row, problem, advice.
     :param remarks: row, level, kind and message for the user.
@@ -185,6 +190,7 @@ class Moves(Struct, frozen=True, eq=False):
     frames: Array
     events: Sequence[tuple[int, int, CycleEvent]]
     unknown: Sequence[tuple[int, int]]
+    started: int
     offset: Array
     faults: Sequence[tuple[int, str, str | None]]
     remarks: Sequence[tuple[int, Level, str, str]]
@@ -201,6 +207,16 @@ class Moves(Struct, frozen=True, eq=False):
 def moves_of(rows: LineStates, modes: Modes, setting: CellFrames) -> Moves:
     """Return the moves of a program; the positions of those on lines of `Moves.unknown` are meaningless."""
     return _Walk(rows, modes, setting).moves()
+
+
+def goes_up_first(rows: LineStates, first: int, complete: int) -> bool:
+    """Return whether the last Z before line `complete` is the highest of the program.
+
+    Programs for hobby controls go up by G1 first, and then to the start position.
+    """
+    z = rows.xyz[first:complete, 2]
+    z = z[~np.isnan(z)]
+    return bool(len(z)) and not rows.incremental.any() and bool(z[-1] >= np.nanmax(rows.xyz[:, 2]))
 
 
 class _Walk:
@@ -518,8 +534,8 @@ class _Walk:
         row = np.concatenate([part[0] for part in parts])
         code, begin, end, turn = (np.concatenate([part[n] for part in parts]) for n in (1, 2, 3, 4))
         frame, tool = (np.repeat([part[n] for part in parts], [len(part[0]) for part in parts]) for n in (5, 6))
-        unknown = self._unknown()
-        self._retracts(row, code, end - begin, turn, unknown)
+        unknown, started = self._from_start(self._unknown())
+        self._after_g80(row, code, begin, end, turn, frame, flags[0], unknown)
         return Moves(
             row=row,
             code=code,
@@ -533,32 +549,78 @@ class _Walk:
             frames=np.stack(self.frames),
             events=self.events,
             unknown=unknown,
+            started=started,
             offset=self.offset,
             faults=self.faults,
             remarks=self.remarks,
         )
 
-    def _retracts(self, row: Ints, code: Array, step: Array, turn: Array, unknown: Sequence[tuple[int, int]]) -> None:
-        """Turn bare coordinates after G80 into rapids (in place) if they retract along the tool; refuse others.
+    def _after_g80(
+        self,
+        row: Ints,
+        code: Array,
+        begin: Array,
+        end: Array,
+        turn: Array,
+        frame: Ints,
+        bottom: Bools,
+        unknown: Sequence[tuple[int, int]],
+    ) -> None:
+        """Turn coordinates after G80 without a motion code into rapids (in place) where that is safe; refuse others.
 
-        A Fanuc control moves in rapid there, LinuxCNC refuses all of them.
-
-        :param step: (N, 3) end minus start of the moves.
+        :param row: (N,), and so on: see `Moves`.
         """
         at = np.flatnonzero(code == codes.CANCEL_CYCLE)
         if not len(at):
             return
         tool = direction(self.setting.axes, turn[at, 1] * RAD_PER_DEG)
-        along = np.einsum("ni,ni->n", step[at], tool)
-        aside = np.abs(step[at] - along[:, None] * tool).max(axis=1)
-        retracts = (along > 0.0) & (aside < _FEWEST) & (turn[at, 0] == turn[at, 1]).all(axis=1)
+        step = end[at] - begin[at]
+        along = np.einsum("ni,ni->n", step, tool)
+        aside = np.abs(step - along[:, None] * tool).max(axis=1)
+        safe = (along > 0.0) & (aside < _FEWEST)
+        if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], one[:3, :3]) for one in self.frames[1:]):
+            height = end[:, 2] + np.array([one[:3, 2] @ one[:3, 3] for one in self.frames])[frame] / M_PER_MM
+            rapid = (code == 0.0) & ~bottom
+            for first, last in unknown:
+                rapid &= (row < first) | (row >= last)
+            lowest = np.minimum.accumulate(np.where(rapid, height, np.inf))[at]
+            safe |= np.isfinite(lowest) & (height[at] >= lowest - _FEWEST)
+        safe &= (turn[at, 0] == turn[at, 1]).all(axis=1)
         for first, last in unknown:
-            retracts &= (row[at] < first) | (row[at] > last)
-        code[at[retracts]] = 0.0
-        message = "A retract without G0 after G80 is read as a rapid, as on Fanuc controls."
-        self.remarks += [(int(n), "info", "motion-after-g80", message) for n in row[at[retracts]]]
-        for n in row[at[~retracts]][:1].tolist():
-            self.faults.append((n, "coordinates without G0, G1, G2 or G3", "Write the motion code."))
+            safe &= (row[at] < first) | (row[at] > last)
+        code[at[safe]] = 0.0
+        message = "Coordinates without G0 after G80 are read as a rapid, as on Fanuc controls."
+        self.remarks += [(int(n), "info", "motion-after-g80", message) for n in row[at[safe]]]
+        advice = "Write the motion code. A rapid is assumed only at heights to which the program has moved in rapid."
+        for n in row[at[~safe]][:1].tolist():
+            self.faults.append((n, "coordinates without G0, G1, G2 or G3", advice))
+
+    def _from_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
+        """Return ranges with an unknown position, without the first if its moves begin at `[start]`; its last row."""
+        rows = self.rows
+        first, last = unknown[0]
+        here = slice(first, min(last + 1, self.count))
+        placed = rows.placed[here]
+        feeds = placed & (rows.motion[here] == 1.0)
+        if (
+            not feeds.any()
+            or last >= self.count
+            or np.isnan(rows.xyz).all(axis=0).any()
+            or (placed & rows.incremental[here]).any()
+            or (rows.moving[here] & (rows.motion[here] >= 2.0)).any()
+            or rows.drilling[here].any()
+            or (self.offset[here][placed] != self.offset[here][placed][0]).any()
+            or last == first + int(np.argmax(placed))
+            or rows.motion[first + int(np.argmax(placed))] != 1.0
+            or goes_up_first(rows, first, last)
+        ):
+            return unknown, -1
+        message = (
+            "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
+            "free."
+        )
+        self.remarks.append((first + int(np.argmax(feeds)), "warning", "from-start", message))
+        return [(first, first), *unknown[1:]], last
 
     def _unknown(self) -> list[tuple[int, int]]:
         """Return ranges of rows with an unknown position: each lasts until every lost axis is programmed again."""

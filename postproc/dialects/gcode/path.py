@@ -25,7 +25,16 @@ from postproc.cell import Rotary
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.modes import Modes
-from postproc.dialects.gcode.moves import LEVEL, CellFrames, LineStates, Moves, in_force, line_states_of, moves_of
+from postproc.dialects.gcode.moves import (
+    LEVEL,
+    CellFrames,
+    LineStates,
+    Moves,
+    goes_up_first,
+    in_force,
+    line_states_of,
+    moves_of,
+)
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MOST, Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
@@ -255,23 +264,13 @@ def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callabl
         problem = "incremental move before the position is known"
         check(early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
-        above = begin == complete or _is_above(rows, first, complete)
+        above = begin == complete or goes_up_first(rows, first, complete)
         cutting = early & (straight & (not above) | rows.drilling) & ~doubt.motion
         check(cutting, "cutting move before the position is known", advice, first=True)
         turning = rows.moving & arc & within & ~doubt.motion & ~doubt.position
         check(turning, "arc before the position is known", advice, first=True)
         elsewhere = early & (moves.offset != moves.offset[begin])
         check(elsewhere, "change of the work offset before the position is known", advice, first=True)
-
-
-def _is_above(rows: LineStates, first: int, complete: int) -> bool:
-    """Return whether the last Z before line `complete` is the highest of the program.
-
-    Programs for hobby controls go up by G1 first, and then to the start position.
-    """
-    z = rows.xyz[first:complete, 2]
-    z = z[~np.isnan(z)]
-    return bool(len(z)) and not rows.incremental.any() and bool(z[-1] >= np.nanmax(rows.xyz[:, 2]))
 
 
 class _Doubt:
@@ -335,6 +334,7 @@ class MotionPath(Struct, frozen=True, eq=False):
     :param swivel: see `Program`.
     :param row: (M,) row of each motion, never decreasing.
     :param still: (n,) rows of moves without a motion, ascending: moves of zero length, and those held back.
+    :param unforced: (n,) motions at feed that come from `[start]` of the cell.
     :param held_back: (n,) the rows of `still` with rapid moves before the position is known.
     :param events: events of cycles: index of the motion after it, row, event.
     :param remarks: row, level, kind and message for the user.
@@ -343,6 +343,7 @@ class MotionPath(Struct, frozen=True, eq=False):
     motions: Motions
     swivel: Swivel | None
     row: Ints
+    unforced: Ints
     still: Ints
     held_back: Ints
     events: Sequence[tuple[int, int, CycleEvent]]
@@ -382,7 +383,8 @@ def read_path(
     events = [(int(np.searchsorted(kept, at)), row, event) for at, row, event in moves.events]
     away = moves.row[held_back]
     still = distinct(np.concatenate([away, moves.row[stays]]))
-    return MotionPath(motions, swivel, moves.row[kept], still, distinct(away), events, moves.remarks)
+    unforced = np.flatnonzero((moves.row[kept] <= moves.started) & (moves.code[kept] == 1.0))
+    return MotionPath(motions, swivel, moves.row[kept], unforced, still, distinct(away), events, moves.remarks)
 
 
 def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:

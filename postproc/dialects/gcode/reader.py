@@ -17,9 +17,10 @@ This reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a c
 missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number, more
 than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W) without
 effect, M98 and CALL to files with other names than LinuxCNC's, G15, G40.1, G50, G50.1 and G69, G5.1 Q, G187 and the
-like, ``:1001``, a retract after G80 without G0. It accepts less: a cutting or relative move or a change of the work
-offset before X, Y and Z have been programmed (rs274 begins at zero; only a G1 with all three may come first, or one up
-to the highest Z), parameters that the program has not set, coordinates after a closing ``%``, signs like ``--1``,
+like, ``:1001``, coordinates after G80 without G0 at the height of rapid moves (Fanuc: a rapid), G41 and G42 with D0,
+brackets in comments. It accepts less: a relative move, an arc, a cycle or a change of the work offset before X, Y
+and Z have been programmed (rs274 begins at zero), a G1 after a G0 before that (a program that begins with G1 begins at
+`[start]`), parameters that the program has not set, coordinates after a closing ``%``, signs like ``--1``,
 decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program without motion, and every code that
 `codes` refuses. Each of these has a test. In G18 and G19 rs274 confuses the axes of G84.
 """
@@ -116,7 +117,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
     notes, events = _events(run, path, modes, comments)
     line = run.main[path.row]
     line.flags.writeable = False
-    issues = (*_issues(path, modes), *modes.issues)
+    issues = (*_issues(path, modes), *modes.issues, *_brackets(run, comments))
     return Program(
         name=name,
         dialect="gcode",
@@ -127,6 +128,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         notes=notes,
         events=events,
         swivel=path.swivel,
+        unforced=path.unforced,
         still=distinct(run.main[path.still]),
         issues=(
             *(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
@@ -189,6 +191,19 @@ def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote
             continue
         found.append((line - 1, text.strip() if note is None else note))
     return found, list(wrong.values())
+
+
+def _brackets(run: Executed, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
+    """Report brackets in comments."""
+    rows = [row for row, text in comments if isinstance(text, str) and "(" in text]
+    if rows:
+        spans = [line_spans(document.text) for document in run.documents]
+        for row in rows:
+            n, line = int(run.document[row]), int(run.line[row]) - 1
+            before = run.documents[n].text[spans[n][0][line] : spans[n][1][line]].partition("(")[0]
+            if ";" not in before:
+                message = "Brackets in a comment: LinuxCNC, Fanuc and Haas controls refuse them. They are read as text."
+                yield Issue("info", "brackets", message, row + 1)
 
 
 def _events(

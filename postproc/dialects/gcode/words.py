@@ -37,6 +37,10 @@ MARK = "\x01"
 
 _COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)"}
 """First character of a comment → its pattern. Most programs use one form, and a search for one pattern is fast."""
+_NESTED = re.compile(r"\([^()\r\n]*\(")
+_COMMENTS_NESTED = r"\(((?:[^()\r\n]|\([^()\r\n]*\))*)\)"
+_INNER = re.compile(r"\([^()]*\)")
+_BLOCK = re.compile(r"(?:[A-Z][-+]*(?:[\d.]+|[#\[].*))+", re.IGNORECASE)
 _PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
 _COORDINATE = re.compile(rb"[XYZ][-+.\d#\[]")
 _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
@@ -96,20 +100,26 @@ class Source(Struct, frozen=True, eq=False):
 def split(document: Document, line_starts: Ints) -> Source:
     """Return a program in upper case, without comments and white space.
 
-    A bracket outside comments (nested, or not closed in its line) stays in the code.
+    A bracket outside comments (not closed in its line) stays in the code. Brackets in a comment belong to it unless a
+    control that ends the comment at the first closing bracket could read a block behind that.
 
     :param line_starts: as `postproc.dialects.text.line_starts` gives them for the text.
     """
     text = document.text.replace(MARK, "?")
     comments: tuple[str, ...] = ()
     at = np.empty(0, dtype=np.int64)
+    nested = _NESTED.search(text) is not None
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
+    if nested:
+        forms[0] = _COMMENTS_NESTED
     if forms:
         parts: list[str] = []
         found: list[str] = []
         starts: list[int] = []
         after = 0
         for match in re.finditer("|".join(forms), text):
+            if nested and not _is_comment(match[0]):
+                continue
             starts.append(match.start())
             found.append(match[match.lastindex or 1])
             parts.append(text[after : starts[-1]])
@@ -123,6 +133,12 @@ def split(document: Document, line_starts: Ints) -> Source:
     code = b"\n" + packed if packed.endswith(b"\n") else b"\n" + packed + b"\n"
     ends = np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n"))
     return Source(code, ends, comments, np.searchsorted(line_starts, at, side="right"))
+
+
+def _is_comment(text: str) -> bool:
+    """Return whether no control could read a block behind the first closing bracket of a comment with brackets."""
+    behind = _INNER.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
+    return _BLOCK.fullmatch("".join(behind.split())) is None
 
 
 def read_plain(source: Source, rotary: str = "") -> tuple[dict[str, Array], Ints]:

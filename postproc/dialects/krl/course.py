@@ -1,6 +1,6 @@
-"""The lines of a program in the order in which they run: loops written out, called routines in place of their calls.
+"""The execution trace of a program: its lines in execution order, with loops unrolled and called routines inlined.
 
-Reading and correcting work on that text as on a straight program; `write.folding` leads it back to the files.
+Reading and correction treat this text as a straight program; `write.folding` maps it back to the files.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from postproc.program import Bools, Document
 
 
 class Lines(Struct, frozen=True):
-    """Lines first … last of the course run one after the other."""
+    """Lines first … last of the trace, which run one after the other."""
 
     first: int
     last: int
 
 
 class Kept(Struct, frozen=True):
-    """A control structure on lines first … last of the course: what runs in it only the running robot knows."""
+    """A control structure on lines first … last of the trace whose branch taken is not known before run time."""
 
     first: int
     last: int
@@ -32,9 +32,9 @@ class Kept(Struct, frozen=True):
 
 
 class Occasion(NamedTuple):
-    """A place that the course comes to, perhaps one of several times.
+    """One visit of the trace to a place, which it may reach several times.
 
-    :ivar way: loops around it and calls that lead there, each with its round.
+    :ivar way: enclosing loops and calls, each with its iteration.
     """
 
     place: Place
@@ -42,23 +42,23 @@ class Occasion(NamedTuple):
 
 
 class Fork(Struct, frozen=True):
-    """Behind a line branches follow of which one runs, and it is not known which."""
+    """Branches follow this line; the branch taken is not known before run time."""
 
     line: int
     occasion: Occasion
 
 
 class Branch(Struct, frozen=True):
-    """Behind a line one of the branches begins."""
+    """One of the branches begins after this line."""
 
     line: int
 
 
 class Join(Struct, frozen=True):
-    """Before the line behind this one branches meet.
+    """Control-flow join: branches end at this line.
 
-    :ivar complete: False where it may be that none of them runs.
-    :ivar skipped: True where one of them is what a GOTO or RETURN skips.
+    :ivar complete: False if possibly none of them runs.
+    :ivar skipped: True if one of them is the code that a GOTO or RETURN skips.
     """
 
     line: int
@@ -67,7 +67,7 @@ class Join(Struct, frozen=True):
 
 
 class Enter(Struct, frozen=True):
-    """The call on a line of the course: what follows, up to its `Leave`, runs in the routine."""
+    """The call on a line of the trace: the steps up to its `Leave` run in the routine."""
 
     line: int
     module: Module
@@ -82,9 +82,9 @@ Step = Lines | Kept | Fork | Branch | Join | Enter | Leave
 
 
 class Body(Struct, eq=False):
-    """Lines first … last − 1 of the course that stand together in a file.
+    """Lines first … last − 1 of the trace, which are contiguous in a file.
 
-    :ivar parts: what is written out in them, in order.
+    :ivar parts: unrolled loops and inlined routines in them, in order.
     """
 
     first: int
@@ -93,13 +93,14 @@ class Body(Struct, eq=False):
 
 
 class Repeated(Struct, eq=False):
-    """A loop, written out.
+    """An unrolled loop.
 
     :ivar opener: text of its first line, with its line end; `closer` that of its last.
     :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
-    :ivar left: True where EXIT stands in it.
-    :ivar first: first line of the course; `last` the one behind it.
-    :ivar bodies: what was run, again and again; none: the loop stands as it is.
+    :ivar left: True if it contains EXIT.
+    :ivar first: first line of the trace; `last` the line after it.
+    :ivar bodies: one per iteration; empty if the loop does not run.
+    :ivar endless: True for LOOP without EXIT: its only body is one iteration, which restores the state it began with.
     """
 
     opener: str
@@ -109,12 +110,13 @@ class Repeated(Struct, eq=False):
     first: int
     last: int = 0
     bodies: list[Body] = []
+    endless: bool = False
 
 
 class Called(Struct, eq=False):
-    """A routine in place of its call.
+    """An inlined routine.
 
-    :ivar line: of the course, with the call; `name` the span of the routine's name in it.
+    :ivar line: of the trace, with the call; `name` the span of the routine's name in it.
     """
 
     line: int
@@ -124,18 +126,18 @@ class Called(Struct, eq=False):
 
 
 class Course(Struct, frozen=True, eq=False):
-    """A program in the order in which it runs.
+    """The execution trace of a program.
 
     :param main: the main routine.
-    :param source: the text; that of the `.src` itself where nothing is written out.
-    :param steps: what runs, in order.
+    :param source: the text; that of the `.src` itself if nothing is unrolled or inlined.
+    :param steps: what runs, in execution order.
     :param body: the lines of the main routine.
-    :param live: (L,) False for lines that do not run: branches that are not taken; None: all may.
-    :param inlined: routines that stand in it, and no longer where they stood.
-    :param pinned: those of them that are also reached by a call that is not followed: it must find them as they were.
-    :param files: other files than that of the program from which these are, and their data.
-    :param taken: names, upper case, of programs and GLOBAL routines of all folders, as far as new names are needed.
-    :param users: file of a routine that stands in it → other programs of the folders that name it.
+    :param live: (L,) False for lines that do not run: branches that are not taken; None: all may run.
+    :param inlined: inlined routines.
+    :param pinned: inlined routines that are also reached by a call that is not followed: they must stay unchanged.
+    :param files: other source and data files of the inlined routines.
+    :param taken: names, upper case, of programs and GLOBAL routines of all folders, if new names are needed.
+    :param users: file of an inlined routine → other programs of the folders that name it.
     """
 
     main: Routine
@@ -150,6 +152,12 @@ class Course(Struct, frozen=True, eq=False):
     users: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
+    def endless(self) -> Repeated | None:
+        """The LOOP without EXIT at the end of the program; None if there is none."""
+        last = self.body.parts[-1] if self.body.parts else None
+        return last if isinstance(last, Repeated) and last.endless else None
+
+    @property
     def straight(self) -> bool:
-        """Whether it is the `.src` itself."""
+        """Whether the trace is the `.src` itself."""
         return self.source.origins is None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 
@@ -15,22 +14,22 @@ from postproc.dialects.krl import write
 from postproc.dialects.krl.callers import callers
 from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined, part_of
+from postproc.dialects.krl.language.scan import DEF_LINE
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
-from postproc.dialects.krl.read.folder_files import moving
+from postproc.dialects.krl.read.folder import moving
 from postproc.dialects.text import decode
 from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
 _COMMENT = ";"
-_DEF = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
 
 
 def _parts(path: Path, names: Sequence[str]) -> list[str]:
     """Return the names of the files that a program in several files calls, and of those with its routines.
 
-    :param names: of the files beside it.
+    :param names: of the files next to it.
     """
     if not path.stem.lower().endswith(MAIN.lower()):
         return []
@@ -47,14 +46,14 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def _main_of(part: Document) -> str | None:
-    """Return the name of the main program of which a file is a part: as it says, or as one beside it calls it."""
+    """Return the name of the main program of which a file is a part: as it says, or as one next to it calls it."""
     if (says := part_of(part)) is not None:
         return says
     stem = PurePath(part.name).stem
     wanted = f"{stem.rstrip('0123456789')}{MAIN}.src".lower()
     try:
-        beside = sorted(Path(part.folder).iterdir()) if part.folder and stem[-1:].isdigit() else []
-        for path in (path for path in beside if path.name.lower() == wanted):
+        siblings = sorted(Path(part.folder).iterdir()) if part.folder and stem[-1:].isdigit() else []
+        for path in (path for path in siblings if path.name.lower() == wanted):
             calls = [name.lower() for name, _ in called(decode(path.name, path.read_bytes()))]
             return path.stem if stem.lower() in calls else None
     except (OSError, ProgramError):
@@ -84,7 +83,7 @@ class _Writer:
         return fault_of(name)
 
     def valid(self, name: str) -> str:
-        """Return a name as it stands if the controller accepts it, otherwise one as close to it as possible."""
+        """Return a name unchanged if the controller accepts it, otherwise one as close to it as possible."""
         return valid(name)
 
     def write(
@@ -116,7 +115,7 @@ class _Writer:
 
     def marked(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
         """Return the files with the line that says where they come from: below the first DEF."""
-        return provenance.marked(documents, origin, _COMMENT, _DEF)
+        return provenance.marked(documents, origin, _COMMENT, DEF_LINE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
         """Return what the files of a program say of where they come from."""
@@ -132,7 +131,7 @@ class Krl:
     writer = _Writer()
 
     def companions(self, path: Path) -> list[Path]:
-        """Return the `.dat` beside a program, and the files that it calls if it is in several; letters of any case."""
+        """Return the `.dat` next to a program, and the files that it calls if it is in several; letters of any case."""
         try:
             names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
         except OSError:

@@ -1,4 +1,4 @@
-"""Where the numbers of a program stand in its text: what reading leaves for writing."""
+"""Places of the numbers of a program in its text: what the reader passes to the writer."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.dialects.krl.course import Course
-from postproc.dialects.krl.language.motion_statements import MotionStatement
-from postproc.dialects.krl.language.triggers import Trigger
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.frames import Array
 from postproc.program import Bools, Carriage, Document, Ints, Places
 
@@ -23,17 +22,17 @@ class Layout(Struct, frozen=True, eq=False):
     """The text of M motions. Offsets count characters from the beginning of the text of the course.
 
     :param course: the program in the order in which it runs.
-    :param line: (M,) 1-based lines of the course.
-    :param notes: lines of the course with the force comments of the program, in order.
+    :param line: (M,) 1-based lines of the trace.
+    :param notes: lines of the trace with the force comments of the program, in order.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param missing: (M, 6) True where the text does not give the component.
-    :param spans: (M, 8, 2) where the texts of X, Y, Z, A, B, C, S, T stand; −1 where missing, and throughout for
-        motions in `statements` (their numbers may stand elsewhere).
+    :param spans: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T; −1 where missing, and throughout for
+        motions in `statements` (their numbers may be elsewhere).
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
-    :param via_spans: (M, 3, 2) where X, Y, Z of the auxiliary points of circles stand; −1 as for `spans`.
+    :param via_spans: (M, 3, 2) spans of X, Y, Z of the auxiliary points of circles; −1 as for `spans`.
     :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
     :param resumed: (M,) True where the controller's previous position is an axis target or the start.
     :param orientation: (M,) which of `ORIENTATIONS` `$ORI_TYPE` is; of PTP, which knows none, the first.
@@ -49,7 +48,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param understood: offsets in the `.src` of names whose use the reader followed.
     :param triggers: TRIGGER statements, in order.
     :param carriage: the linear axis E1 that carries the robot.
-    :param broken_off: where RESUME stands in another file that goes back to the program; empty: nowhere.
+    :param broken_off: where RESUME in another file goes back to the program; empty: nowhere.
     :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
     :param files: then, name of each `.src` and the number that its first line has in the one text.
     """
@@ -83,7 +82,7 @@ class Layout(Struct, frozen=True, eq=False):
     files: tuple[tuple[str, int], ...] = ()
 
     def places(self, rows: Ints) -> Places | None:
-        """Return in which files, and on which of their lines, motions (n,) stand; None: all in the main file."""
+        """Return the files and lines of motions (n,); None: all in the main file."""
         source, line = self.course.source, self.line[rows]
         names: tuple[str, ...] = (source.document.name,)
         file = np.zeros(len(rows), dtype=np.int64)
@@ -100,3 +99,7 @@ class Layout(Struct, frozen=True, eq=False):
             line = np.where(own, line - first[part] + 1, line)
             names = (*names, *(name for name, _ in self.files))
         return Places(names, file, line)
+
+    def orientation_types(self, rows: Ints) -> NDArray[np.str_]:
+        """Return `$ORI_TYPE` of motions (n,)."""
+        return np.asarray(np.array(ORIENTATIONS)[self.orientation[rows]])

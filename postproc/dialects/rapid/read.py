@@ -148,6 +148,9 @@ class Layout(Struct, frozen=True, eq=False):
     def places(self, rows: Ints) -> None:
         """Return None: a module is one file."""
 
+    def orientation_types(self, rows: Ints) -> None:
+        """Return None: RAPID has no such setting."""
+
 
 class _Moves(Struct, eq=False):
     """Texts of the moves, one entry a move."""

@@ -1,7 +1,7 @@
 """Run the command `postproc` from the Python of another program.
 
-Needs nothing but the standard library of Python 3.8. Where `postproc` is stands in `command.json` beside this file
-(`postproc install-post` writes it), else in the environment variable POSTPROC, else it is looked for on the PATH.
+Needs only the standard library of Python 3.8. The command of `postproc` is read from `command.json` next to this file
+(`postproc install-post` writes it), else from the environment variable POSTPROC; else it is searched on the PATH.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _MEND = (
 
 
 class HostError(Exception):
-    """What the user of the host is to read."""
+    """Conversion failed; the message is for the user of the host."""
 
 
 class Block(NamedTuple):
     """One line of the program that postproc reads.
 
     :param text: the line, without its end.
-    :param place: what the user of the host calls it, e.g. ``operation Pocket, command 12``.
+    :param place: its name in the host, e.g. ``operation Pocket, command 12``.
     """
 
     text: str
@@ -42,11 +42,11 @@ class Block(NamedTuple):
 
 
 class Converted(NamedTuple):
-    """What postproc made of a program.
+    """Result of a conversion.
 
-    :param files: written files, the program first; last its moves and what it needed beside it.
+    :param files: written files: the program first, its moves and additional input files last.
     :param summary: content of its `report.json`.
-    :param warnings: what the user should know, each in one line, with the host's places.
+    :param warnings: warnings for the user, one line each, with the host's names of places.
     """
 
     files: list[Path]
@@ -55,9 +55,9 @@ class Converted(NamedTuple):
 
 
 def command() -> tuple[list[str], bool]:
-    """Return the command that runs postproc, and whether it lives in the Windows Subsystem for Linux.
+    """Return the command that runs postproc, and True if it runs in the Windows Subsystem for Linux.
 
-    :raises HostError: it is nowhere; says where it was looked for.
+    :raises HostError: it is not found; the message says where it was searched.
     """
     if _SETTING.is_file():
         words = [str(word) for word in json.loads(_SETTING.read_text(encoding="utf-8"))["command"]]
@@ -80,18 +80,18 @@ def convert(
     options: Sequence[tuple[str, str]],
     beside: Mapping[str, bytes] | None = None,
 ) -> Converted:
-    """Have a program converted.
+    """Convert a program with postproc.
 
-    On success its text is left in ``NAME.moves.txt`` in the folder: what reports call a line is a line of that file.
+    On success its text is left in ``NAME.moves.txt`` in the folder: line numbers in reports refer to that file.
 
     :param blocks: the program.
     :param folder: to write the results into; made if it is missing.
     :param name: of the written program.
     :param extension: by which postproc knows the format of the blocks.
-    :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by their path, or
-        by their name where they are among `beside`.
-    :param beside: files that the program needs, by name; they are left in the folder with it.
-    :raises HostError: nothing was written; says what stands against it, in the host's words.
+    :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by path, or
+        by name if they are among `beside`.
+    :param beside: contents of additional input files by name; they are written to the folder too.
+    :raises HostError: nothing was written; the message gives the errors with the host's names of places.
     """
     text = "\n".join([block.text for block in blocks] + [""]).encode("utf-8")
     with tempfile.TemporaryDirectory(prefix="postproc") as scratch:
@@ -108,7 +108,7 @@ def convert(
             value = str(Path(scratch) / value) if beside and value in beside else value
             words += [option, value] if value else [option]
         entry = _run(["convert", *words, "--json"])["programs"][0]
-    issues = [(issue["level"], _told(issue, program, blocks)) for issue in entry["issues"]]
+    issues = [(issue["level"], _described(issue, program, blocks)) for issue in entry["issues"]]
     if not entry["written"]:
         faults = [_placed(entry["error"], program, blocks)] if entry["error"] else []
         raise HostError("\n".join(faults + [text for level, text in issues if level == "error"]))
@@ -148,7 +148,7 @@ def _run(words: Sequence[str]) -> dict[str, Any]:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment without what makes another Python behave as that of the host."""
+    """Return the environment without variables that configure the Python of the host."""
     bundled = {"LD_LIBRARY_PATH"} if "APPDIR" in os.environ else set()
     kept = {
         name: value
@@ -175,14 +175,14 @@ def _from_linux(path: str) -> Path:
     return Path(f"{match[1].upper()}:/{match[2]}" if match else path)
 
 
-def _told(issue: dict[str, Any], program: Path, blocks: Sequence[Block]) -> str:
+def _described(issue: dict[str, Any], program: Path, blocks: Sequence[Block]) -> str:
     line: int | None = issue.get("source_line")
     place = f"{blocks[line - 1].place}: " if line and line <= len(blocks) else ""
     return f"{place}{_placed(issue['message'], program, blocks)}"
 
 
 def _placed(text: str, program: Path, blocks: Sequence[Block]) -> str:
-    """Return a text in which lines of the program are called what the user of the host calls them."""
+    """Return a text with program lines replaced by the host's names of places."""
 
     def place(match: re.Match[str]) -> str:
         line = int(match[1])

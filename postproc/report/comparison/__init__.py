@@ -1,4 +1,4 @@
-"""What a comparison of two programs says: summary, text, pairs as CSV, page."""
+"""Reports of a comparison of two programs: summary, text, pairs as CSV, page."""
 
 from postproc.report.comparison.page import comparison_page
 from postproc.report.comparison.pairs import PAIR_COLUMNS, pairs_csv

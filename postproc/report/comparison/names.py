@@ -1,4 +1,4 @@
-"""What the files of two programs are called: by their folders too, where their names do not tell them apart."""
+"""Display names of the files of two programs, with folders if file names alone are ambiguous."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from postproc.program import Ints, Program
 
 
 class Names(Struct, frozen=True):
-    """What the files of a program are called.
+    """Display names of the files of a program.
 
     :param main: the main file.
-    :param prefix: before the names of files: empty, or folders with a slash behind.
-    :param several: whether its motions stand in several files.
+    :param prefix: text before file names: empty, or folders with a trailing slash.
+    :param several: True if its motions are in several files.
     """
 
     main: str
@@ -23,22 +23,22 @@ class Names(Struct, frozen=True):
     several: bool
 
     def place(self, where: tuple[str, int]) -> str:
-        """Return a file and its line as messages name them."""
+        """Return file and line in the form used in messages."""
         return f"{self.prefix}{where[0]}:{where[1]}"
 
     def line(self, where: tuple[str, int]) -> str:
-        """Return a line as tables name it: with its file where there are several."""
+        """Return a line in the form used in tables: with its file if there are several."""
         return self.place(where) if self.several else str(where[1])
 
 
 def names_of(found: Comparison) -> tuple[Names, Names]:
-    """Return what the files of both programs are called."""
+    """Return the display names of the files of both programs."""
     programs = found.nominal, found.corrected
     files = [{document.name.lower() for document in program.documents} for program in programs]
     prefixes = _apart(*(program.documents[0].folder for program in programs)) if files[0] & files[1] else ("", "")
     one, other = (
-        Names(prefix + program.documents[0].name, prefix, _several(program, told))
-        for program, prefix, told in zip(programs, prefixes, found.pair.T, strict=True)
+        Names(prefix + program.documents[0].name, prefix, _several(program, rows))
+        for program, prefix, rows in zip(programs, prefixes, found.pair.T, strict=True)
     )
     return one, other
 
@@ -49,7 +49,7 @@ def _several(program: Program, rows: Ints) -> bool:
 
 
 def _apart(one: str, other: str) -> tuple[str, str]:
-    """Return the ends of two folders that tell them apart, with a slash behind; empty if they are one folder."""
+    """Return the shortest distinct ends of two folders, with a trailing slash; empty if they are the same folder."""
     folders = [Path(folder).resolve().parts for folder in (one, other)]
     if folders[0] == folders[1]:
         return "", ""

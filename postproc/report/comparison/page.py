@@ -14,7 +14,7 @@ from postproc.program import Ints
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.comparison.summary import ComparisonSummary, where_of
 from postproc.report.comparison.text import WORDS, counted, of_splines
-from postproc.report.digits import millimetres
+from postproc.report.formatting import millimetres
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -37,7 +37,7 @@ from postproc.report.kit import (
     Verdict,
     View,
 )
-from postproc.report.kit.plots import Colour
+from postproc.report.kit.parts import Colour
 
 _DRAWN = 4_000
 _MOST_POINTS = 24_000
@@ -47,14 +47,14 @@ _WORST = 20
 _BINS = 40
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 _PLACE = re.compile(r"\S+:\d+")
-"""What a text begins with that names a file and a line: its letters stay as they are."""
+"""File and line at the beginning of a text: not capitalised."""
 _ROWS = (("Maximum", "max_mm"), ("RMS", "rms_mm"), ("Mean", "mean_mm"), ("95th percentile", "p95_mm"))
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """What the script of the page is told beside the columns: names, place of the largest offset.
+    """Data of the script in addition to the columns: names, place of the largest offset.
 
-    Names of files are those of each program, and empty where all its pairs stand in one.
+    Names of files are those of each program, and empty if all its pairs are in one file.
     """
 
     nominal: str
@@ -67,7 +67,8 @@ class Facts(msgspec.Struct, frozen=True):
 def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
     sections = [_verdict(content), _numbers(content)]
-    shown, names = _shown(found), names_of(found)
+    names = names_of(found)
+    shown = _shown(found, _named(found, content, names[0]))
     if len(shown):
         sections += [_path(found, shown), _along(found, content, shown, names[0]), _histogram(found, shown)]
         sections += [_operations(found, content, shown, names), _worst_pairs(found, shown, names)]
@@ -80,7 +81,7 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
             Note(
                 "Offsets are from the nominal target to where the second program sends the same tool, in the nominal "
                 "$BASE, in millimetres. What a program cuts is a prediction of the elastostatic model under the forces "
-                "given. Statistics are over cutting targets that stand in both."
+                "given. Statistics are over cutting targets that are in both."
             ),
         ),
         facts=_facts(found, content, shown, names) if len(shown) else None,
@@ -122,8 +123,8 @@ def _numbers(content: ComparisonSummary) -> Section:
     rows = tuple(Row((label, *(millimetres(source[key]) for source in sources))) for label, key in _ROWS)  # type: ignore[literal-required]
     between = content["between"]
     if between is not None:
-        told = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
-        rows += (Row(("Maximum between targets, from the path", "-", *told)),)
+        largest = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
+        rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
     if content["splines"]:
         words = of_splines(content)
@@ -131,8 +132,8 @@ def _numbers(content: ComparisonSummary) -> Section:
     return Section("numbers", "Offsets and deviations, mm", tuple(parts))
 
 
-def _shown(found: Comparison) -> Ints:
-    """Return which pairs (s,) are shown: of every so many the ones of the largest offset and cut, and the worst."""
+def _shown(found: Comparison, named: Ints) -> Ints:
+    """Return the pairs (s,) to show: largest offsets and deviations of each group, the worst and the linked ones."""
     if not len(found.pair):
         return np.zeros(0, dtype=np.int64)
     each = -(-len(found.pair) // _DRAWN)
@@ -142,7 +143,7 @@ def _shown(found: Comparison) -> Ints:
         between,
         *(() if found.cuts is None else (norm(found.cuts.nominal), norm(found.cuts.corrected))),
     ]
-    rows = [_worst(found)]
+    rows = [_worst(found), named]
     for measure in measures:
         size = np.where(found.rapid, -1.0, measure)
         padded = np.append(size, np.full(-len(size) % each, -2.0)).reshape(-1, each)
@@ -156,16 +157,30 @@ def _worst(found: Comparison) -> Ints:
     return np.asarray(order[size[order] >= 0.0])
 
 
-def _place_of(found: Comparison, shown: Ints, names: Names, file: str | None, line: int | None) -> int | None:
-    """Return the place on a line of the nominal program, or the next one behind it in that file."""
-    if line is None or not len(shown):
+def _named(found: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
+    """Return the pairs that table rows link to: thinning must keep them."""
+    places = [(each["nominal_file"], each["nominal_line"]) for each in content["operations"]]
+    lines = [*places, *((each["source_file"], each["source_line"]) for each in content["issues"])]
+    rows = (_pair_of(found, nominal, file, line) for file, line in lines)
+    return np.array([row for row in rows if row is not None], dtype=np.int64)
+
+
+def _pair_of(found: Comparison, names: Names, file: str | None, line: int | None) -> int | None:
+    """Return the pair on a line of the nominal program, or the next one after it in that file."""
+    if line is None or not len(found.pair):
         return None
-    places = found.nominal.places(found.pair[shown, 0])
+    places = found.nominal.places(found.pair[:, 0])
     here = np.array([names.prefix + name == file for name in places.files])[places.file]
     for matches in (here & (places.line == line), here & (places.line >= line)):
         if matches.any():
             return int(np.argmax(matches))
-    return len(shown) - 1
+    return len(found.pair) - 1
+
+
+def _place_of(found: Comparison, shown: Ints, names: Names, file: str | None, line: int | None) -> int | None:
+    """Return the index of a pair among those shown, see `_pair_of`."""
+    pair = _pair_of(found, names, file, line)
+    return None if pair is None else int(np.searchsorted(shown, pair))
 
 
 def _facts(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Facts:
@@ -235,7 +250,7 @@ def _round(factor: float) -> float:
 
 
 def _drawn(found: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
-    """Return points of the nominal path (n, 3), how far the other is off there, both [m], and the place of each (n,).
+    """Return points of the nominal path (n, 3) and offsets of the other one (n, 3), both [m], and their places (n,).
 
     Between pairs that follow one another, both paths are followed: arcs are drawn as arcs.
     """

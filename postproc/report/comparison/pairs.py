@@ -23,7 +23,7 @@ _NUMBERS = (
 _PLACES = (6,) * 13 + (6, 3, 3, 6, 6, 6)
 PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
 """Columns of the file, in order."""
-_STATES = ("pair", "inserted", "only_nominal", "only_corrected")
+_STATES = ("pair", "inserted", "only_nominal", "only_corrected", "passed")
 
 
 def pairs_csv(found: Comparison) -> Iterator[bytes]:
@@ -33,14 +33,15 @@ def pairs_csv(found: Comparison) -> Iterator[bytes]:
     """
     yield (",".join(PAIR_COLUMNS) + "\n").encode()
     one, other = found.nominal.motions, found.corrected.motions
-    pair, alone = found.pair, found.only_nominal
+    pair, alone = found.pair, np.append(found.only_nominal, found.passed)
     nominal = np.concatenate(
         [pair[:, 0], np.full(len(found.inserted), -1), alone, np.full(len(found.only_corrected), -1)]
     )
     corrected = np.concatenate([pair[:, 1], found.inserted, np.full(len(alone), -1), found.only_corrected])
-    state = np.repeat(np.arange(4), [len(pair), len(found.inserted), len(alone), len(found.only_corrected)])
+    counts = len(pair), len(found.inserted), len(found.only_nominal), len(found.passed), len(found.only_corrected)
+    state = np.repeat([0, 1, 2, 4, 3], counts)
     before = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], alone)]
-    order = np.lexsort((state == 2, np.concatenate([corrected[state < 2], before, found.only_corrected])))
+    order = np.lexsort((np.isin(state, (2, 4)), np.concatenate([corrected[state < 2], before, found.only_corrected])))
     unknown = np.full(len(order), np.nan)
     poses = [np.full((len(order), 6), np.nan) for _ in range(2)]
     poses[0][nominal >= 0] = xyzabc_from_pose(one.target[nominal[nominal >= 0]])

@@ -17,30 +17,31 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.program import Bools
 from postproc.provenance import Provenance, State
 from postproc.report.comparison.names import Names, names_of
-from postproc.report.deviation.operations import operation_starts
-from postproc.report.digits import above
+from postproc.report.formatting import above
+from postproc.report.path import operation_starts
 from postproc.report.summary import Distances, Judged
 
 _MOST = 20
 _DIFFERENCES = (
     "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
-    "rapid", "twice", "back", "not-compared",
+    "rapid", "twice", "back", "orientation-type", "not-compared",
 )  # fmt: skip
 
 
 class MadeFrom(Struct, frozen=True):
-    """What is known of where the second program comes from.
+    """The origin of the second program.
 
-    :param said: what it says itself.
-    :param agrees: whether it was made from these, by name: program, cell, model, forces. Empty if nothing is said.
-    :param edited: file and line of what was changed since it was written; None if that cannot be told.
-    :param missing: number of lines of the program as written that it has no more.
+    :param origin: as its text states it.
+    :param agrees: whether it was made from these, by name: program, cell, robot model, force file. Empty if its text
+        states no origin; without force file if it was made with one that is not given now.
+    :param same_origin: its text is as postproc wrote it, from these.
+    :param without_forces: it was made with a force file that is not given now.
     """
 
-    said: Provenance
+    origin: Provenance
     agrees: Mapping[str, bool]
-    edited: tuple[tuple[str, int], ...] | None = None
-    missing: int = 0
+    same_origin: bool = False
+    without_forces: bool = False
 
 
 class Rotations(TypedDict):
@@ -51,7 +52,7 @@ class Rotations(TypedDict):
 
 
 class Lines(TypedDict):
-    """Where a pair stands."""
+    """Files and lines of a pair."""
 
     nominal_file: str
     nominal_line: int
@@ -67,7 +68,7 @@ class PairEntry(Lines):
 
 
 class Worst(TypedDict):
-    """Where the pair of the largest value stands; None where there is none."""
+    """Files and lines of the pair with the largest value; None if there is none."""
 
     nominal_file: str | None
     nominal_line: int | None
@@ -79,14 +80,14 @@ _NOWHERE: Worst = {"nominal_file": None, "nominal_line": None, "corrected_file":
 
 
 class Cut(Worst):
-    """Distances of the loaded tip from nominal, over cutting targets, by each program; where the second is worst."""
+    """Distances of the loaded tip from nominal at cutting targets, for each program; worst pair of the second."""
 
     nominal: Distances
     corrected: Distances
 
 
 class Between(TypedDict):
-    """Largest distances of the loaded tip from the nominal path between pairs, by each program."""
+    """Largest distances of the loaded tip from the nominal path between pairs, for each program."""
 
     nominal_max_mm: float
     corrected_max_mm: float
@@ -95,7 +96,7 @@ class Between(TypedDict):
 
 
 class Apart(Worst):
-    """How far the two paths are apart at most on the way from one pair to the next, and where; 0 and None of no way."""
+    """Largest distance of the two paths between consecutive pairs, and its place; 0 and None without segments."""
 
     max_mm: float
 
@@ -113,7 +114,7 @@ class OperationEntry(TypedDict):
 
 
 class DifferenceEntry(TypedDict):
-    """What differs besides offsets, or could not be compared, and where it is first."""
+    """A difference other than offsets, or a part that could not be compared, and its first place."""
 
     level: Level
     kind: str
@@ -125,26 +126,17 @@ class DifferenceEntry(TypedDict):
     count: int
 
 
-class EditedLine(TypedDict):
-    """A line that is not as it was written."""
-
-    file: str
-    line: int
-
-
 class OriginEntry(TypedDict):
-    """Where the second program comes from; None where it is not known."""
+    """The origin of the second program; None where it is unknown."""
 
     state: State
     mode: str | None
     version: str | None
     made_from_these: dict[str, bool]
-    edited: list[EditedLine] | None
-    missing_lines: int
 
 
 class ComparisonSummary(TypedDict):
-    """Content of `part.compare.report.json`. Statistics are over cutting targets that stand in both programs."""
+    """Content of `part.compare.report.json`. Statistics are over cutting targets that are in both programs."""
 
     nominal: str
     corrected: str
@@ -182,7 +174,7 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
     for each in found.differences:
         count[each.kind] = count.get(each.kind, 0) + each.count
     names = nominal, corrected = names_of(found)
-    state = made.said.state
+    state = made.origin.state
     content = ComparisonSummary(
         nominal=nominal.main,
         corrected=corrected.main,
@@ -203,22 +195,24 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         operations=[*_operations(found, names)],
         provenance={
             "state": state,
-            "mode": made.said.mode or None,
-            "version": made.said.version or None,
+            "mode": made.origin.mode or None,
+            "version": made.origin.version or None,
             "made_from_these": dict(made.agrees),
-            "edited": None if made.edited is None else [{"file": f, "line": n} for f, n in made.edited[:_MOST]],
-            "missing_lines": made.missing,
         },
         issues=[_entry(each, nominal, corrected) for each in found.differences],
         verdict={"state": "ok", "reasons": []},
     )
-    failed, doubtful = [*_failed(content, limit * MM_PER_M, corrected)], [*_doubtful(content)]
+    failed, doubtful = [*_failed(content, limit * MM_PER_M, made)], [*_doubtful(content, made)]
     holds = ["every target has its partner", *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content["cut"] is not None:
-        told = (
+        holds.append(
             f"the corrected program stays within {content['tolerance_mm']:g} mm at its targets under the forces given"
         )
-        holds.append(told)
+    elif made.without_forces:
+        holds.append(
+            "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
+            "it with --forces to check what remains"
+        )
     content["verdict"] = {
         "state": "failed" if failed else "warning" if doubtful else "ok",
         "reasons": failed + doubtful or holds,
@@ -248,12 +242,10 @@ def where_of(entry: DifferenceEntry) -> str:
     return " and ".join(f"{file}:{line}" for file, line in places if file is not None)
 
 
-def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> Iterator[str]:
-    origin, cut, tolerance = content["provenance"], content["cut"], content["tolerance_mm"]
-    if origin["state"] == "changed":
-        edited = origin["edited"]
-        where = "where, is not known" if edited is None else _listed(edited, origin["missing_lines"], corrected)
-        yield f"{content['corrected']} was changed since postproc wrote it: {where}"
+def _failed(content: ComparisonSummary, limit_mm: float, made: MadeFrom) -> Iterator[str]:
+    cut, tolerance = content["cut"], content["tolerance_mm"]
+    if content["provenance"]["state"] == "changed":
+        yield f"{content['corrected']} was changed since postproc wrote it: convert the program again"
     if cut is not None and not cut["corrected"]["max_mm"] <= tolerance:
         yield (
             f"{_where(cut)}: the corrected program leaves {above(cut['corrected']['max_mm'], tolerance)} mm at this "
@@ -266,27 +258,23 @@ def _failed(content: ComparisonSummary, limit_mm: float, corrected: Names) -> It
             f"{above(between['corrected_max_mm'], tolerance)} mm to the nominal path under the forces given "
             f"(tolerance {tolerance:g} mm)"
         )
-    if not content["offset"]["max_mm"] <= limit_mm:
-        told = above(content["offset"]["max_mm"], limit_mm)
+    # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
+    known = content["cut"] is not None or not made.same_origin
+    if known and not content["offset"]["max_mm"] <= limit_mm:
+        offset = above(content["offset"]["max_mm"], limit_mm)
         where = _where(content["largest"][0])
-        yield f"{where}: this target is {told} mm off: more than max_correction_mm = {limit_mm:g}"
+        yield f"{where}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content["pairs"]:
         yield "no target of one program belongs to one of the other"
-    yield from (_told(issue) for issue in content["issues"] if issue["level"] == "error")
+    yield from (_described(issue) for issue in content["issues"] if issue["level"] == "error")
 
 
 def _where(pair: Lines | Worst) -> str:
-    """Return where a pair stands, in both programs."""
+    """Return files and lines of a pair in both programs."""
     return f"{pair['nominal_file']}:{pair['nominal_line']} and {pair['corrected_file']}:{pair['corrected_line']}"
 
 
-def _listed(edited: list[EditedLine], missing: int, names: Names) -> str:
-    told = [", ".join(names.place((entry["file"], entry["line"])) for entry in edited)] if edited else []
-    told += [f"{missing} line{'s' if missing > 1 else ''} of it missing"] if missing else []
-    return "; ".join(told) or "in its line ends or its encoding"
-
-
-def _doubtful(content: ComparisonSummary) -> Iterator[str]:
+def _doubtful(content: ComparisonSummary, made: MadeFrom) -> Iterator[str]:
     origin = content["provenance"]
     others = [name for name, same in origin["made_from_these"].items() if not same]
     if others:
@@ -295,29 +283,30 @@ def _doubtful(content: ComparisonSummary) -> Iterator[str]:
         yield f"{content['corrected']} is nominal: it was written without correction"
     if (
         content["cut"] is None
+        and not made.same_origin
         and content["offset"]["max_mm"] > content["tolerance_mm"]
         and not content["differences"]["base"]
     ):
         yield (
             f"{_where(content['largest'][0])}: this target is {content['offset']['max_mm']:.4f} mm off, and no forces "
-            "are known that would call for it: give --forces"
+            "are known that explain it: give --forces"
         )
-    yield from (_told(issue) for issue in content["issues"] if issue["level"] == "warning")
+    yield from (_described(issue) for issue in content["issues"] if issue["level"] == "warning")
 
 
-def _told(issue: DifferenceEntry) -> str:
+def _described(issue: DifferenceEntry) -> str:
     more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
     where = where_of(issue)
     return f"{where}{': ' if where else ''}{issue['message'].rstrip('.')}{more}"
 
 
 def _distances(values: Array, rapid: Bools) -> Distances:
-    told = statistics(values, rapid)
+    found = statistics(values, rapid)
     return {
-        "max_mm": told.largest * MM_PER_M,
-        "rms_mm": told.rms * MM_PER_M,
-        "mean_mm": told.mean * MM_PER_M,
-        "p95_mm": told.p95 * MM_PER_M,
+        "max_mm": found.largest * MM_PER_M,
+        "rms_mm": found.rms * MM_PER_M,
+        "mean_mm": found.mean * MM_PER_M,
+        "p95_mm": found.p95 * MM_PER_M,
     }
 
 
@@ -374,7 +363,7 @@ def _largest(found: Comparison, names: Sequence[Names]) -> list[PairEntry]:
 
 
 def _lines(found: Comparison, names: Sequence[Names], pair: int) -> Lines:
-    """Return in which files, and on which of their lines, a pair stands."""
+    """Return files and lines of a pair."""
     places = (p.places(found.pair[pair, k : k + 1]).of(0) for k, p in enumerate((found.nominal, found.corrected)))
     (one, line), (other, other_line) = places
     return {

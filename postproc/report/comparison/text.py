@@ -1,26 +1,24 @@
-"""What a comparison says, for a terminal."""
+"""Summary of a comparison for the terminal."""
 
 from __future__ import annotations
 
 from postproc.report.comparison.summary import ComparisonSummary
-from postproc.report.digits import millimetres
-from postproc.report.tables import PLAIN, Display
-from postproc.report.verdict import State
+from postproc.report.formatting import PLAIN, Display, State, millimetres
 
 WORDS: dict[State, str] = {
     "ok": "They belong together.",
     "warning": "Look at the differences.",
     "failed": "Do not run the corrected one.",
 }
-"""The verdict in a word."""
+"""Sentence for each verdict."""
 _ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
 _SHOWN = 5
 
 
 def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
-    """Return the summary of a comparison on one screen.
+    """Return the summary of a comparison, at most one screen.
 
-    :param display: how it looks.
+    :param display: style of the text.
     """
     verdict, cut = content["verdict"], content["cut"]
     lines = [
@@ -56,19 +54,21 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     if origin["state"] == "none":
         lines.append(f"  {content['corrected']} does not say that postproc wrote it")
     elif origin["version"] is not None:
-        told = "unchanged since" if origin["state"] == "intact" else "changed since"
-        lines.append(f"  {content['corrected']} was written by postproc {origin['version']} ({origin['mode']}), {told}")
+        since = "unchanged since" if origin["state"] == "intact" else "changed since"
+        lines.append(
+            f"  {content['corrected']} was written by postproc {origin['version']} ({origin['mode']}), {since}"
+        )
     return "\n".join(lines)
 
 
 def of_splines(content: ComparisonSummary) -> str:
-    """Return what is not compared of splines."""
+    """Return a sentence on splines, of which only the targets are compared."""
     count = content["splines"]
     return f"of splines ({count} SPL) the targets are compared, the way between them is not"
 
 
 def counted(content: ComparisonSummary) -> str:
-    """Return how many targets belong together, and how many do not."""
-    told = f"{content['pairs']} pairs, {content['inserted']} inserted"
-    told += f", {content['only_nominal']} missing" if content["only_nominal"] else ""
-    return told + (f", {content['only_corrected']} added" if content["only_corrected"] else "")
+    """Return the numbers of paired and unpaired targets in words."""
+    text = f"{content['pairs']} pairs, {content['inserted']} inserted"
+    text += f", {content['only_nominal']} missing" if content["only_nominal"] else ""
+    return text + (f", {content['only_corrected']} added" if content["only_corrected"] else "")

@@ -6,24 +6,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from postproc.correction import Result
-from postproc.report.deviation.content import Deviation
-from postproc.report.deviation.sections import (
-    along,
-    cut,
-    histogram,
-    issues,
-    joints,
-    limits,
-    model,
-    numbers,
-    operations,
-    place,
-    reversals,
-    verdict,
-    view3d,
-    worst,
-)
-from postproc.report.deviation.sections import surface as surface_section
+from postproc.report.deviation import sections
+from postproc.report.deviation.data import Deviation
 from postproc.report.kit import Note, Page, Section
 from postproc.report.text import targets
 
@@ -32,27 +16,27 @@ if TYPE_CHECKING:
     from postproc.report.surface import Surface
 
 SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
-    verdict.section,
-    numbers.section,
-    view3d.section,
-    surface_section.section,
-    along.section,
-    cut.section,
-    histogram.section,
-    operations.section,
-    worst.section,
-    reversals.section,
-    limits.section,
-    joints.section,
-    model.section,
-    issues.section,
-    place.section,
+    sections.verdict,
+    sections.numbers,
+    sections.view3d,
+    sections.surface,
+    sections.along,
+    sections.cut,
+    sections.histogram,
+    sections.operations,
+    sections.worst,
+    sections.reversals,
+    sections.limits,
+    sections.joints,
+    sections.model,
+    sections.issues,
+    sections.place,
 )
 """The sections of the page in order. One that has nothing to say returns None."""
 _MODES = {
     "convert": "corrected program",
     "nominal": "written without correction",
-    "predict": "predicted as it stands, nothing written",
+    "predict": "predicted as programmed, nothing written",
 }
 _HOW = {
     "convert": "“After” is a simulation of the program as written, with its rounded numbers.",
@@ -67,6 +51,7 @@ def page(
     surface: Surface | None = None,
     process: ProcessForces | None = None,
     part_tolerance: float | None = None,
+    stem: str = "",
 ) -> Iterator[bytes]:
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
@@ -75,11 +60,12 @@ def page(
     :param surface: of the part, see `postproc.report.surface`; None = not looked at.
     :param process: what a process made of the program; None = forces are from elsewhere.
     :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
+    :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
     """
-    told = Deviation(result, tolerance, surface, process, part_tolerance)
-    sections = tuple(found for make in SECTIONS if (found := make(told)) is not None)
+    data = Deviation(result, tolerance, surface, process, part_tolerance, stem)
+    sections = tuple(found for make in SECTIONS if (found := make(data)) is not None)
     views = len(result) > 0
-    content = told.content
+    content = data.content
     yield from Page(
         kind="Deviation report",
         title=content["program"],
@@ -91,8 +77,8 @@ def page(
                 f"measurements, in millimetres. Statistics are over cutting targets. {_HOW[result.mode]}"
             ),
         ),
-        facts=told.facts() if views else None,
-        columns=told.columns() if views else {},
+        facts=data.facts() if views else None,
+        columns=data.columns() if views else {},
         scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if views else (),
     ).render()
 

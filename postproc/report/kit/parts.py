@@ -1,4 +1,4 @@
-"""What stands in a section of a page: plain data; `templates/page.html` says how each part looks."""
+"""Parts of a page and its plots as plain data; `templates/page.html` and `scripts/plots.js` show them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import msgspec
 
 State = Literal["ok", "warning", "failed"]
 Kind = Literal["", "good", "warning", "error", "soft"]
-"""How a text is shown: plain, or as good, as something to look at, as wrong, as less important."""
+"""Style of a text: plain, good, warning, error, or less important."""
 
 
 class Part(Protocol):
-    """What can stand in a section; `template` names the macro of `templates/page.html` that shows it."""
+    """A part of a section; `template` names the macro of `templates/page.html` that shows it."""
 
     template: ClassVar[str]
 
@@ -21,7 +21,7 @@ class Cell(msgspec.Struct, frozen=True):
     """Text of a table or a fact.
 
     :param sort: what the column is sorted by where that is not the text.
-    :param href: file beside the page that the text leads to.
+    :param href: file in the folder of the page that the text leads to.
     """
 
     text: str
@@ -61,14 +61,14 @@ class Table(msgspec.Struct, frozen=True):
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """Names and what is known about them."""
+    """Names with their values."""
 
     template: ClassVar[str] = "facts"
     rows: tuple[tuple[str, Cell | str], ...]
 
 
 class Tile(msgspec.Struct, frozen=True):
-    """A number to be seen from afar."""
+    """A large number with its label."""
 
     label: str
     value: str
@@ -78,7 +78,7 @@ class Tile(msgspec.Struct, frozen=True):
 
 
 class Tiles(msgspec.Struct, frozen=True):
-    """Some of them, side by side."""
+    """Tiles in a row."""
 
     template: ClassVar[str] = "tiles"
     tiles: tuple[Tile, ...]
@@ -104,7 +104,7 @@ class Notes(msgspec.Struct, frozen=True):
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """What to think of it all, in one word and one sentence."""
+    """The verdict, in one word and one sentence."""
 
     template: ClassVar[str] = "verdict"
     state: State
@@ -113,7 +113,7 @@ class Verdict(msgspec.Struct, frozen=True):
 
 
 class View(msgspec.Struct, frozen=True):
-    """Room for something that a script of the page draws.
+    """An area that a script of the page draws into.
 
     :param name: of the script's view: the element gets the id ``NAME-view``, its controls ``NAME-controls``.
     :param label: what it shows and how it is used, for those who do not see it.
@@ -127,7 +127,7 @@ class View(msgspec.Struct, frozen=True):
 
 
 class Fold(msgspec.Struct, frozen=True):
-    """Parts that are shown when asked for."""
+    """Parts that are shown on request."""
 
     template: ClassVar[str] = "fold"
     title: str
@@ -138,11 +138,149 @@ class Section(msgspec.Struct, frozen=True):
     """Section of a page.
 
     :param id: its anchor.
-    :param parts: what stands in it, in order.
-    :param width: ``"half"`` may stand beside another one, ``"side"`` stays in sight beside all others.
+    :param parts: its content, in order.
+    :param width: ``"half"`` may be next to another one, ``"side"`` stays in sight next to all others.
     """
 
     id: str
     title: str
     parts: tuple[Part, ...]
     width: Literal["full", "half", "side"] = "full"
+
+
+Colour = Literal["before", "after", "correction", "force", "soft", "ink", "warning"]
+"""A colour of the style sheet, by its meaning: light and dark pages have their own shades."""
+Numbers = list[float]
+
+
+class Axis(msgspec.Struct, frozen=True, kw_only=True):
+    """An axis; `categories` are names at 0, 1, 2 …"""
+
+    title: str = ""
+    logarithmic: bool = False
+    range: tuple[float, float] | None = None
+    categories: list[str] | None = None
+
+
+class Curve(msgspec.Struct, frozen=True, tag="curve"):
+    """A line through points.
+
+    :param places: row of the page's columns that each point is; then a click chooses it, and the chosen one is marked.
+    """
+
+    x: Numbers
+    y: Numbers
+    name: str
+    colour: Colour
+    dots: bool = False
+    dashed: bool = False
+    places: list[int] | None = None
+
+
+class Points(msgspec.Struct, frozen=True, tag="points"):
+    """Dots, with the half widths of their 95 % intervals, and texts shown when pointed at.
+
+    :param across: the intervals lie along x, not y.
+    """
+
+    x: Numbers
+    y: Numbers
+    name: str
+    colour: Colour
+    half: list[float | None] | None = None
+    across: bool = False
+    hollow: bool = False
+    texts: list[str] | None = None
+
+
+class Span(msgspec.Struct, frozen=True, tag="span"):
+    """Thin lines from (x, low) to (x, high), between two dots."""
+
+    x: Numbers
+    low: Numbers
+    high: Numbers
+
+
+class Bars(msgspec.Struct, frozen=True, tag="bars"):
+    """Horizontal bars, one for each category of y, with a text at their end; chosen ones are emphasised."""
+
+    lengths: Numbers
+    texts: list[str]
+    chosen: list[bool]
+
+
+class Counts(msgspec.Struct, frozen=True, tag="counts"):
+    """A histogram: counts between edges. `places`: the place that a click on each bar chooses."""
+
+    edges: Numbers
+    counts: list[int]
+    name: str
+    places: list[int | None] | None = None
+
+
+class Matrix(msgspec.Struct, frozen=True, tag="matrix"):
+    """A square of numbers between −1 and 1, one row and column for each name."""
+
+    names: list[str]
+    values: list[Numbers]
+
+
+class Lines(msgspec.Struct, frozen=True, tag="lines"):
+    """A line in space, in the unit of its plot; pieces are parted by NaN. `places`: see `Curve`."""
+
+    x: Numbers
+    y: Numbers
+    z: Numbers
+    name: str
+    colour: Colour
+    width: float = 3.0
+    dots: bool = False
+    places: list[int] | None = None
+
+
+class Mark(msgspec.Struct, frozen=True):
+    """A vertical or horizontal (`level`) line across a plot, with a text."""
+
+    at: float
+    text: str
+    colour: Colour
+    level: bool = False
+
+
+Traced = Curve | Points | Span | Bars | Counts | Matrix | Lines
+
+
+class Plot(msgspec.Struct, frozen=True, kw_only=True):
+    """A plot.
+
+    :param label: what it shows, for those who do not see it.
+    :param unit: of the axes of a plot in space.
+    :param steps: for each step of a slider, which of the traces are shown; a name for each in `step_names`.
+    """
+
+    template: ClassVar[str] = "plot"
+    label: str
+    traces: list[Traced]
+    x: Axis = Axis()
+    y: Axis = Axis()
+    marks: list[Mark] = []
+    height: int = 320
+    unit: str = "m"
+    note: str = ""
+    steps: list[list[int]] | None = None
+    step_names: list[str] | None = None
+
+    @property
+    def linked(self) -> bool:
+        """Whether a click on it chooses a place."""
+        return any(getattr(trace, "places", None) is not None for trace in self.traces)
+
+    @property
+    def encoded(self) -> str:
+        """The plot as JSON, safe in HTML."""
+        return encoded(self)
+
+
+def encoded(content: object) -> str:
+    """Return JSON that is safe in a script element of HTML; NaN becomes null."""
+    return msgspec.json.encode(content).decode().replace("<", "\\u003c")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NoReturn
 
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.brackets import beyond, matching, skip_blanks, split
+from postproc.dialects.krl.language.names import PURE, RESERVED
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import (
     COMPONENT,
@@ -22,104 +22,170 @@ from postproc.dialects.krl.language.tokens import (
     NUMBER,
     STRING,
     TAG,
+    after_blanks,
+    after_nots,
+    after_sign,
+    operator_at,
+    word_at,
+    words_in,
 )
 from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,
     Chain,
+    Condition,
     Number,
     Opaque,
     Operation,
     Reference,
+    Unreadable,
     Value,
     Word,
+    parts,
 )
+from postproc.errors import ProgramError
 
 _MOST_TERMS = 200
 _LONGEST = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _ENDS = ",)]}cC"
+_PAIRS = {"(": ")", "[": "]", "{": "}"}
+_DEEPEST = 100
+
+_Read = tuple[Value, int]
+"""A value, and the offset behind it."""
 
 
-def parse(source: Source, start: int, stop: int) -> tuple[Value, int]:
+def value_in(source: Source, start: int, stop: int) -> Value:
+    """Return the value that a piece of code is.
+
+    `Unreadable` if it cannot be read; `Opaque` if it is empty, or if more follows a value.
+    """
+    start = after_blanks(source.text, start, stop)
+    try:
+        value, end = value_at(source, start, stop)
+    except ProgramError as error:
+        return unreadable(source, start, stop, error)
+    rest = after_blanks(source.text, end, stop)
+    return value if rest == stop else opaque(source, start, stop, rest)
+
+
+def value_at(source: Source, start: int, stop: int) -> _Read:
     """Return the value that begins at `start`, and the offset behind it.
-
-    Comparisons and logic are `Opaque` and reach to the next comma or closing bracket.
 
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
-    begin = skip_blanks(source.text, start, stop)
-    if begin < stop and source.text[begin] not in "+-":
-        value, end = operand(source, begin, stop)
-        after = skip_blanks(source.text, end, stop)
-        if after == stop or source.text[after] in _ENDS:
-            return value, end  # nothing is joined to it: so common that looking first is faster
-    value, end = arithmetic(source, start, stop)
-    after = skip_blanks(source.text, end, stop)
-    if after < stop and LOGIC.match(source.text, after, stop):
-        end = beyond(source, after, stop)
-        return Opaque(value.start, end), end
-    return value, end
+    text = source.text
+    begin = after_blanks(text, start, stop)
+    inverse = text[begin : begin + 1] in ("N", "n") and word_at(text, begin, stop) == "NOT"
+    first = None
+    if begin < stop and text[begin] not in "+-" and not inverse:
+        first = operand(source, begin, stop)
+        after = after_blanks(text, first[1], stop)
+        if after == stop or text[after] in _ENDS:
+            return first  # nothing is joined to it: so common that looking first is faster
+    if not inverse:
+        first = arithmetic(source, begin, stop, first)
+        after = after_blanks(text, first[1], stop)
+        if after == stop or not LOGIC.match(text, after, stop):
+            return first
+    try:
+        value, end = condition(source, begin, stop, first)
+        after = after_blanks(text, end, stop)
+        if after == stop or text[after] in ",)]}":
+            return value, end
+    except ProgramError:
+        end = begin if first is None else first[1]
+    end = beyond(source, end, stop)
+    return opaque(source, begin, end), end
 
 
-def arithmetic(source: Source, start: int, stop: int) -> tuple[Value, int]:
+def condition(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
+    """Return terms joined by comparisons and logic, or one alone, and the offset behind them.
+
+    :param first: the first term, if it has been read; no NOT is before it.
+    :raises ProgramError: as for `value_at`.
+    """
+    terms: list[Value] = []
+    negated: list[bool] = []
+    operators: list[str] = []
+    begin = start
+    while True:
+        inverse, start = (False, start) if first is not None else after_nots(source.text, start, stop)
+        term, end = first or arithmetic(source, start, stop)
+        first = None
+        terms.append(term)
+        negated.append(inverse)
+        operator, behind = operator_at(source.text, end, stop)
+        if not operator:
+            return Condition(tuple(terms), tuple(negated), tuple(operators), begin, end), end
+        operators.append(operator)
+        start = behind
+
+
+def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
     """Return the value that begins at `start`, up to what compares it or joins it to another by logic, and its end.
 
-    :raises ProgramError: as for `parse`.
+    :param first: its first operand, if it has been read.
+    :raises ProgramError: as for `value_at`.
     """
-    return _joined(source, start, stop, "+-", _product)
+    return _joined(source, start, stop, first, "+-", _product)
 
 
-def _product(source: Source, start: int, stop: int) -> tuple[Value, int]:
-    return _joined(source, start, stop, "*/", _factor)
+def _product(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
+    return _joined(source, start, stop, first, "*/", _factor)
 
 
 def _joined(
     source: Source,
     start: int,
     stop: int,
+    first: _Read | None,
     operators: str,
-    part: Callable[[Source, int, int], tuple[Value, int]],
-) -> tuple[Value, int]:
+    part: Callable[[Source, int, int, _Read | None], _Read],
+) -> _Read:
     """Return parts joined by operators, from left to right."""
     text = source.text
-    value, end = part(source, start, stop)
-    after, terms = skip_blanks(text, end, stop), 1
+    value, end = part(source, start, stop, first)
+    after, terms = after_blanks(text, end, stop), 1
     while after < stop and text[after] in operators:
         terms += 1
         if terms > _MOST_TERMS:
             raise source.error(f"an expression has more than {_MOST_TERMS} terms", start, "Write it as several.")
-        right, end = part(source, after + 1, stop)
+        right, end = part(source, after + 1, stop, None)
         value = Operation(text[after], value, right, value.start, end)
-        after = skip_blanks(text, end, stop)
+        after = after_blanks(text, end, stop)
     return value, end
 
 
-def _factor(source: Source, start: int, stop: int) -> tuple[Value, int]:
+def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
     """Return a value with its sign, or frames joined by ``:``."""
     text = source.text
-    start = skip_blanks(text, start, stop)
+    start = after_blanks(text, start, stop)
     if text[start:stop][:1] in ("+", "-") and not NUMBER.match(text, start, stop):
-        if text[skip_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
+        if text[after_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
             raise source.error("two signs in a row", start)
-        value, end = _factor(source, start + 1, stop)
+        value, end = _factor(source, start + 1, stop, None)
         return Operation(text[start], None, value, start, end), end
-    value, end = operand(source, start, stop)
-    after = skip_blanks(text, end, stop)
+    value, end = first or operand(source, start, stop)
+    after = after_blanks(text, end, stop)
     if after < stop and text[after] == ":":
         operands: list[Value] = [value]
         while after < stop and text[after] == ":":
             value, end = operand(source, after + 1, stop)
             operands.append(value)
-            after = skip_blanks(text, end, stop)
+            after = after_blanks(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
     return value, end
 
 
-def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
-    """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind."""
+def operand(source: Source, start: int, stop: int) -> _Read:
+    """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind.
+
+    :raises ProgramError: as for `value_at`.
+    """
     text = source.text
-    start = skip_blanks(text, start, stop)
+    start = after_blanks(text, start, stop)
     if start >= stop:
         raise source.error("a value is missing", min(start, len(text) - 1))
     first = text[start]
@@ -135,43 +201,50 @@ def operand(source: Source, start: int, stop: int) -> tuple[Value, int]:
     if match := INTEGER_LITERAL.match(text, start, stop):
         if match.end() - start > _LONGEST:
             raise source.error(f"{match[0][:20]}… is not an INT", start)
-        value = float(int(match[1], 2) if match[1] else int(match[2], 16))
-        return Number(value, start, match.end(), True), match.end()
+        number = float(int(match[1], 2) if match[1] else int(match[2], 16))
+        return Number(number, start, match.end(), True), match.end()
     if match := STRING.match(text, start, stop):
         return Word(match[0], start, match.end()), match.end()
     if match := ENUM.match(text, start, stop):
         return Word(match[0].upper(), start, match.end()), match.end()
     end = beyond(source, start, stop)
-    return Opaque(start, end), end
+    return opaque(source, start, end), end
 
 
-def _in_brackets(source: Source, start: int, stop: int) -> tuple[Value, int]:
+def _in_brackets(source: Source, start: int, stop: int) -> _Read:
     close = matching(source, start, stop)
-    value, end = parse(source, start + 1, close)
-    if skip_blanks(source.text, end, close) < close or not isinstance(value, Number | Reference | Operation):
-        return Opaque(start, close + 1), close + 1
-    return replace(value, start=start, stop=close + 1), close + 1
+    value = value_in(source, start + 1, close)
+    if isinstance(value, Unreadable):
+        raise value.error
+    if isinstance(value, Reference):
+        return replace(value, start=start, stop=close + 1, bracketed=True), close + 1
+    if isinstance(value, Number | Operation | Condition | Opaque):
+        return replace(value, start=start, stop=close + 1), close + 1
+    return Condition((value,), (False,), (), start, close + 1), close + 1
 
 
-def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, int]:
+def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
     text, start, end = source.text, name.start(), name.end()
     if name[0].upper() in ("TRUE", "FALSE"):
         return Word(name[0].upper(), start, end), end
-    after = skip_blanks(text, end, stop)
-    if after < stop and text[after] == "(":
+    after = after_blanks(text, end, stop)
+    if after == stop:
+        return Reference(name[0].upper(), None, None, start, end), end
+    if text[after] == "(":
         close = matching(source, after, stop)
-        inner = split(source, after + 1, close)
-        return Call(name[0].upper(), tuple(inner), start, close + 1), close + 1
-    element, inside = None, (0, 0)
+        return Call(name[0].upper(), list_in(source, after + 1, close), start, close + 1), close + 1
+    indices: tuple[Value, ...] | None = None
+    inner: tuple[Value, ...] = ()
     path: list[str] = []
     while True:
-        after = skip_blanks(text, end, stop)
+        after = after_blanks(text, end, stop)
         if after < stop and text[after] == "[":
             close = matching(source, after, stop)
             if path:
                 path[-1] += text[after : close + 1].upper()
-            elif element is None:
-                element, inside = text[after + 1 : close].strip().upper(), (after + 1, close)
+                inner += list_in(source, after + 1, close)
+            elif indices is None:
+                indices = list_in(source, after + 1, close)
             else:
                 break
             end = close + 1
@@ -180,13 +253,77 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> tuple[Value, in
             end = match.end()
         else:
             break
-    return Reference(name[0].upper(), element, ".".join(path) or None, start, end, inside), end
+    return Reference(name[0].upper(), indices, ".".join(path) or None, start, end, inner), end
+
+
+def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
+    """Return the values between the commas of a list; an empty list has none.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    text = source.text
+    if text[start:stop].isalnum():
+        return (value_in(source, start, stop),)  # one name or number: so common that looking first is faster
+    return tuple(
+        value_in(source, begin, end) if text[begin:end].strip() else Opaque(begin, end)
+        for begin, end in split(source, start, stop)
+    )
+
+
+def opaque(source: Source, start: int, stop: int, rest: int = -1) -> Opaque:
+    """Return a piece of code that is not looked into but for calls.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    return Opaque(start, stop, _calls_in(source, start, stop), rest)
+
+
+def unreadable(source: Source, start: int, stop: int, error: ProgramError) -> Unreadable:
+    """Return a piece of code that cannot be read."""
+    try:
+        return Unreadable(start, stop, error, _calls_in(source, start, stop))
+    except ProgramError:
+        return Unreadable(start, stop, error)
+
+
+def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
+    """Return the calls in a piece of code, from left to right, without those inside others."""
+    text, found = source.text, list[Call]()
+    if "(" not in text[start:stop]:
+        return ()
+    for word, at in words_in(text, start, stop):
+        called = at.start >= start and _is_routine(word) and after_sign(text, at.stop, stop, "(") >= 0
+        value, end = operand(source, at.start, stop) if called else (None, start)
+        if isinstance(value, Call):
+            found.append(value)
+            start = end
+    return tuple(found)
+
+
+def _is_routine(name: str) -> bool:
+    """Return whether a name before a bracket may be that of a routine."""
+    return "$" not in name and name not in RESERVED and name not in PURE
+
+
+def calls(values: Iterable[Value]) -> list[Call]:
+    """Return the calls of routines and functions in values, from left to right, also those inside others.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    found: list[Call] = []
+    for value in values:
+        if type(value) is Number:  # nearly all of them
+            continue
+        if isinstance(value, Call) and _is_routine(value.name):
+            found.append(value)
+        found += calls(parts(value))
+    return found
 
 
 def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
-    """Return the aggregate whose ``{`` stands at `start`.
+    """Return the aggregate whose ``{`` is at `start`.
 
-    :raises ProgramError: it is not closed, a comma or a component's name is missing, a component stands twice, a
+    :raises ProgramError: it is not closed, a comma or a component's name is missing, a component is given twice, a
         number is not finite.
     """
     text = source.text
@@ -205,11 +342,11 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         else:
             name, value, more, position = _component(source, start, position, stop)
         if name in items:
-            raise source.error(f"component {name} stands twice", position - 1)
+            raise source.error(f"component {name} is given twice", position - 1)
         items[name] = value
         if not more:
             break
-    position = skip_blanks(text, position, stop)
+    position = after_blanks(text, position, stop)
     return Aggregate(source, start, position + 1, tag, items)
 
 
@@ -222,8 +359,8 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
     name = match[1].upper()
     if match.end() >= stop or text[match.end()] in ",}":
         _not_closed_or(source, opening, match.end(), stop, f"component {name} has no value")
-    value, end = parse(source, match.end(), stop)
-    end = skip_blanks(text, end, stop)
+    value, end = value_at(source, match.end(), stop)
+    end = after_blanks(text, end, stop)
     if isinstance(value, Reference) and value.name in ("NAN", "INF", "INFINITY"):
         raise source.error(f"component {name} is not a finite number", value.start)
     if end >= stop or text[end] not in ",}":
@@ -232,7 +369,7 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
 
 
 def _not_closed_or(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
-    if skip_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
+    if after_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
         raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
     raise source.error(problem, position)
 
@@ -242,3 +379,71 @@ def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
     if not math.isfinite(value):
         raise source.error(f"{match[group][:40]} is not a finite number", match.start(group))
     return value
+
+
+# --- brackets --------------------------------------------------------------------------------------------------------
+
+
+def matching(source: Source, start: int, stop: int) -> int:
+    """Return the offset of the bracket that closes the one at `start`.
+
+    :raises ProgramError: there is none before `stop`.
+    """
+    text = source.text
+    open_: list[str] = []
+    offset = start
+    while offset < stop:
+        char = text[offset]
+        if char == '"':
+            offset = text.find('"', offset + 1, stop)
+            if offset < 0:
+                break
+        elif char in _PAIRS:
+            open_.append(_PAIRS[char])
+            if len(open_) > _DEEPEST:
+                raise source.error(
+                    f"more than {_DEEPEST} brackets are nested", start, "Write it as several statements."
+                )
+        elif char in ")]}":
+            if open_.pop() != char:
+                break
+            if not open_:
+                return offset
+        offset += 1
+    raise source.error(f"{text[start]} is not closed", start, "Check that the line is complete.")
+
+
+def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
+    """Return the spans between the commas of a list, brackets and strings skipped; an empty list has none."""
+    text = source.text
+    spans: list[tuple[int, int]] = []
+    begin = offset = start
+    while offset < stop:
+        char = text[offset]
+        if char in _PAIRS:
+            offset = matching(source, offset, stop)
+        elif char == '"':
+            offset = text.find('"', offset + 1, stop)
+            if offset < 0:
+                raise source.error("a string is not closed", start)
+        elif char == ",":
+            spans.append((begin, offset))
+            begin = offset + 1
+        offset += 1
+    if spans or text[start:stop].strip():
+        spans.append((begin, stop))
+    return spans
+
+
+def beyond(source: Source, start: int, stop: int) -> int:
+    """Return where a value that is not looked into ends: at a comma or a closing bracket that is not its own."""
+    text, offset = source.text, start
+    while offset < stop and text[offset] not in ",)]}":
+        if text[offset] in _PAIRS:
+            offset = matching(source, offset, stop)
+        elif text[offset] == '"':
+            offset = text.find('"', offset + 1, stop)
+            if offset < 0:
+                return stop
+        offset += 1
+    return offset

@@ -1,10 +1,23 @@
-"""Motion statements: instruction, points, and what follows them."""
+"""Motion statements with their points known, and the TRIGGERs that refer to them.
+
+A TRIGGER refers to the motion that follows it: to its start (``DISTANCE=0``, ``PATH=… ONSTART``) or to its end
+(``DISTANCE=1``, ``PATH=…``), and switches within it. ``CONST_VEL`` and ``STOP WHEN PATH`` of spline motions refer
+to it in the same way, and may count beyond it: they stay before its first or its last piece (KUKA, KSS 8.x, 'spline
+motion').
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 from msgspec import Struct
 
+from postproc.dialects.krl.language import tree
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import Position
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Number, Value
+from postproc.frames import M_PER_MM, Array
 
 
 class Point(Struct, frozen=True, eq=False):
@@ -23,7 +36,7 @@ class Point(Struct, frozen=True, eq=False):
 
     @property
     def inline(self) -> bool:
-        """Whether its numbers stand in the statement itself."""
+        """Whether its numbers are in the statement itself."""
         aggregate = self.position.aggregate
         return aggregate is not None and not self.name and aggregate.start == self.start
 
@@ -41,7 +54,7 @@ class MotionStatement(Struct, frozen=True, eq=False):
     :param tail: offset from which the text applies to inserted targets too: approximation and WITH.
     :param stop: offset behind the code of the line.
     :param approximated: True where `$APO.CDIS` applies.
-    :param behind: span of ``#BASE`` or ``#TOOL`` where it stands behind the approximation.
+    :param behind: span of ``#BASE`` or ``#TOOL`` where it follows the approximation.
     """
 
     line: int
@@ -72,3 +85,56 @@ class MotionStatement(Struct, frozen=True, eq=False):
             and not self.end.position.axis
             and not self.relative
         )
+
+
+_S_PER_MS = 1e-3
+
+
+class Trigger(Struct, frozen=True):
+    """A TRIGGER statement.
+
+    :param line: 1-based line.
+    :param row: motion that it refers to.
+    :param attached: only comments and other TRIGGERs are between it and its motion.
+    :param from_start: whether its distance counts from the start of the motion, not from the end.
+    :param offset: distance along the path [m]; NaN when it is not a number.
+    :param path: span of the number of PATH in the text; None for DISTANCE.
+    :param delay: DELAY [s]; NaN when it is not a number.
+    :param length: of its motion along the path [m].
+    """
+
+    line: int
+    row: int
+    attached: bool
+    from_start: bool
+    offset: float
+    path: tuple[int, int] | None
+    delay: float
+    length: float
+
+
+def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
+    """Return TRIGGER statements of a `.src`.
+
+    :param found: line, row of the motion that follows, and whether it is attached, of each.
+    :param length: (n,) of these motions [m].
+    """
+    for (line, row, attached), metres in zip(found, length.tolist(), strict=True):
+        here = statement(source, line)
+        if isinstance(here, tree.Timed):
+            yield Trigger(line, row, attached, here.from_start, 0.0, None, 0.0, metres)
+            continue
+        offset = delay = float("nan")
+        from_start, path = False, None
+        if isinstance(here, tree.Trigger) and here.value is not None and here.delay is not None:
+            value, delay = _number(here.value), _S_PER_MS * _number(here.delay)
+            from_start = here.from_start or (here.distance and value == 0.0)
+            if not here.distance:
+                offset, path = value * M_PER_MM, (here.value.start, here.value.stop)
+            elif value in (0.0, 1.0):
+                offset = 0.0
+        yield Trigger(line, row, attached, from_start, offset, path, delay, metres)
+
+
+def _number(value: Value) -> float:
+    return value.value if isinstance(value, Number) else float("nan")

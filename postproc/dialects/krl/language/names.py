@@ -24,6 +24,15 @@ MOTIONS = words("LIN PTP CIRC SLIN SPTP SCIRC SPL")
 
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
 
+CIRCLES = ("CIRC", "SCIRC")
+"""Those with an auxiliary point."""
+
+FRAMES = ("#BASE", "#TOOL")
+"""Axes in which the target of a relative motion is given."""
+
+APPROXIMATIONS = words("C_DIS C_VEL C_ORI C_PTP C_SPL")
+"""Words behind the points of a motion: it is approximated."""
+
 SPLINES = {"SPLINE": ("SPL", "SLIN", "SCIRC"), "PTP_SPLINE": ("SPTP",)}
 """Spline blocks, and the instructions that may be in them; ENDSPLINE closes both."""
 
@@ -80,7 +89,7 @@ def fault_of(name: str) -> str | None:
     """
     if len(name) > MAX_LENGTH:
         return f"it has {len(name)} characters, {MAX_LENGTH} are allowed"
-    if not re.match(r"[A-Za-z_]", name):
+    if not (name[:1].isascii() and name[:1].isalpha()) and name[:1] != "_":
         return "it does not begin with a letter or underscore"
     if not NAME.fullmatch(name):
         return "it holds other characters than letters, digits and underscores"
@@ -90,7 +99,7 @@ def fault_of(name: str) -> str | None:
 
 
 def valid(name: str) -> str:
-    """Return a name as it stands if the controller accepts it, otherwise one as close to it as possible.
+    """Return a name unchanged if the controller accepts it, otherwise one as close to it as possible.
 
     >>> valid("part_1"), valid("1001"), valid("Gehäuse oben.2"), valid("loop")
     ('part_1', 'P1001', 'Gehaeuse_oben_2', 'P_loop')

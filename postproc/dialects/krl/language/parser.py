@@ -1,20 +1,21 @@
 """From a line to a statement: the only place that knows how KRL's statements are written.
 
-Each line is read once. What is not understood is a plain `tree.Statement`, and kept as it is.
+Each line is read once. A statement that is not understood becomes a plain `tree.Statement` and is kept unchanged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from postproc.dialects.krl.language.brackets import matching, split
 from postproc.dialects.krl.language.declarations import declared, structure
-from postproc.dialects.krl.language.expressions import arithmetic, operand, parse
+from postproc.dialects.krl.language.expressions import list_in, opaque, operand, split, unreadable, value_at, value_in
 from postproc.dialects.krl.language.names import (
+    APPROXIMATIONS,
+    CIRCLES,
     DECLARING,
+    FRAMES,
     MOTION_WORDS,
     OPENING,
-    PURE,
     RESERVED,
     SPLINES,
     TYPES,
@@ -24,11 +25,9 @@ from postproc.dialects.krl.language.tokens import (
     NAME,
     Span,
     after_blanks,
-    after_nots,
     after_sign,
     after_word,
     key_word,
-    operator_at,
     word_at,
     words_in,
 )
@@ -37,7 +36,6 @@ from postproc.dialects.krl.language.tree import (
     Bare,
     CallStatement,
     Case,
-    Condition,
     Cyclic,
     Declaration,
     Definition,
@@ -56,11 +54,12 @@ from postproc.dialects.krl.language.tree import (
     Spline,
     Statement,
     Switch,
+    Tail,
     Timed,
     Trigger,
     While,
 )
-from postproc.dialects.krl.language.values import Call, Opaque, Reference, Value
+from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.errors import ProgramError
 
 
@@ -83,20 +82,30 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
         found = _READERS[word](source, word, start, first, stop) if word in _READERS else None
         return found or _other(source, word, start, first, stop)
     except ProgramError as error:
-        return Faulty(word, start, stop, error)
+        return Faulty(word, start, stop, error, code=_code(source, start, stop))
+
+
+def _code(source: Source, start: int, stop: int) -> Value | None:
+    """Return a piece of code that is read no further, if there are calls in it."""
+    if "(" not in source.text[start:stop]:
+        return None
+    try:
+        return opaque(source, start, stop)
+    except ProgramError as error:
+        return unreadable(source, start, stop, error)
 
 
 def _other(source: Source, word: str, start: int, first: int, stop: int) -> Statement:
-    """Return an assignment, a call, a label, a declaration without DECL, or what is not understood."""
+    """Return an assignment, a call, a label, a declaration without DECL, or a plain statement."""
     text = source.text
     if first == stop or text[first] == "&" or (word in RESERVED and word not in TYPES):
-        return Statement(word, start, stop)
+        return Statement(word, start, stop, code=_code(source, first, stop))
     if word in TYPES:
         return _declaration(source, word, start, first, stop)
     target, end = operand(source, first, stop)
     equals = after_sign(text, end, stop, "=")
     if isinstance(target, Reference) and equals >= 0 and text[equals : equals + 1] != "=":
-        return Assignment(word, start, stop, target, Span(equals, stop))
+        return Assignment(word, start, stop, target, value_in(source, equals, stop))
     if isinstance(target, Call) and end == stop:
         return CallStatement(word, start, stop, target)
     colon = after_sign(text, end, stop, ":")
@@ -104,48 +113,7 @@ def _other(source: Source, word: str, start: int, first: int, stop: int) -> Stat
         return Label(word, start, stop, target.name)
     if _is_declaration(text, first, stop):
         return _declaration(source, word, start, first, stop)
-    return Statement(word, start, stop)
-
-
-def calls(source: Source, start: int, stop: int) -> list[Call]:
-    """Return the calls of routines and functions in a piece of code, from left to right, also those inside others.
-
-    :raises ProgramError: brackets are not balanced.
-    """
-    text, found = source.text, []
-    if "(" not in text[start:stop]:
-        return []
-    for word, at in words_in(text, start, stop):
-        if "$" in word or word in RESERVED or word in PURE or after_sign(text, at.stop, stop, "(") < 0:
-            continue
-        value, _ = operand(source, at.start, stop)
-        if isinstance(value, Call):
-            found.append(value)
-    return found
-
-
-def sole_call(source: Source, start: int, stop: int) -> Call | None:
-    """Return the call that a piece of code consists of; None if it is something else."""
-    value = _sole_operand(source, start, stop)
-    return value if isinstance(value, Call) else None
-
-
-def reference_of(source: Source, span: tuple[int, int]) -> Reference | None:
-    """Return the variable that an argument consists of; None if it is something else.
-
-    :raises ProgramError: brackets are not balanced.
-    """
-    value = _sole_operand(source, *span)
-    return value if isinstance(value, Reference) else None
-
-
-def _sole_operand(source: Source, start: int, stop: int) -> Value | None:
-    """Return the named operand that a piece of code consists of; None if it is something else."""
-    start = after_blanks(source.text, start, stop)
-    if not word_at(source.text, start, stop):
-        return None
-    value, end = operand(source, start, stop)
-    return value if not source.text[end:stop].strip() else None
+    return Statement(word, start, stop, code=_code(source, first, stop))
 
 
 # --- what declares ---------------------------------------------------------------------------------------------------
@@ -234,15 +202,97 @@ def _imported(source: Source, word: str, start: int, first: int, stop: int) -> S
 
 
 def _motion(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return Motion(word, start, stop)
+    """Return a motion: points, CA, the axes of a relative one, WITH and approximation."""
+    text, position = source.text, first + len(word)
+    via = end = angle = None
+    circle = word.removesuffix("_REL") in CIRCLES
+    if circle:
+        via, position = _point(source, position, stop)
+        position = after_sign(text, position, stop, ",") if position >= 0 else -1
+    if position >= 0:
+        end, position = _point(source, position, stop)
+    if circle and position >= 0:
+        comma = after_sign(text, position, stop, ",")
+        behind = after_word(text, comma, stop, "CA") if comma >= 0 else -1
+        if behind >= 0:
+            equals = after_sign(text, behind, stop, "=")
+            angle, position = _point(source, max(behind, equals), stop)
+    if position < 0:
+        return Motion(word, start, stop, via, end, angle, "", None, Tail(stop, stop, stop))
+    frame, frame_behind, last = "", None, stop
+    if word.endswith("_REL"):
+        begin = text.rfind("#", position, stop)
+        frame = text[begin:stop].upper() if begin >= 0 else ""
+        if (at := after_blanks(text, position, stop)) < stop and text[at] == "#":
+            frame = f"#{word_at(text, at + 1, stop)}"
+            position = at + len(frame) if frame in FRAMES else position
+        elif frame in FRAMES and _is_approximation(text, position, begin):
+            frame_behind, last = Span(begin, stop), begin
+        frame = frame if frame in FRAMES else ""
+    return Motion(word, start, stop, via, end, angle, frame, frame_behind, tail_in(source, position, last))
+
+
+def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
+    """Return a value and the offset behind it; −1 where it cannot be read."""
+    try:
+        return value_at(source, start, stop)
+    except ProgramError as error:
+        return unreadable(source, start, stop, error), -1
+
+
+def is_approximated(text: str, start: int, stop: int) -> bool:
+    """Return whether a motion, or the end of one, has a word of approximation: C_DIS, C_VEL …"""
+    return any(word in APPROXIMATIONS for word, _ in words_in(text, start, stop))
+
+
+def _is_approximation(text: str, start: int, stop: int) -> bool:
+    """Return whether the last word of a piece of code is that of an approximation."""
+    found = list(words_in(text, start, stop))
+    return bool(found) and found[-1][0].startswith("C_") and not text[found[-1][1].stop : stop].strip()
+
+
+def tail_in(source: Source, start: int, stop: int) -> Tail:
+    """Return what follows the points of a motion, or SPLINE."""
+    text, words, end = source.text, list[str](), stop
+    plain = text[start:stop].upper().split()
+    if APPROXIMATIONS.issuperset(plain):  # nearly all of them
+        return Tail(start, stop, start, (), tuple(plain))
+    found = list(words_in(text, start, stop))
+    for word, span in reversed(found):
+        if word not in APPROXIMATIONS or text[span.stop : end].strip():
+            break
+        words.insert(0, word)
+        end = span.start
+    while end > start and text[end - 1] in " \t":
+        end -= 1
+    behind = after_word(text, start, end, "WITH") if len(found) > len(words) else -1
+    if behind < 0:
+        rest = _stripped(text, start, end)
+        return Tail(start, stop, end, (), tuple(words), rest if rest.start < rest.stop else None)
+    try:
+        given = tuple(_given(source, *span) for span in split(source, behind, end))
+        return Tail(start, stop, end, given, tuple(words))
+    except ProgramError as error:
+        return Tail(start, stop, end, (), tuple(words), error=error)
+
+
+def _given(source: Source, start: int, stop: int) -> Statement:
+    """Return an assignment of WITH."""
+    target, end = operand(source, start, stop)
+    equals = after_sign(source.text, end, stop, "=")
+    word, span = word_at(source.text, after_blanks(source.text, start, stop), stop), _stripped(source.text, start, stop)
+    if not isinstance(target, Reference) or equals < 0:
+        return Statement(word, span.start, span.stop, code=_code(source, start, stop))
+    return Assignment(word, span.start, span.stop, target, value_in(source, equals, stop))
 
 
 def _spline(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return Spline(word, start, stop)
+    return Spline(word, start, stop, tail_in(source, first + len(word), stop))
 
 
 def _end_spline(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return EndSpline(word, start, stop, source.text[first + len(word) : stop].strip())
+    behind = first + len(word)
+    return EndSpline(word, start, stop, source.text[behind:stop].strip(), code=_code(source, behind, stop))
 
 
 def _timed(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -262,7 +312,8 @@ def _timed(source: Source, word: str, start: int, first: int, stop: int) -> Stat
     if complete and word == "STOP":
         condition = key_word(text, position, stop, "IF")
         complete = condition is not None and condition.stop < stop
-    return Timed(word, start, stop, complete, key_word(text, first, stop, "ONSTART") is not None)
+    on_start = key_word(text, first, stop, "ONSTART") is not None
+    return Timed(word, start, stop, complete, on_start, code=_code(source, first + len(word), stop))
 
 
 def _event(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -272,12 +323,14 @@ def _event(source: Source, word: str, start: int, first: int, stop: int) -> Stat
     if word == "TRIGGER":
         return _trigger(source, start, first, stop, head, action)
     declares_ = after_word(source.text, first + len(word), stop, "DECL") >= 0
-    return Event(word, start, stop, first > start, declares_, head, action)
+    return Event(word, start, stop, first > start, declares_, action, code=_code(source, head.start, head.stop))
 
 
 def _trigger(source: Source, start: int, first: int, stop: int, head: Span, action: Statement | None) -> Trigger:
     """Return ``TRIGGER WHEN DISTANCE|PATH = value [ONSTART] DELAY = time DO …``."""
-    text, value, delay, from_start = source.text, None, None, False
+    text, from_start = source.text, False
+    value: Value | None = None
+    delay: Value | None = None
     when = after_word(text, first + len("TRIGGER"), head.stop, "WHEN")
     place = after_word(text, when, head.stop, "DISTANCE", "PATH") if when >= 0 else -1
     distance = place >= 0 and text[:place].upper().endswith("DISTANCE")
@@ -287,9 +340,10 @@ def _trigger(source: Source, start: int, first: int, stop: int, head: Span, acti
     if delayed is not None and time >= 0 and action is not None:
         on_start = key_word(text, begin, delayed.start, "ONSTART")
         from_start = on_start is not None
-        value = _stripped(text, begin, on_start.start if on_start is not None else delayed.start)
-        delay = _stripped(text, time, head.stop)
-    return Trigger("TRIGGER", start, stop, first > start, False, head, action, distance, value, from_start, delay)
+        value = value_in(source, begin, on_start.start if on_start is not None else delayed.start)
+        delay = value_in(source, time, head.stop)
+    code = _code(source, head.start, head.stop)
+    return Trigger("TRIGGER", start, stop, first > start, False, action, distance, value, from_start, delay, code=code)
 
 
 def _stripped(text: str, start: int, stop: int) -> Span:
@@ -305,43 +359,27 @@ def _stripped(text: str, start: int, stop: int) -> Span:
 def _if(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
     begin = first + len(word)
     then = key_word(source.text, begin, stop, "THEN")
-    head = Span(begin, stop if then is None else then.start)
+    head = _stripped(source.text, begin, stop if then is None else then.start)
     behind = "" if then is None else source.text[then.stop : stop].strip()
-    return If(word, start, stop, head, _whole_condition(source, head), then is not None, behind)
+    asked = value_in(source, head.start, head.stop) if head.start < head.stop else None
+    return If(word, start, stop, asked, then is not None, behind)
 
 
 def _while(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    head = Span(first + len(word), stop)
-    return While(word, start, stop, head, _whole_condition(source, head))
-
-
-def _whole_condition(source: Source, span: Span) -> Condition | None:
-    """Return the condition that a piece of code is; None where it cannot be read."""
-    try:
-        found, end = condition(source, span.start, span.stop)
-    except ProgramError:
-        return None
-    return found if after_blanks(source.text, end, span.stop) == span.stop else None
+    return While(word, start, stop, value_in(source, first + len(word), stop))
 
 
 def _switch(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    head = Span(first + len(word), stop)
-    try:
-        return Switch(word, start, stop, head, parse(source, head.start, stop)[0])
-    except ProgramError as error:
-        return Switch(word, start, stop, head, None, error)
+    return Switch(word, start, stop, value_in(source, first + len(word), stop))
 
 
 def _case(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    values: list[Value | Condition | None] = []
-    for begin, end in split(source, first + len(word), stop):
-        value, behind = _term(source, begin, end)
-        values.append(value if after_blanks(source.text, behind, end) == end else None)
-    return Case(word, start, stop, tuple(values))
+    return Case(word, start, stop, list_in(source, first + len(word), stop))
 
 
 def _bare(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return Bare(word, start, stop, source.text[first + len(word) : stop].strip())
+    behind = first + len(word)
+    return Bare(word, start, stop, source.text[behind:stop].strip(), code=_code(source, behind, stop))
 
 
 def _for(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -349,28 +387,28 @@ def _for(source: Source, word: str, start: int, first: int, stop: int) -> Statem
     begin = after_blanks(text, first + len(word), stop)
     name = word_at(text, begin, stop) if begin > first + len(word) else ""
     counter = bounds = error = None
-    values = Span(stop, stop)
     try:
         target, end = operand(source, begin, stop)
         equals = after_sign(text, end, stop, "=")
         if isinstance(target, Reference) and target.field is None and equals >= 0:
-            counter, values = target, Span(equals, stop)
             bounds = _bounds(source, equals, stop)
+            counter = None if bounds is None else target
     except ProgramError as cause:
         error = cause
-    return For(word, start, stop, name, counter, bounds, values, error)
+    code = _code(source, begin, stop) if bounds is None else None
+    return For(word, start, stop, name, counter, bounds, error, code=code)
 
 
 def _bounds(source: Source, start: int, stop: int) -> tuple[Value, Value, Value | None] | None:
     """Return ``first TO last STEP step``; None if it is something else."""
-    first, end = parse(source, start, stop)
+    first, end = value_at(source, start, stop)
     end = after_word(source.text, end, stop, "TO")
     if end < 0:
         return None
-    last, end = parse(source, end, stop)
+    last, end = value_at(source, end, stop)
     behind, step = after_word(source.text, end, stop, "STEP"), None
     if behind >= 0:
-        step, end = parse(source, behind, stop)
+        step, end = value_at(source, behind, stop)
     return (first, last, step) if after_blanks(source.text, end, stop) == stop else None
 
 
@@ -380,46 +418,15 @@ def _goto(source: Source, word: str, start: int, first: int, stop: int) -> State
 
 
 def _return(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return Return(word, start, stop, Span(first + len(word), stop))
+    begin = after_blanks(source.text, first + len(word), stop)
+    return Return(word, start, stop, value_in(source, begin, stop) if begin < stop else None)
 
 
 def _bas(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
     call, _ = operand(source, first, stop)
-    return CallStatement(word, start, stop, call) if isinstance(call, Call) else Statement(word, start, stop)
-
-
-# --- conditions ------------------------------------------------------------------------------------------------------
-
-
-def condition(source: Source, start: int, stop: int) -> tuple[Condition, int]:
-    """Return terms joined by comparisons and logic, and the offset behind them.
-
-    :raises ProgramError: as for `expressions.parse`.
-    """
-    terms: list[Value | Condition] = []
-    negated: list[bool] = []
-    operators: list[str] = []
-    while True:
-        inverse, start = after_nots(source.text, start, stop)
-        term, start = _term(source, start, stop)
-        terms.append(term)
-        negated.append(inverse)
-        operator, behind = operator_at(source.text, start, stop)
-        if not operator:
-            return Condition(tuple(terms), tuple(negated), tuple(operators)), start
-        operators.append(operator)
-        start = behind
-
-
-def _term(source: Source, start: int, stop: int) -> tuple[Value | Condition, int]:
-    """Return a value without operators of logic or comparison, or a condition in brackets."""
-    value, end = arithmetic(source, start, stop)
-    if isinstance(value, Opaque) and source.text[value.start : value.start + 1] == "(":
-        close = matching(source, value.start, stop)
-        inner, behind = condition(source, value.start + 1, close)
-        whole = after_blanks(source.text, behind, close) == close
-        return (inner if whole else value), close + 1
-    return value, end
+    if isinstance(call, Call):
+        return CallStatement(word, start, stop, call)
+    return Statement(word, start, stop, code=_code(source, first, stop))
 
 
 _Reader = Callable[[Source, str, int, int, int], Statement | None]

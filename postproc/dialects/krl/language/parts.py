@@ -4,8 +4,8 @@ Such files are read, corrected and written as one text. The lines that only divi
 comments there, with a mark before them, so that every line keeps its place, counted on from file to file, and the text
 can be taken apart again to the byte.
 
-Its own routines, which all parts see, stand in further files of the row that nobody calls: `part4.src` … . They say
-themselves of what they are a part; their first routine, of the name of the file, is empty.
+Its own routines, which all parts see, are in further files of the series that no program calls: `part4.src` … . A
+comment in each names the program; its first routine, which has the name of the file, is empty.
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ from pathlib import PurePath
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.data_files import DataLine, data_lines
+from postproc.dialects.krl.language import scan
+from postproc.dialects.krl.language.declarations import DataLine, data_lines
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import after_sign
+from postproc.dialects.krl.language.tree import CallStatement, Definition
 from postproc.errors import ProgramError
 from postproc.program import FORCE_COMMENT, Document, Unresolved
 
@@ -27,11 +31,8 @@ MAIN = "Main"
 _DIVIDES, _BEGINS, _UNENDED = ";\x01", ";\x02", ";\x03"
 """Before lines that only divide; before the first line of each file but the main one; before a last one without end."""
 _END = "END ;\x04\r\n"
-"""Behind the one text where no routines stand behind its parts: it has no END of its own then."""
+"""Added to the joined text if no routines follow its parts: it has no END of its own then."""
 _UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
-_DEF = re.compile(r"(?:GLOBAL[ \t]+)?DEF(FCT)?[ \t]+([\w$]+)[ \t]*\([ \t]*\)", re.IGNORECASE | re.ASCII)
-_BEGIN = re.compile(r"(?:GLOBAL[ \t]+)?DEF(?:FCT)?\b", re.IGNORECASE)
-_CALL = re.compile(r"([A-Za-z_$][\w$]*)[ \t]*\([ \t]*\)", re.ASCII)
 _PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
@@ -54,7 +55,7 @@ class Joined(Struct, frozen=True, eq=False):
         return name, line + 1 - first
 
     def placed(self, left: Unresolved) -> Unresolved:
-        """Return a motion that stays as it is with the file and the line of it on which it stands."""
+        """Return a motion that stays as it is with its file and its line there."""
         file, line = self.place(left.file, left.line)
         return replace(left, file=file, line=line)
 
@@ -79,14 +80,15 @@ def called(main: Document) -> list[tuple[str, int]]:
     source = Source.of(main, 0)
     found: list[tuple[str, int]] = []
     ended = False
+    own = stem[: -len(MAIN)].lower().rstrip("0123456789")
     for line in range(len(source.starts), 0, -1):
-        code = source.text[slice(*source.code_span(line))]
-        call = _CALL.fullmatch(code)
-        if ended and call and call[1].lower().rstrip("0123456789") == stem[: -len(MAIN)].lower().rstrip("0123456789"):
-            found.append((call[1], line))
-        elif not ended and code.upper() == "END":
+        here = statement(source, line)
+        called_ = here.call.spelt(source) if isinstance(here, CallStatement) and not here.call.arguments else ""
+        if ended and called_ and called_.lower().rstrip("0123456789") == own:
+            found.append((called_, line))
+        elif not ended and _is_end(source, line):
             ended = True
-        elif code:
+        elif here.start < here.stop:
             break
     found.reverse()
     wanted = [f"{stem[: -len(MAIN)]}{number}".lower() for number in range(1, len(found) + 1)]
@@ -94,7 +96,7 @@ def called(main: Document) -> list[tuple[str, int]]:
 
 
 def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
-    """Return the files with routines of a main program of several files, which stand behind those that it calls.
+    """Return the files with routines of a main program of several files, which follow those that it calls.
 
     :param find: returns a file by its name, None if there is none.
     """
@@ -128,7 +130,7 @@ def joined(documents: Sequence[Document]) -> Joined | None:
         return None
     missing = [(name, line) for name, line in calls if f"{name}.src".lower() not in known]
     if missing:
-        advice = "All files of the program must stand beside it."
+        advice = "Put all files of the program next to it."
         raise Source.of(main, 0).line_error(f"{missing[0][0]}.src is not there", missing[0][1], advice)
     parts = [known[f"{name}.src".lower()] for name, _ in calls]
     more = beyond(main, lambda name: known.get(name.lower()))
@@ -168,7 +170,7 @@ def _part_text(part: Document, *, ends: bool = False, several: bool = False) -> 
     """Return a part with its header, DEF and END as comments.
 
     :param ends: its END is that of the whole program, and stays.
-    :param several: other routines stand behind its END.
+    :param several: other routines follow its END.
     """
     source = Source.of(part, 0)
     begin = _only_def(source, several=several)
@@ -183,17 +185,19 @@ def _part_text(part: Document, *, ends: bool = False, several: bool = False) -> 
 
 def _only_def(source: Source, *, several: bool = False) -> int:
     """Return the line of the DEF of a file; of several that of the first."""
-    found = []
-    for match in re.finditer(r"DEF", source.text, re.IGNORECASE):
-        line = source.line_at(match.start())
-        start, stop = source.code_span(line)
-        if _BEGIN.match(source.text, start, stop):
-            found.append(line)
-    found = found[:1] if several else found
-    if len(found) != 1 or not _DEF.match(source.text, *source.code_span(found[0])):
+    found = [source.line_at(one.start) for one in scan.routines(source.text)][: 1 if several else None]
+    if len(found) != 1 or not _has_no_parameters(source, found[0]):
         problem = f"a program in several files has one DEF without parameters in each, and here are {len(found)}"
         raise source.line_error(problem, found[-1] if found else 1, "Join the files by hand.")
     return found[0]
+
+
+def _has_no_parameters(source: Source, line: int) -> bool:
+    """Return whether a line is a DEF with empty brackets."""
+    here = statement(source, line)
+    if not isinstance(here, Definition) or here.word != "DEF" or here.parameters:
+        return False
+    return after_sign(source.text, here.at + len(here.name), here.stop, "(") >= 0
 
 
 def _is_end(source: Source, line: int) -> bool:
@@ -220,7 +224,7 @@ def _with_marks(source: Source, lines: Sequence[int]) -> str:
 def _joined_data(main: Document, data: Sequence[Document]) -> Document:
     """Return the data of all files as one, each declaration once.
 
-    :raises ProgramError: one name stands for different values.
+    :raises ProgramError: one name has different values.
     """
     lines: dict[str, str] = {}
     known: dict[str, list[str]] = {}

@@ -90,7 +90,7 @@ class _Begun(Struct, eq=False):
 def routines(
     source: Source, lines: Sequence[int], plain: Sequence[int], settings: Sequence[int] = ()
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
-    """Return the routines of a file, and what is wrong with their bounds: no END, a motion outside of DEF … END.
+    """Return the routines of a file, and the errors in their bounds: no END, a motion outside of DEF … END.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
     :param plain: those that are plain motions, in order.
@@ -116,7 +116,7 @@ def routines(
         elif begun is not None:
             begun.lines.append(line)
         elif isinstance(here, Motion):
-            faults.append(source.line_error(f"{here.word} stands outside of DEF … END", line))
+            faults.append(source.line_error(f"{here.word} is outside of DEF … END", line))
     if begun is not None:
         faults.append(source.line_error(f"DEF {begun.name} has no END", begun.line, _INCOMPLETE))
         found.setdefault(begun.name, _ended(source, begun, len(source.starts) + 1, plain, settings))

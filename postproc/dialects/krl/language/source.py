@@ -21,7 +21,7 @@ class Origins(Struct, frozen=True, eq=False):
     :param sources: the files.
     :param source: (L,) place in `sources`.
     :param line: (L,) 1-based line there.
-    :param shown: (L,) line of the program's own `.src` that stands for it: that of the call for lines of other files.
+    :param shown: (L,) line of the program's own `.src` shown for it: that of the call for lines of other files.
     """
 
     sources: tuple[Source, ...]
@@ -38,7 +38,7 @@ class Source(Struct, frozen=True, eq=False):
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind its last character, the line end not included.
     :param origins: where its lines come from, of a text that was put together.
-    :param statements: what is on its lines, by 1-based line, as far as it has been read: see `parser.statement`.
+    :param statements: parsed statements by 1-based line: see `parser.statement`.
     """
 
     document: Document
@@ -75,7 +75,7 @@ class Source(Struct, frozen=True, eq=False):
         return line if self.origins is None else self.origins.line[line - 1]
 
     def shown(self, line: Ints) -> Ints:
-        """Return the lines of the program's own `.src` that stand for lines (n,)."""
+        """Return the lines of the program's own `.src` shown for lines (n,)."""
         return line if self.origins is None else self.origins.shown[line - 1]
 
     def line_at(self, offset: int) -> int:
@@ -83,7 +83,7 @@ class Source(Struct, frozen=True, eq=False):
         return int(np.searchsorted(self.starts, offset, side="right"))
 
     def code_span(self, line: int) -> tuple[int, int]:
-        """Return where the code of a 1-based line stands: without its comment and the blanks around it."""
+        """Return the span of the code of a 1-based line: without its comment and the blanks around it."""
         return code_span(self.text, int(self.starts[line - 1]), int(self.stops[line - 1]))
 
     def error(self, problem: str, offset: int, advice: str | None = None) -> ProgramError:
@@ -117,7 +117,7 @@ class Place(NamedTuple):
 
 
 def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
-    """Return the span of the code within a line: what stands before its comment, stripped."""
+    """Return the span of the code within a line: without its comment, stripped."""
     stop = comment_start(text, start, stop)
     while start < stop and text[start] in " \t\r":
         start += 1

@@ -23,7 +23,7 @@ _DIVIDING = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
 
 
 class Part(Struct, frozen=True, eq=False):
-    """What stands behind IF, ELSE, CASE, DEFAULT or the head of a loop.
+    """The statements that follow IF, ELSE, CASE, DEFAULT or the head of a loop.
 
     :param head: line of that word.
     :param beyond: line of the word behind it.
@@ -40,7 +40,7 @@ class Block(Struct, frozen=True, eq=False):
 
     :param word: FOR, WHILE, LOOP, REPEAT, IF or SWITCH.
     :param first: its first line; `last` that of the word that closes it.
-    :param parts: one for a loop; one or two for IF; for SWITCH what stands before the first CASE, then each CASE.
+    :param parts: one for a loop; one or two for IF; for SWITCH the lines before the first CASE, then each CASE.
     """
 
     word: str
@@ -79,7 +79,7 @@ class _Open(Struct, eq=False):
 def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
     """Return statements and control structures of some lines, in order.
 
-    Lines whose word closes or divides what is not open stand for themselves, and so do those of what is not closed.
+    Lines that close or divide a structure that is not open are statements, and so are those of one that is not closed.
 
     :raises ProgramError: they are nested too deeply.
     """
@@ -109,7 +109,7 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
 
 
 def outside(source: Source, lines: Sequence[int], others: Ints) -> Bools:
-    """Return which of other lines (n,) stand outside of the control structures that some lines open and close."""
+    """Return which of other lines (n,) are outside of the control structures that some lines open and close."""
     opened: list[int] = []
     closed: list[int] = []
     depth = 0
@@ -127,7 +127,7 @@ def outside(source: Source, lines: Sequence[int], others: Ints) -> Bools:
 def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     """Return statements and control structures as they are.
 
-    :raises ProgramError: something stands behind words of control structures, where it would not be read; or they lack
+    :raises ProgramError: something follows words of control structures, where it would not be read; or they lack
         something.
     """
     if errors := list(islice(_mistakes(source, nodes, in_loop=False), MOST + 1)):
@@ -136,7 +136,7 @@ def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
 
 
 def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
-    """Yield what is wrong with control structures; EXIT may stand in a loop only."""
+    """Yield the errors in control structures; EXIT is allowed in a loop only."""
     for node in nodes:
         if isinstance(node, Block):
             for line in dict.fromkeys((*(part.head for part in node.parts), node.last)):
@@ -151,17 +151,17 @@ def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterat
 
 
 def _mistake(source: Source, line: int) -> tuple[str, str] | None:
-    """Return what is wrong with a line of a control structure, and what to do."""
+    """Return the error in a line of a control structure, and the advice."""
     here, own = statement(source, line), "Write it on a line of its own."
     if isinstance(here, Bare):
-        return (f"{here.behind!r} stands behind {here.word}", own) if here.behind else None
+        return (f"{here.behind!r} follows {here.word}", own) if here.behind else None
     if isinstance(here, If):
         if not here.then:
             return "IF without THEN", "Write THEN behind the condition, on the same line."
-        if not here.head.of(source.text).strip():
+        if here.condition is None:
             return "IF without a condition", "Write it between IF and THEN."
-        return (f"{here.behind!r} stands behind THEN", own) if here.behind else None
+        return (f"{here.behind!r} follows THEN", own) if here.behind else None
     behind = list(words_in(source.text, here.start + len(here.word), here.stop))
     if any(word in MOTION_WORDS and source.text[at.stop : at.stop + 1] in (" ", "\t") for word, at in behind):
-        return f"a motion stands behind {here.word}", own
+        return f"a motion follows {here.word}", own
     return None

@@ -17,6 +17,7 @@ _OCCURRENCE = re.compile(
 )
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 NUMBER = re.compile(NUMBER_PATTERN)
+INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
 COMPONENT = re.compile(
     rf"[ \t]*([A-Za-z_]\w*)[ \t]*(?:(?<=[ \t])|(?=[-+]))({NUMBER_PATTERN})[ \t]*(?:(,)|(?=\}}))", re.ASCII
 )
@@ -33,6 +34,8 @@ DECLARATION = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 NEXT_DECLARED = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
+MORE_DECLARED = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
+"""Behind an initial value: another name with one."""
 _COLON = re.compile(r"[ \t]*:")
 _OPEN = re.compile(r"[ \t]*\(")
 _FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
@@ -112,6 +115,11 @@ def fold_at(text: str, start: int, stop: int) -> str:
     """Return ``FOLD`` or ``ENDFOLD`` if a line is the comment that begins or ends a fold; else an empty text."""
     fold = _FOLD.match(text, start, stop)
     return "" if fold is None else "ENDFOLD" if fold[1] else "FOLD"
+
+
+def indent(text: str) -> str:
+    """Return the blanks with which a line begins."""
+    return text[: len(text) - len(text.lstrip(BLANKS))]
 
 
 class Occurrence(Struct, frozen=True):

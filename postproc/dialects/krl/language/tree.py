@@ -6,6 +6,8 @@ where the statement begins, GLOBAL included, and `stop` is behind its last chara
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from msgspec import Struct
 
 from postproc.dialects.krl.language.declarations import Declared
@@ -14,12 +16,36 @@ from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.errors import ProgramError
 
 
-class Statement(Struct, frozen=True, eq=False):
-    """What is not understood, or does nothing that matters; the base of all others."""
+def _values_of(part: object) -> tuple[Value, ...]:
+    """Return the values in a part of a statement: a value, another statement, several of these, or nothing."""
+    if part is None:
+        return ()
+    if isinstance(part, tuple):
+        return tuple(value for one in part for value in _values_of(one))
+    return part.values if isinstance(part, (Statement, Tail)) else (part,)  # type: ignore[return-value]
+
+
+class _Node(Struct, frozen=True, eq=False, kw_only=True):
+    code: Value | None = None
+
+
+class Statement(_Node, frozen=True, eq=False):
+    """A statement that is not understood, or does nothing that matters; the base of all others.
+
+    :param code: text that is not parsed further, with the calls in it; None if there are none.
+    """
+
+    PARTS: ClassVar[tuple[str, ...]] = ("code",)
+    """Fields with values, in the order of the text."""
 
     word: str
     start: int
     stop: int
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """The values in it, in the order of the text."""
+        return _values_of(tuple(getattr(self, name) for name in self.PARTS))
 
 
 class Faulty(Statement, frozen=True, eq=False):
@@ -29,7 +55,7 @@ class Faulty(Statement, frozen=True, eq=False):
 
 
 class Parameter(Struct, frozen=True):
-    """A parameter of a routine; without ``:IN`` the routine may write what is given for it."""
+    """A parameter of a routine; without ``:IN`` the routine may write its argument."""
 
     name: str
     by_value: bool
@@ -69,7 +95,7 @@ class Outside(Statement, frozen=True, eq=False):
 
 
 class Cyclic(Statement, frozen=True, eq=False):
-    """ANIN ON, DIGIN ON, SIGNAL: the name is written again and again, or stands for an input."""
+    """ANIN ON, DIGIN ON, SIGNAL: the name is written again and again, or is that of an input."""
 
     name: str
 
@@ -81,12 +107,55 @@ class Imported(Statement, frozen=True, eq=False):
     original: str
 
 
+class Tail(Struct, frozen=True, eq=False):
+    """What follows the points of a motion: WITH and approximation. It holds for inserted targets too.
+
+    :param given: assignments of WITH; a plain `Statement` for anything else.
+    :param approximation: C_DIS, C_VEL …, upper case, in order; `behind` where the text before them ends.
+    :param rest: text that is not understood.
+    :param error: why WITH cannot be read.
+    """
+
+    start: int
+    stop: int
+    behind: int
+    given: tuple[Statement, ...] = ()
+    approximation: tuple[str, ...] = ()
+    rest: Span | None = None
+    error: ProgramError | None = None
+
+    @property
+    def values(self) -> tuple[Value, ...]:
+        """The values in it, in the order of the text."""
+        return _values_of(self.given)
+
+
 class Motion(Statement, frozen=True, eq=False):
-    """A motion; `read.motion_reader` reads its points and what follows them."""
+    """A motion.
+
+    :param via: auxiliary point of a circle, None for others.
+    :param end: target; None where a circle lacks it.
+    :param angle: CA, None without it.
+    :param frame: ``#BASE`` or ``#TOOL`` of a relative motion; empty if it is not given.
+    :param frame_behind: where that is behind the approximation; None: it is behind the target, or not given.
+    """
+
+    PARTS = ("via", "end", "angle", "tail")
+
+    via: Value | None
+    end: Value | None
+    angle: Value | None
+    frame: str
+    frame_behind: Span | None
+    tail: Tail
 
 
 class Spline(Statement, frozen=True, eq=False):
     """SPLINE or PTP_SPLINE: begins a spline block."""
+
+    PARTS = ("tail",)
+
+    tail: Tail
 
 
 class EndSpline(Statement, frozen=True, eq=False):
@@ -98,36 +167,39 @@ class EndSpline(Statement, frozen=True, eq=False):
 class If(Statement, frozen=True, eq=False):
     """IF.
 
-    :param head: its condition; without THEN all that follows IF.
-    :param condition: None where it cannot be read.
+    :param condition: without THEN all that follows IF; None if there is none.
     :param behind: what follows THEN.
     """
 
-    head: Span
-    condition: Condition | None
+    PARTS = ("condition",)
+
+    condition: Value | None
     then: bool
     behind: str
 
 
 class While(Statement, frozen=True, eq=False):
-    """WHILE or UNTIL; `condition` is None where it cannot be read."""
+    """WHILE or UNTIL."""
 
-    head: Span
-    condition: Condition | None
+    PARTS = ("condition",)
+
+    condition: Value
 
 
 class Switch(Statement, frozen=True, eq=False):
-    """SWITCH; `value` is None where it cannot be read, then `error` says why."""
+    """SWITCH."""
 
-    head: Span
-    value: Value | None
-    error: ProgramError | None = None
+    PARTS = ("value",)
+
+    value: Value
 
 
 class Case(Statement, frozen=True, eq=False):
-    """CASE; of its values those are None that are something else."""
+    """CASE and its values."""
 
-    values: tuple[Value | Condition | None, ...]
+    PARTS = ("cases",)
+
+    cases: tuple[Value, ...]
 
 
 class For(Statement, frozen=True, eq=False):
@@ -135,14 +207,14 @@ class For(Statement, frozen=True, eq=False):
 
     :param name: of the counter, upper case; empty if there is none.
     :param bounds: first and last number and the step (None: 1); None if it is not understood.
-    :param values: from the first number to the end.
     :param error: why a number cannot be read.
     """
+
+    PARTS = ("counter", "bounds", "code")
 
     name: str
     counter: Reference | None
     bounds: tuple[Value, Value, Value | None] | None
-    values: Span
     error: ProgramError | None = None
 
 
@@ -165,9 +237,11 @@ class Label(Statement, frozen=True, eq=False):
 
 
 class Return(Statement, frozen=True, eq=False):
-    """RETURN and the value that it gives, perhaps empty."""
+    """RETURN and the value that it gives; None without one."""
 
-    value: Span
+    PARTS = ("value",)
+
+    value: Value | None
 
 
 class Event(Statement, frozen=True, eq=False):
@@ -175,13 +249,14 @@ class Event(Statement, frozen=True, eq=False):
 
     :param public: GLOBAL.
     :param declares: INTERRUPT DECL.
-    :param head: what precedes DO.
+    :param code: what precedes DO, likewise.
     :param action: the statement behind DO; None without one.
     """
 
+    PARTS = ("code", "action")
+
     public: bool
     declares: bool
-    head: Span
     action: Statement | None
 
 
@@ -195,9 +270,9 @@ class Trigger(Event, frozen=True, eq=False):
     """
 
     distance: bool
-    value: Span | None
+    value: Value | None
     from_start: bool
-    delay: Span | None
+    delay: Value | None
 
 
 class Timed(Statement, frozen=True, eq=False):
@@ -214,24 +289,15 @@ class Timed(Statement, frozen=True, eq=False):
 class Assignment(Statement, frozen=True, eq=False):
     """A variable and what it is given."""
 
+    PARTS = ("target", "value")
+
     target: Reference
-    value: Span
+    value: Value
 
 
 class CallStatement(Statement, frozen=True, eq=False):
     """A call that is a statement; BAS too."""
 
+    PARTS = ("call",)
+
     call: Call
-
-
-class Condition(Struct, frozen=True, eq=False):
-    """Terms joined by comparisons and logic, in the order of the text.
-
-    :param terms: values without these operators, or conditions in brackets.
-    :param negated: whether NOT is before each.
-    :param operators: between them, upper case.
-    """
-
-    terms: tuple[Value | Condition, ...]
-    negated: tuple[bool, ...]
-    operators: tuple[str, ...]

@@ -1,15 +1,16 @@
-"""Values as KRL writes them: numbers, aggregates, names, chains of frames. Every value knows where it stands.
+"""Values as KRL writes them: numbers, aggregates, variables, chains of frames, conditions; with their places in text.
 
 Offsets count characters from the beginning of the document.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
+from postproc.errors import ProgramError
 
 
 class Number(Struct, frozen=True):
@@ -35,23 +36,26 @@ class Word(Struct, frozen=True):
 class Reference(Struct, frozen=True):
     """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case.
 
-    `element` is its text between the brackets and `inside` where that stands; `field` is all that follows the first
-    point (``BLOCK[2].Z``).
+    :param indices: of an element; empty for ``P[ ]``, which is the whole array; None without brackets.
+    :param field: all that follows the first point (``BLOCK[2].Z``).
+    :param inner: values in the brackets of `field`.
+    :param bracketed: it is in brackets: a routine that gets it cannot write it.
     """
 
     name: str
-    element: str | None
+    indices: tuple[Value, ...] | None
     field: str | None
     start: int
     stop: int
-    inside: tuple[int, int] = (0, 0)
+    inner: tuple[Value, ...] = ()
+    bracketed: bool = False
 
 
 class Call(Struct, frozen=True):
-    """A function with the texts of its arguments' spans."""
+    """A function with its arguments."""
 
     name: str
-    arguments: tuple[tuple[int, int], ...]
+    arguments: tuple[Value, ...]
     start: int
     stop: int
 
@@ -78,17 +82,50 @@ class Operation(Struct, frozen=True):
     stop: int
 
 
+class Condition(Struct, frozen=True):
+    """Terms joined by comparisons and logic, in the order of the text; one term alone if it is in brackets.
+
+    :param negated: whether NOT is before each.
+    :param operators: between them, upper case.
+    """
+
+    terms: tuple[Value, ...]
+    negated: tuple[bool, ...]
+    operators: tuple[str, ...]
+    start: int
+    stop: int
+
+
 class Opaque(Struct, frozen=True):
-    """What is computed while the program runs: comparisons, logic, text."""
+    """Text that is not understood as a value, perhaps empty.
+
+    :param values: calls in it.
+    :param rest: where the text begins that follows a value and does not belong to it; −1 if there is none.
+    """
 
     start: int
     stop: int
+    values: tuple[Value, ...] = ()
+    rest: int = -1
+
+
+class Unreadable(Struct, frozen=True, eq=False):
+    """Text that cannot be a value.
+
+    :param error: why.
+    :param values: calls in it; None where its brackets are not balanced.
+    """
+
+    start: int
+    stop: int
+    error: ProgramError
+    values: tuple[Value, ...] | None = None
 
 
 class Aggregate(Struct, frozen=True, eq=False):
     """``{TAG: NAME value, …}``.
 
-    :param source: the file it stands in.
+    :param source: the file that contains it.
     :param start: offset of ``{``.
     :param stop: offset behind ``}``.
     :param tag: ``E6POS`` of ``{E6POS: …}``, upper case; empty if there is none.
@@ -104,4 +141,41 @@ class Aggregate(Struct, frozen=True, eq=False):
     computed: bool = False
 
 
-Value = Number | Word | Reference | Call | Chain | Operation | Opaque | Aggregate
+Value = Number | Word | Reference | Call | Chain | Operation | Condition | Opaque | Unreadable | Aggregate
+
+
+def parts(value: Value) -> Iterable[Value]:
+    """Return the values that a value is made of, in the order of the text.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    if isinstance(value, Reference):
+        return (*(value.indices or ()), *value.inner)
+    if isinstance(value, Call):
+        return value.arguments
+    if isinstance(value, Chain):
+        return value.operands
+    if isinstance(value, Operation):
+        return (value.right,) if value.left is None else (value.left, value.right)
+    if isinstance(value, Condition):
+        return value.terms
+    if isinstance(value, Aggregate):
+        return value.items.values()
+    if isinstance(value, Unreadable) and value.values is None:
+        raise value.error
+    return (value.values or ()) if isinstance(value, Opaque | Unreadable) else ()
+
+
+def walk(values: Iterable[Value]) -> Iterator[Value]:
+    """Yield values and all that they are made of, in the order of the text.
+
+    :raises ProgramError: as for `parts`.
+    """
+    for value in values:
+        yield value
+        yield from walk(parts(value))
+
+
+def writable(argument: Value) -> Reference | None:
+    """Return the variable that a routine may write if it gets an argument; None if it is none."""
+    return argument if isinstance(argument, Reference) and not argument.bracketed else None

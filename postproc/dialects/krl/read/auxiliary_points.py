@@ -8,13 +8,14 @@ under `$ORI_TYPE=#IGNORE`, it turns by the shorter rotation. CIRC disregards aux
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import IGNORE
 from postproc.dialects.krl.read.end_poses import Led
 from postproc.dialects.krl.read.motion_columns import MotionColumns
@@ -33,7 +34,6 @@ from postproc.frames import (
 )
 from postproc.program import Bools, Ints
 
-_ANGLE = re.compile(r"\b([ABC])[ \t]+([-+.0-9eE]+)", re.IGNORECASE)
 _LONGER = "the orientation of the auxiliary point is closer to the longer way round: SCIRC turns the tool that way"
 _THROUGH = (
     "SCIRC turns the tool through the orientation of its auxiliary point ($CIRC_MODE.AUX_PT.ORI #INTERPOLATE), which "
@@ -43,8 +43,8 @@ _ADVICE = (
     "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC.",
     "Use #CONSIDER or #IGNORE, or divide the circle at its auxiliary point into two.",
 )
-_STANDS = 1e-6
-"""A tool that turns by less than this [rad] keeps its orientation: a longer way has no axis."""
+_NO_TURN = 1e-6
+"""A tool that turns by less than this [rad] keeps its orientation: the rotation has no axis."""
 _ON_THE_WAY = 0.01 * RAD_PER_DEG
 """An orientation closer than this [rad] to where the tool turns anyway is on its way; one must come closer by this."""
 
@@ -113,7 +113,7 @@ def _longer(first: Array, short: Array, via: Array) -> Bools:
     :param first: R₀ (n, 3, 3); short: shorter rotation (n, 3) [rad], about k; via: R_v (n, 3, 3).
     """
     size = norm(short)
-    axis = short / np.maximum(size, _STANDS)[:, None]
+    axis = short / np.maximum(size, _NO_TURN)[:, None]
     apart = via @ np.swapaxes(first, 1, 2)
     cosine = np.trace(apart, axis1=1, axis2=2) - np.einsum("ni,nij,nj->n", axis, apart, axis)
     sine = -np.einsum("nij,nji->n", hat(axis), apart)
@@ -124,7 +124,7 @@ def _longer(first: Array, short: Array, via: Array) -> Bools:
         return angle_between(rotation_from_vector(place[:, None] * axis) @ first, via)
 
     shorter, longer = angle(0.5 * size, 0.5 * size), angle(0.5 * size + np.pi, np.pi - 0.5 * size)
-    return (shorter > _ON_THE_WAY) & (shorter > longer - _ON_THE_WAY) & (size >= _STANDS)
+    return (shorter > _ON_THE_WAY) & (shorter > longer - _ON_THE_WAY) & (size >= _NO_TURN)
 
 
 def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
@@ -132,10 +132,8 @@ def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[i
     if row in moves:
         via = moves[row].via
         return [np.nan] * 3 if via is None else list(via.position.values[3:6])
-    found = {
-        name.upper(): float(number) for name, number in _ANGLE.findall(source.text, *rows.via_target[row].tolist())
-    }
-    return [found.get(name, np.nan) for name in "ABC"]
+    items = parse_aggregate(source, *rows.via_target[row].tolist()).items
+    return [item.value if isinstance(item := items.get(name), Number) else np.nan for name in "ABC"]
 
 
 def _unknown(state: State) -> bool:

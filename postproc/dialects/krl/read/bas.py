@@ -5,8 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.expressions import parse
-from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import Frames
@@ -33,6 +32,11 @@ _HARMLESS = frozenset({"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "O
 _KNOWN = "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
 
 
+def command_of(source: Source, call: Call) -> str:
+    """Return the command of a call of BAS, upper case; empty without one."""
+    return source.text[call.arguments[0].start : call.arguments[0].stop].strip().upper() if call.arguments else ""
+
+
 class Bas:
     """Follows calls of BAS."""
 
@@ -45,16 +49,16 @@ class Bas:
         :raises ProgramError: the command is not known.
         """
         source = at.source
-        command = source.text[slice(*call.arguments[0])].strip().upper() if call.arguments else ""
-        argument = parse(source, *call.arguments[1])[0] if len(call.arguments) > 1 else None
+        command = command_of(source, call)
+        argument = call.arguments[1] if len(call.arguments) > 1 else None
         if argument is not None:
-            self.variables.rely(source, argument)
+            self.variables.rely(argument)
         if command == "#INITMOV":
             return self._initialised(state, at)
         if command == "#VEL_CP" and argument is not None:
             return self.path.speed(state, at, "CP", argument)
         if command in ("#BASE", "#TOOL"):
-            number = self.variables.number(source, argument) if argument is not None else None
+            number = self.variables.number(argument) if argument is not None else None
             if number is None:
                 return self.frames.unknown(state, f"${command[1:]}", at, "its number is not known")
             return self.frames.numbered(state, at, f"${command[1:]}", int(number))
@@ -84,7 +88,7 @@ class Bas:
 
     def _data(self, name: str, at: Place) -> Known:
         """Return what the structure is that a command reads."""
-        return self.variables.evaluate(at.source, self._component(name, None, at))
+        return self.variables.evaluate(self._component(name, None, at))
 
     def _component(self, name: str, field: str | None, at: Place) -> Reference:
         start, _ = at.source.code_span(at.line)

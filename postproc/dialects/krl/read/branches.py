@@ -1,4 +1,4 @@
-"""Branches of which it is not known which one runs: each is corrected from where they divide to where they meet."""
+"""Branches not known before run time: each is corrected from the fork to the control-flow join."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from postproc.frames import Array, inverse
 from postproc.program import PTP, SPL, Carriage, Ints, Motions
 
 _APART = 1e-6
-"""Ends of branches closer than this [m, rad] are one."""
+"""Branches whose ends differ by less [m, rad] end in one pose."""
 _ADVICE = (
     "Branches whose condition is not known are corrected if they meet in one pose. Let them, say in "
     "[krl.values] of the cell what the condition asks, or leave them as they are by --keep-unresolved."
@@ -32,21 +32,21 @@ _WHOLE = (
 class BranchError(ProgramError):
     """Branches cannot be corrected.
 
-    :ivar occasions: where they, and others that cannot be, divide.
+    :ivar occasions: the forks of these branches, and of all others that cannot be corrected.
     """
 
     occasions: frozenset[Occasion]
 
 
 class Meeting(NamedTuple):
-    """Branches that meet: the line of the course on which they divide, and the motions (−1: none yet) that end them."""
+    """A control-flow join: the line of its fork in the trace, and the last motions of the branches (−1: none yet)."""
 
     fork: int
     ends: tuple[int, ...]
 
 
 def free_joins(course: Course, ordered: OrderedMotions) -> frozenset[Join]:
-    """Return joins behind a jump at which poses may differ: what follows is nothing, or a PTP to joint angles."""
+    """Return joins after a jump at which poses may differ: nothing follows, or a PTP to joint angles."""
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     lines, found = ordered.rows.line, []
     for number, step in enumerate(steps):
@@ -68,12 +68,12 @@ def _to_joints(ordered: OrderedMotions, row: int) -> bool:
 def branching(
     course: Course, ordered: OrderedMotions, after: Ints | None, kept: Sequence[int], free: Set[Join]
 ) -> tuple[Ints | None, list[Meeting]]:
-    """Return at the end of which motion each begins, see `Program.after`, and where branches meet.
+    """Return the motion at whose end each motion begins, see `Program.after`, and the control-flow joins.
 
     :param after: the same without branches.
-    :param kept: lines of motions that stay as they are.
-    :param free: where branches may end in different poses.
-    :raises BranchError: a motion of a branch, or behind it, depends on more than where it begins.
+    :param kept: lines of uncorrected motions.
+    :param free: joins at which branches may end in different poses.
+    :raises BranchError: a motion in or after a branch depends on more than its start pose.
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
@@ -108,9 +108,9 @@ def branching(
             ends = [*ends, now, *([] if step.complete else [entry])]
             rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
             if any(fork < inside <= step.line for inside in kept):
-                faults.append(_error(course, forks, fork, "a motion that stays as it is stands in a branch"))
+                faults.append(_error(course, forks, fork, "an uncorrected motion is inside a branch"))
             elif step not in free and (ordered.rows.kind[rows] == PTP).any():
-                faults.append(_error(course, forks, fork, "PTP stands in a branch"))
+                faults.append(_error(course, forks, fork, "PTP is inside a branch"))
             if step not in free:
                 meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
             now = min(ends)
@@ -132,12 +132,12 @@ def check_meetings(
     frames: tuple[Array, Array],
     start: Array,
 ) -> None:
-    """Refuse branches that end in different places.
+    """Refuse branches that end in different poses.
 
     :param carriage: the linear axis that carries the robot.
     :param frames: `$BASE` (nb, 4, 4) and `$TOOL` (nt, 4, 4).
     :param start: (4, 4) flange in the root where the program starts.
-    :raises BranchError: they do.
+    :raises BranchError: some do.
     """
     bases, tools = frames
     forks, faults = _forks(course), []
@@ -151,12 +151,12 @@ def check_meetings(
         elif carriage is not None:
             places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
             if np.ptp(places) > _APART:
-                faults.append(_error(course, forks, fork, "E1 stands in different places at the ends of the branches"))
+                faults.append(_error(course, forks, fork, "E1 differs between the ends of the branches"))
     _raise(faults)
 
 
 def _forks(course: Course) -> Mapping[int, set[Occasion]]:
-    """Return the occasions on which branches divide behind each line."""
+    """Return the visits to the fork on each line."""
     found: dict[int, set[Occasion]] = {}
     for step in course.steps:
         if isinstance(step, Fork):
@@ -172,16 +172,16 @@ def _raise(faults: Sequence[BranchError]) -> None:
 
 
 def _why(ordered: OrderedMotions, row: int) -> str:
-    """Return what of a motion depends on more than the place where it begins."""
+    """Return why a motion depends on more than its start pose."""
     kind, move = int(ordered.rows.kind[row]), ordered.moves.get(row)
     if kind != PTP and ordered.states[ordered.state[row]].orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:
-        return "SPL stands"
+        return "there is an SPL"
     if move is not None and move.relative:
-        return "a relative motion stands"
+        return "there is a relative motion"
     if move is not None and move.angle is not None:
-        return "a circle with CA stands"
+        return "there is a circle with CA"
     return "components are missing"
 
 
@@ -189,7 +189,7 @@ def _error(
     course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _ADVICE
 ) -> BranchError:
     source = course.source
-    told = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
-    error = BranchError(told.problem, file=told.file, line=told.line, text=told.text, advice=told.advice)
+    base = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
+    error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.occasions = frozenset(forks[fork])
     return error

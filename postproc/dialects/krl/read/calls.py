@@ -1,4 +1,4 @@
-"""Calls: a routine that is called is run too, statement by statement, where that can be done exactly."""
+"""Calls: a called routine is followed too, statement by statement, if this can be done exactly."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import NamedTuple
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import PURE, STANDARD
-from postproc.dialects.krl.language.parser import calls, reference_of, sole_call
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.values import Aggregate, Call, Reference
+from postproc.dialects.krl.language.values import Aggregate, Call, Opaque, Reference, Value, writable
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
@@ -37,20 +36,16 @@ class Calls:
         self.run, self._called = run, called
         self.entered: list[_Bound] = []
 
-    def value(self, at: Place, start: int, stop: int) -> Known:
-        """Return what an expression is now; run the functions in it."""
-        if "(" in at.source.text[start:stop]:
-            call = sole_call(at.source, start, stop)
-            for inner in calls(at.source, (call.start + len(call.name)) if call else start, stop):
-                self.call(at, inner, certain=False)
-            if call is not None and call.name in PURE:
-                return self.run.variables.evaluate(at.source, call)
-            if call is not None:
-                return self.call(at, call, certain=self.run.certain)
-        value, end = parse(at.source, start, stop)
-        if at.source.text[end:stop].strip():
-            return Unknown(str(at))
-        known = self.run.variables.evaluate(at.source, value)
+    def value(self, at: Place, value: Value) -> Known:
+        """Return the present value of an expression; run the functions in it."""
+        call = value if isinstance(value, Call) else None
+        for inner in calls([value] if call is None else call.arguments):
+            self.call(at, inner, certain=False)
+        if call is not None and call.name in PURE:
+            return self.run.variables.evaluate(call)
+        if call is not None:
+            return self.call(at, call, certain=self.run.certain)
+        known = self.run.variables.evaluate(value)
         if isinstance(known, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
             return replace(known, computed=True)  # the text of its numbers belongs to another variable
         if known == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
@@ -58,7 +53,7 @@ class Calls:
         return known
 
     def call(self, at: Place, call: Call, *, certain: bool) -> Known:
-        """Follow a call; return what a function gives."""
+        """Follow a call; return the value of a function."""
         found = self.run.library.find(call.name, self.run.level.module)
         unknown = Unknown(f"{at}: what {call.spelt(at.source)}() gives is not known")
         if found is None:
@@ -84,7 +79,7 @@ class Calls:
         return None if found is None else self.run.analysis.of(*found).writes.get(name)
 
     def _absent(self, at: Place, call: Call) -> None:
-        """Follow a call of what is in no file: it writes its arguments at most."""
+        """Follow a call of a routine that is in no file: it writes at most its arguments."""
         if call.name in PURE:
             return
         if call.name not in STANDARD:
@@ -92,9 +87,9 @@ class Calls:
         self._forget_arguments(at, call, None)
 
     def notice(self, at: Place, what: str, effects: Effects) -> None:
-        """Note what is in no file, and what may happen at any time from now on.
+        """Note routines that are in no file, and variables that may change at any time from now on.
 
-        :raises ProgramError: that are frames or speeds.
+        :raises ProgramError: frames or speeds may change so.
         """
         self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes is not None
@@ -117,15 +112,15 @@ class Calls:
     def _by_reference(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: variables given for a parameter without ``:IN``."""
         found = []
-        for index, span in enumerate(call.arguments):
+        for index, argument in enumerate(call.arguments):
             by_value = routine is not None and index < len(routine.parameters) and routine.parameters[index].by_value
-            reference = None if by_value else reference_of(at.source, span)
+            reference = None if by_value else writable(argument)
             if reference is not None:
                 found.append((index, reference))
         return found
 
     def _may_have_run(self, at: Place, name: str, effects: Effects) -> None:
-        """Forget all that something may write that runs at an unknown time, or unknown times."""
+        """Mark as unknown everything that code may write which runs at unknown times or an unknown number of times."""
         for written, place in effects.writes.items():
             if written in RELEVANT:
                 problem = f"{name} may change {written} ({place})"
@@ -135,7 +130,7 @@ class Calls:
                 self.run.variables.forget(written, str(place))
 
     def _check_motion(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
-        """Refuse motions in routines of the program itself; behind those of another file the robot is elsewhere."""
+        """Refuse motions in routines of the program itself; after those of another file the position is not known."""
         if effects.force is not None and self.run.in_main:
             self.run.unforced[self.run.line] = f"{call.name} is called, which holds a force comment ({effects.force})"
         place = effects.motion
@@ -163,9 +158,9 @@ class Calls:
         self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
 
     def moving(self, call: Call) -> tuple[Module, Routine] | None:
-        """Return the routine that a call goes to if the course of the program leads through it, else None.
+        """Return the called routine if it belongs in the execution trace, else None.
 
-        It does where the routine moves the robot, or says which force acts.
+        It does if it moves the robot or contains a force comment.
         """
         found = self.run.library.find(call.name, self.run.level.module)
         if found is None or found[1] in self.run.elsewhere:
@@ -174,7 +169,7 @@ class Calls:
         return found if effects.motion is not None or effects.force is not None else None
 
     def enter(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
-        """Go into a routine that moves; what runs next runs in it, up to `leave`.
+        """Enter a routine with motions; the next statements run in it, up to `leave`.
 
         :raises InexactError: it cannot be followed.
         """
@@ -194,7 +189,7 @@ class Calls:
         self._begin(bound, traced=True)
 
     def leave(self) -> None:
-        """Go back from the routine that was entered last."""
+        """Return from the routine that was entered last."""
         self._end(self.entered.pop())
 
     def _executed(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> Known | None:
@@ -212,31 +207,33 @@ class Calls:
         return level.result if level.result != NOTHING else Unknown(str(at))
 
     def _bound(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> _Bound | None:
-        """Return a call with what is given for its parameters; None if it cannot be run exactly."""
+        """Return a call with the values of its parameters; None if it cannot be run exactly."""
         if routine in self.run.stack or len(self.run.stack) > _DEEPEST:
             return None
         written = self._by_reference(at, call, routine)
         roots = [self.run.stored(reference.name) for _, reference in written]
-        if len(set(roots)) < len(roots) or any(root in effects.writes or root in RELEVANT for root in roots):
-            return None  # one variable under two names
+        elsewhere = effects.writes.keys() | effects.anytime.keys() | self.run.variables.changing.keys() | RELEVANT
+        if len(set(roots)) < len(roots) or not elsewhere.isdisjoint(roots):
+            return None  # one variable under two names: written by the routine, an interrupt, a cyclic statement
         if roots and not self.run.analysis.names(module, routine).isdisjoint(roots):
             return None  # the same
-        if any(reference.element == "" for _, reference in written) or len(call.arguments) > len(routine.parameters):
+        if any(reference.indices == () for _, reference in written) or len(call.arguments) > len(routine.parameters):
             return None
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls)
         given: dict[int, Known] = {}
         arguments = [
-            _Argument(index, reference, self.run.variables.key_of(at.source, reference))  # as they are before the call
+            _Argument(index, reference, self.run.variables.key_of(reference))  # as they are before the call
             for index, reference in written
             if index < len(routine.parameters)
         ]
-        for index, (start, stop) in enumerate(call.arguments):
-            given[index] = self.value(at, start, stop) if at.source.text[start:stop].strip() else NOTHING
+        for index, argument in enumerate(call.arguments):
+            left_out = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
+            given[index] = NOTHING if left_out else self.value(at, argument)
         return _Bound(at, module, routine, scope, arguments, given, self.run.level, self.run.variables.scope)
 
     def _begin(self, bound: _Bound, *, traced: bool) -> Level:
-        """Run in a routine from now on."""
+        """Make a routine the running one."""
         for index, parameter in enumerate(bound.routine.parameters):
             stored, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
             if kind:
@@ -254,7 +251,7 @@ class Calls:
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
 
     def _end(self, bound: _Bound) -> None:
-        """Run behind a call again, with what it has left in its arguments."""
+        """Continue after a call, with the values that it leaves in its arguments."""
         self._back(bound)
         at, variables = bound.at, self.run.variables
         for index, reference, key in bound.written:
@@ -272,7 +269,7 @@ class Calls:
 class _Argument(NamedTuple):
     """An argument that a routine may write.
 
-    :ivar place: its number among the arguments.
+    :ivar place: its index among the arguments.
     :ivar key: the variable that it named when the call began; None if that is not known.
     """
 

@@ -10,11 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.language.parser import calls
-from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import Span
-from postproc.dialects.krl.language.tree import Condition
-from postproc.dialects.krl.language.values import Number, Value, Word
+from postproc.dialects.krl.language.expressions import calls
+from postproc.dialects.krl.language.values import Condition, Number, Value, Word
 from postproc.dialects.krl.read.known import Known
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
@@ -26,39 +23,33 @@ _CLOSE = 1e-5
 Term = bool | Number | Word | None
 
 
-def truth(variables: Variables, source: Source, condition: Condition | None, span: Span) -> bool | None:
-    """Return whether a condition holds; None where that is not known before the program runs.
-
-    :param condition: None where it cannot be read.
-    :param span: where it is.
-    """
+def truth(variables: Variables, condition: Value | None) -> bool | None:
+    """Return whether a condition holds; None where that is not known before the program runs."""
     try:
-        if condition is None or calls(source, span.start, span.stop):
+        if condition is None or calls([condition]):
             return None
-        value = _condition(variables, source, condition)
+        value = _term(variables, condition)
     except ProgramError:
         return None
     return value if isinstance(value, bool) else None
 
 
-def chosen(
-    variables: Variables, source: Source, value: Known, cases: Sequence[Value | Condition | None]
-) -> bool | None:
+def chosen(variables: Variables, value: Known, cases: Sequence[Value]) -> bool | None:
     """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
     found: bool | None = False
     for case in cases:
-        same = None if case is None else _compared("==", _plain(value), _term(variables, source, case))
+        same = _compared("==", _plain(value), _term(variables, case))
         if same:
             return True
         found = None if same is None else found
     return found
 
 
-def _condition(variables: Variables, source: Source, condition: Condition) -> Term:
+def _condition(variables: Variables, condition: Condition) -> Term:
     """Return the value of terms joined by operators."""
     terms = []
     for part, inverse in zip(condition.terms, condition.negated, strict=True):
-        term = _term(variables, source, part)
+        term = _term(variables, part)
         terms.append((not term if isinstance(term, bool) else None) if inverse else term)
     return _joined(terms, list(condition.negated), list(condition.operators))
 
@@ -97,11 +88,11 @@ def _logical(operator: str, left: Term, right: Term) -> bool | None:
     return known[0] != known[1] if len(known) == 2 else None
 
 
-def _term(variables: Variables, source: Source, term: Value | Condition) -> Term:
+def _term(variables: Variables, term: Value) -> Term:
     """Return the value of what comparisons and logic join."""
     if isinstance(term, Condition):
-        return _condition(variables, source, term)
-    return _plain(variables.evaluate(source, term))
+        return _condition(variables, term)
+    return _plain(variables.evaluate(term))
 
 
 def _plain(known: Known) -> Term:

@@ -1,21 +1,22 @@
-"""Declarations: those of a `.dat` or `$config.dat`, and those in a `.src`; what they give variables first."""
+"""Declarations of a `.dat`, a `$config.dat` or a `.src`, and their initial values; GLOBAL variables of other files."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Set
+from collections import Counter
+from collections.abc import Collection, Set
+from contextlib import suppress
 
 from msgspec.structs import replace
 
+from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import Declared, declared, structure
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import DECLARATION
+from postproc.dialects.krl.language.tokens import DECLARATION, INDEX, MORE_DECLARED, NAME
 from postproc.dialects.krl.language.tree import Declaration
+from postproc.dialects.krl.read.folder import FolderFiles
 from postproc.dialects.krl.read.known import Unread
 from postproc.dialects.krl.read.variables import Variables
-
-_MORE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
-_INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
+from postproc.errors import ProgramError
 
 
 def read_data(
@@ -71,7 +72,7 @@ def _declare(
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
-    if match[4] and not _MORE.search(source.text, match.end(), stop):
+    if match[4] and not MORE_DECLARED.search(source.text, match.end(), stop):
         names = [next(declared(source, start, match.end()))]
     else:
         start, stop = source.code_span(line)
@@ -108,6 +109,28 @@ def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
         if name not in variables.initial:
             variables.take_given(name)  # what its type makes of it
     indices = [part.strip() for part in (one.bounds or "").strip("[] \t").split(",")]
-    if not all(_INDEX.fullmatch(index) for index in indices):
+    if not all(INDEX.fullmatch(index) for index in indices):
         return name
     return f"{name}[{','.join(str(int(index)) for index in indices)}]"
+
+
+def read_shared(variables: Variables, code: str, own: Collection[str], files: FolderFiles) -> None:
+    """Take GLOBAL variables that a program uses from other `.dat` files; not those that several of them declare.
+
+    :param code: all code of the program that may contain names, called routines included.
+    :param own: names of its files.
+    :param files: where to look.
+    """
+    mine = {name.upper() for name in own}
+    others = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in mine]
+    declared = {path: files.declared(path, scan.global_variables) for path in others}
+    if not any(declared.values()):
+        return
+    times = Counter(name for names in declared.values() for name in names)
+    used = set().union(*(NAME.findall(reached) for reached in files.reached(code)))
+    known = ({name.upper() for name in used} | set(variables.types.values())) - variables.types.keys()
+    wanted = {name for name in known if times[name] == 1}
+    for path, names in declared.items():
+        if not wanted.isdisjoint(names):
+            with suppress(ProgramError):  # they have no values then, and a motion that needs one says so
+                read_data(variables, files.source(path), fill=True, only=wanted)

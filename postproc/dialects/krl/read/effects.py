@@ -1,4 +1,4 @@
-"""What a routine may do besides returning: names it may write, motions, programs that are not there.
+"""Side effects of routines: names that they may write, motions, calls of missing programs.
 
 A point, an index, a frame or a speed is constant only if nothing that can run before its use writes it. What a routine
 may write is found over all that it calls, functions in expressions and parameters by reference included, and over the
@@ -8,13 +8,13 @@ actions of the interrupts and triggers that it declares. Nothing is executed: a 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from msgspec import Struct, field
 
-from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import STANDARD
-from postproc.dialects.krl.language.parser import calls, reference_of, statement
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import occurrences
@@ -33,11 +33,11 @@ from postproc.dialects.krl.language.tree import (
     Spline,
     Statement,
 )
-from postproc.dialects.krl.language.values import Call, Reference
-from postproc.dialects.krl.read.bas import BAS_SETS
+from postproc.dialects.krl.language.values import Call, Reference, Value, writable
+from postproc.dialects.krl.read.bas import BAS_SETS, command_of
+from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.force_notes import noted_lines
 from postproc.dialects.krl.read.known import Scope
-from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import ProgramError
 
@@ -49,16 +49,16 @@ _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
 
 
 class Effects(Struct, eq=False):
-    """What may happen.
+    """Side effects.
 
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
-    :ivar back: where it moves to where an interrupt has stopped it.
-    :ivar force: where a force comment stands; None if there is none.
+    :ivar back: motion back to the point at which an interrupt stopped the robot.
+    :ivar force: place of a force comment; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
-    :ivar jumps: True where it may not run line by line: GOTO, RESUME.
-    :ivar resumes: RESUME that may break off what is running; None if there is none.
+    :ivar jumps: True if it may not run line by line: GOTO, RESUME.
+    :ivar resumes: RESUME that may break off the running routine; None if there is none.
     """
 
     writes: dict[str, Place] = {}
@@ -71,7 +71,7 @@ class Effects(Struct, eq=False):
     resumes: Place | None = None
 
     def add(self, other: Effects) -> None:
-        """Take what a called routine may do."""
+        """Add the effects of a called routine."""
         for name, place in other.writes.items():
             self.writes.setdefault(name, place)
         for name, place in other.anytime.items():
@@ -80,7 +80,7 @@ class Effects(Struct, eq=False):
         self._add_rest(other)
 
     def add_action(self, other: Effects) -> None:
-        """Take what an interrupt or a trigger may do."""
+        """Add the effects of an interrupt or a trigger."""
         for name, place in (other.writes | other.anytime).items():
             self.anytime.setdefault(name, place)
         self._add_rest(other)
@@ -96,7 +96,7 @@ Called = tuple[Module, Routine]
 
 
 class _Direct(Struct, eq=False):
-    """What a routine does itself, and what it calls; the same of the actions that it declares."""
+    """Effects of a routine itself, and its calls; the same for the actions that it declares."""
 
     now: Effects = field(default_factory=Effects)
     called: list[Called] = []
@@ -107,7 +107,7 @@ class _Direct(Struct, eq=False):
 class Analysis:
     """Finds the effects of routines, each once.
 
-    :param scope_of: which variables the names of a routine mean that are not its own.
+    :param scope_of: scope of the non-local names of a routine.
     """
 
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
@@ -118,7 +118,7 @@ class Analysis:
         self._names: dict[Routine, frozenset[str]] = {}
 
     def of(self, module: Module, routine: Routine) -> Effects:
-        """Return what a routine may do, all that it calls included."""
+        """Return the effects of a routine, including all that it calls."""
         if routine not in self._all:
             total = Effects(jumps=self._of_routine(module, routine).now.jumps)
             for reached in self._reached([(module, routine)]):
@@ -146,7 +146,7 @@ class Analysis:
         return frozenset(found)
 
     def cuts(self, module: Module, routine: Routine) -> bool:
-        """Return whether a routine, or what it calls, moves otherwise than by PTP, which carries no force."""
+        """Return whether a routine, or one that it calls, moves by other than PTP, which carries no force."""
         for _, reached in self._reached([(module, routine)]):
             for line in (*reached.plain, *reached.lines):
                 here = statement(reached.source, line)
@@ -161,7 +161,7 @@ class Analysis:
         return self._noted[source]
 
     def of_action(self, module: Module, routine: Routine, place: Place, event: Event) -> Effects:
-        """Return what an interrupt or a trigger that is in a routine may do.
+        """Return the effects of an interrupt or a trigger in a routine.
 
         Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
         """
@@ -208,7 +208,7 @@ class Analysis:
         return known
 
     def _read(self, direct: _Direct, here: Statement, where: Called, place: Place) -> None:
-        """Note what one statement may do."""
+        """Note the effects of one statement."""
         later = _Statement(self, *where, place, direct.later, direct.called_later)
         if isinstance(here, Event):
             later.read_event(here)
@@ -222,7 +222,7 @@ class Analysis:
 
 
 class _Statement(Struct, eq=False):
-    """Notes what one statement may do."""
+    """Notes the effects of one statement."""
 
     analysis: Analysis
     module: Module
@@ -232,22 +232,21 @@ class _Statement(Struct, eq=False):
     called: list[Called]
 
     def read_event(self, event: Event) -> None:
-        """Note what an INTERRUPT or a TRIGGER may do: its action, and functions in condition, PATH and DELAY."""
-        self._calls(event.head.start, event.head.stop)
+        """Note the effects of an INTERRUPT or a TRIGGER: its action, and functions in condition, PATH and DELAY."""
+        self._calls(() if event.code is None else (event.code,))
         if event.action is not None:
             self.read(event.action)
 
     def read(self, here: Statement) -> None:
-        """Note what a statement may do; what cannot be read does nothing that could be noted."""
+        """Note the effects of a statement; a statement that cannot be read has none."""
         if isinstance(here, Declaration | Outside | Imported | Faulty):
             return
         if here.word == "BAS":
-            command = here.call.arguments[:1] if isinstance(here, CallStatement) else ()
-            words = [self.place.source.text[slice(*span)].strip().upper() for span in command]
-            for name in BAS_SETS.get("".join(words), ()):
+            command = command_of(self.place.source, here.call) if isinstance(here, CallStatement) else ""
+            for name in BAS_SETS.get(command, ()):
                 self.effects.writes.setdefault(name, self.place)
             return
-        if isinstance(here, Motion | Spline) and self._leads_back(here.start + len(here.word), here.stop):
+        if isinstance(here, Motion) and _leads_back(here):
             self.effects.back = self.effects.back or self.place
         elif isinstance(here, Motion | Spline):
             self.effects.motion = self.effects.motion or self.place
@@ -257,20 +256,11 @@ class _Statement(Struct, eq=False):
             component = _COMPONENT.get(here.target.name)
             if component is None or here.target.field in (None, component):
                 self.writes(here.target.name)
-        self._calls(here.start, here.stop)
+        self._calls(here.values)
 
-    def _leads_back(self, start: int, stop: int) -> bool:
-        """Return whether the target of a motion is where an interrupt has stopped the robot."""
+    def _calls(self, values: Iterable[Value]) -> None:
         try:
-            value, end = parse(self.place.source, start, stop)
-        except ProgramError:
-            return False
-        whole = isinstance(value, Reference) and value.field is None and value.name in _STOPPED
-        return whole and not self.place.source.text[end:stop].strip()
-
-    def _calls(self, start: int, stop: int) -> None:
-        try:
-            for call in calls(self.place.source, start, stop):
+            for call in calls(values):
                 self._called(call)
         except ProgramError:
             return
@@ -285,12 +275,20 @@ class _Statement(Struct, eq=False):
     def _called(self, call: Call) -> None:
         found = self.analysis.library.find(call.name, self.module)
         parameters = found[1].parameters if found else ()
-        for index, span in enumerate(call.arguments):
+        for index, argument in enumerate(call.arguments):
             by_value = index < len(parameters) and parameters[index].by_value
-            reference = None if by_value else reference_of(self.place.source, span)
+            reference = None if by_value else writable(argument)
             if reference is not None and (reference.name[0] != "$" or reference.name in RELEVANT):
                 self.writes(reference.name)
         if found is not None:
             self.called.append(found)
         elif call.name not in STANDARD:
             self.effects.absent.setdefault(call.name, call.spelt(self.place.source))
+
+
+def _leads_back(motion: Motion) -> bool:
+    """Return whether a motion only returns to the point at which an interrupt stopped the robot."""
+    target, tail = motion.end, motion.tail
+    if not isinstance(target, Reference) or target.field is not None or target.name not in _STOPPED:
+        return False
+    return motion.via is None and not motion.frame and tail.start == tail.behind == tail.stop and not tail.error

@@ -1,4 +1,4 @@
-"""From numbers to poses, one target building on the other: missing components, relative and axis targets, CA."""
+"""Poses of successive targets: completes missing components, relative and axis targets, and circles with CA."""
 
 from __future__ import annotations
 
@@ -26,15 +26,17 @@ from postproc.frames import (
 from postproc.program import Bools, Carriage, Ints, Starts
 
 _SAME = 1e-9
-"""Angles closer than this [deg] are the same text."""
+"""Angles that differ by less [deg] count as equal."""
+_LARGEST_B = 90.0
+"""Controllers show B from −90° to 90°."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 
 
 class Led(Struct, frozen=True, eq=False):
-    """How the orientation of M motions is led, where that is not from their start to their own A, B, C.
+    """Orientation control of M motions, if other than interpolation to their own A, B, C.
 
-    :param constant: (M,) True where that of the start stays: ``$ORI_TYPE=#CONSTANT``.
-    :param with_path: (M,) True where it does so as seen from the path: circles under ``$CIRC_TYPE=#PATH``.
+    :param constant: (M,) True if the start orientation is kept: ``$ORI_TYPE=#CONSTANT``.
+    :param with_path: (M,) True if it is kept relative to the path: circles under ``$CIRC_TYPE=#PATH``.
     :param via: (M, 3) auxiliary points of circles [mm], NaN where missing.
     """
 
@@ -64,11 +66,11 @@ class EndPoses(Struct, frozen=True, eq=False):
     circles: Mapping[int, Array]
 
 
-class _Stand(Struct, eq=False):
-    """Where the robot stands between two motions.
+class _RobotPosition(Struct, eq=False):
+    """Robot position between two motions.
 
-    :param joints: (6,) [rad], None behind a Cartesian target.
-    :param numbers: (6,) X…C of the previous target, None behind an axis target.
+    :param joints: (6,) [rad], None after a Cartesian target.
+    :param numbers: (6,) X…C of the previous target, None after an axis target.
     :param base: its frames.
     """
 
@@ -80,7 +82,7 @@ class _Stand(Struct, eq=False):
 
 
 class _Follower:
-    """Goes through the motions in order; plain runs at once, special ones one by one."""
+    """Goes through the motions in order: plain runs in bulk, special motions one by one."""
 
     def __init__(
         self,
@@ -88,7 +90,7 @@ class _Follower:
         line: Ints,
         given: Array,
         frames: tuple[Ints, Ints, Array, Array],
-        stand: _Stand,
+        present: _RobotPosition,
         forward: Callable[[Array], Array],
         carriage: Carriage | None,
         led: Led,
@@ -97,54 +99,73 @@ class _Follower:
         self.led = led
         self.circles: dict[int, Array] = {}
         self.base, self.tool, self.bases, self.tools = frames
-        self.stand = stand
+        self.present = present
         self.numbers = given.copy()
         self.joints = np.full(given.shape, np.nan)
         self.resumed = np.zeros(len(given), dtype=np.bool_)
 
     def flange(self) -> Array:
         """Return the flange (4, 4) in the robot root."""
-        stand = self.stand
-        if stand.numbers is not None:
-            tcp = self.bases[stand.base] @ pose_from_xyzabc(stand.numbers)
-            stand.flange = tcp @ inverse(self.tools[stand.tool])
-        return stand.flange
+        present = self.present
+        if present.numbers is not None:
+            tcp = self.bases[present.base] @ pose_from_xyzabc(present.numbers)
+            present.flange = tcp @ inverse(self.tools[present.tool])
+        return present.flange
 
     def here(self, row: int) -> Array:
         """Return X…C of the present position in the frames of a motion."""
-        stand, base, tool = self.stand, int(self.base[row]), int(self.tool[row])
-        if stand.numbers is not None and (stand.base, stand.tool) == (base, tool):
-            return stand.numbers
+        present, base, tool = self.present, int(self.base[row]), int(self.tool[row])
+        if present.numbers is not None and (present.base, present.tool) == (base, tool):
+            return present.numbers
         return xyzabc_from_pose(inverse(self.bases[base]) @ self.flange() @ self.tools[tool])
 
     def arrive(self, row: int) -> None:
-        """Stand at the Cartesian target of a motion."""
-        stand = self.stand
-        stand.numbers, stand.joints = self.numbers[row], None
-        stand.base, stand.tool = int(self.base[row]), int(self.tool[row])
+        """Set the present position to the Cartesian target of a motion."""
+        present = self.present
+        present.numbers, present.joints = self.numbers[row], None
+        present.base, present.tool = int(self.base[row]), int(self.tool[row])
 
     def absolute(self, first: int, last: int) -> None:
         """Fill in the absolute Cartesian targets of rows first … last − 1."""
         if first == last:
             return
-        self.resumed[first] = self.stand.numbers is None
+        self.resumed[first] = self.present.numbers is None
         block = self.numbers[first:last]
         missing = np.isnan(block)
         if missing.any():
             self._check_frames(first, last, any_column(missing))
+            given = block.copy()
             block[0] = np.where(missing[0], self.here(first), block[0])
             missing[0] = False
             latest = np.maximum.accumulate(np.where(missing, 0, np.arange(len(block))[:, None]), axis=0)
-            block[:] = np.take_along_axis(block, latest, axis=0)
+            before = np.vstack([self.here(first), np.take_along_axis(block, latest, axis=0)])
+            block[:] = before[1:]
+            self._check_angles(first, np.isnan(given[:, 3:]), before[:-1, 4])
         self.arrive(last - 1)
 
+    def _check_angles(self, first: int, missing: Bools, before: Array) -> None:
+        """Refuse targets that lack some of A, B, C if a second set of angles describes the previous orientation too.
+
+        :param missing: (n, 3) True where A, B, C are missing, from row `first` on.
+        :param before: (n,) the previous B [deg]; beyond ±90 the controller may keep A ± 180, ±180 − B, C ± 180.
+        """
+        partly = any_column(missing) & ~missing.all(axis=1)
+        wrong = np.flatnonzero(partly & (np.abs(before) > _LARGEST_B))
+        if len(wrong):
+            problem = f"A, B or C is missing, and the previous B is {before[wrong[0]]:g}°: beyond 90° it is not certain"
+            problem += " which angles the controller keeps"
+            raise self.source.line_error(problem, int(self.line[first + wrong[0]]), "Write all of A, B, C.")
+
     def _check_frames(self, first: int, last: int, incomplete: Bools) -> None:
-        """Refuse missing components whose previous value was meant in other frames."""
-        stand = self.stand
+        """Refuse missing components whose previous value refers to other frames."""
+        present = self.present
         frames = np.stack([self.base[first:last], self.tool[first:last]])
         changed = np.zeros(last - first, dtype=np.bool_)
         changed[1:] = (np.diff(frames, axis=1) != 0).any(axis=0)
-        changed[0] = stand.numbers is not None and (stand.base, stand.tool) != (self.base[first], self.tool[first])
+        changed[0] = present.numbers is not None and (present.base, present.tool) != (
+            self.base[first],
+            self.tool[first],
+        )
         wrong = np.flatnonzero(changed & incomplete)
         if len(wrong):
             problem = "components are missing right after $BASE or $TOOL changed: their values are not certain"
@@ -157,7 +178,7 @@ class _Follower:
             return
         start, led = self.here(row).copy(), self.led
         if move is not None and move.relative:
-            self.resumed[row] = self.stand.numbers is None
+            self.resumed[row] = self.present.numbers is None
             self.numbers[row] = self._relative(move, start)
             if move.via is not None:
                 via = start[:3] + _step(move.via.position, move.relative, start)
@@ -172,7 +193,7 @@ class _Follower:
         self.arrive(row)
 
     def _round(self, row: int, start: Array, angle: float | None) -> None:
-        """Go round a circle: to where CA [rad] ends, and with the tool where that turns with the path."""
+        """Compute the end of a circle: at the angle CA [rad], with the orientation turned if it follows the path."""
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
         via = self.circles[row][0] if row in self.circles else self.led.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
@@ -186,19 +207,19 @@ class _Follower:
 
     def _axes(self, row: int, move: MotionStatement) -> None:
         """Take an axis target, missing axes kept."""
-        angles, known = np.array(move.end.position.values) * RAD_PER_DEG, self.stand.joints
+        angles, known = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
         if known is None and (move.relative or np.isnan(angles).any()):
             raise self.source.line_error(
                 "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
             )
         if known is not None:
             angles = known + np.nan_to_num(angles) if move.relative else np.where(np.isnan(angles), known, angles)
-        self.resumed[row] = self.stand.numbers is None
+        self.resumed[row] = self.present.numbers is None
         self.joints[row] = angles
         flange = self.forward(angles)
         if self.carriage is not None:
             flange = carried(flange, self.carriage, float(self.carriage.end[row]))
-        self.stand = _Stand(flange, angles)
+        self.present = _RobotPosition(flange, angles)
         self.numbers[row] = self.here(row)
 
     def _relative(self, move: MotionStatement, numbers: Array) -> Array:
@@ -211,13 +232,13 @@ class _Follower:
 
 
 def _step(position: Position, axes: str, numbers: Array) -> Array:
-    """Return how far a relative point leads (3,) [mm] from X…C; `axes` ``#BASE`` or ``#TOOL``."""
+    """Return the offset (3,) [mm] of a relative point from X…C; `axes` is ``#BASE`` or ``#TOOL``."""
     step = np.nan_to_num(np.array(position.values[:3]))
     return np.asarray(pose_from_xyzabc(numbers)[:3, :3] @ step) if axes == "#TOOL" else step
 
 
 def carried(flange: Array, carriage: Carriage, place: float) -> Array:
-    """Return a flange (4, 4) in the robot root, which a carriage at a place [m] has moved, in the root at 0."""
+    """Return a flange (4, 4) in the robot root, with the linear axis at a position [m], in the root at E1 = 0."""
     out = flange.copy()
     out[:3, 3] += place * carriage.direction
     return out
@@ -242,18 +263,20 @@ def end_poses(
     :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
         frame (nt, 4, 4).
     :param moves: row → statement, for axis and relative targets and circles with CA.
-    :param start_joints: (6,) where the robot stands first [rad].
+    :param start_joints: (6,) joint angles at the start [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
-    :param led: how the orientation is led.
+    :param led: orientation control.
     :param carriage: the linear axis that carries the robot.
-    :param after: (M,) at the end of which motion each begins, see `Program.after`.
-    :raises ProgramError: a component is missing where its previous value is not certain; a relative target cannot
-        be known; an axis is missing; a circle is none.
+    :param after: (M,) the motion at whose end each begins, see `Program.after`.
+    :raises ProgramError: a component is missing and its previous value is not certain; a relative target cannot
+        be known; an axis is missing; the points of a circle do not define one.
     """
     start_flange = forward(start_joints)
     if carriage is not None:
         start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
-    follower = _Follower(source, line, given, frames, _Stand(start_flange, start_joints), forward, carriage, led)
+    follower = _Follower(
+        source, line, given, frames, _RobotPosition(start_flange, start_joints), forward, carriage, led
+    )
     follower.numbers[led.constant, 3:] = np.nan  # missing components keep their previous value
     special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
     anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
@@ -275,7 +298,7 @@ def end_poses(
 def _check_ignored(
     source: Source, line: Ints, given: Array, moves: Mapping[int, MotionStatement], constant: Bools, ignored: Bools
 ) -> None:
-    """Refuse A, B, C that are missing behind such as were ignored: which of them the controller keeps is not certain.
+    """Refuse missing A, B, C after ignored ones: which of them the controller keeps is not certain.
 
     :raises ProgramError: there are some.
     """

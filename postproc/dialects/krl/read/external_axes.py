@@ -1,4 +1,4 @@
-"""External axes: E1 where it carries the robot; all others must stand still."""
+"""External axes: E1 as the linear axis that carries the robot; all others must not move."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from postproc.frames import M_PER_MM, Array
 from postproc.program import PTP, Bools, Carriage, Ints
 
 _SAME = 1e-4
-"""External axes that vary by less than this [mm, deg] stand still."""
+"""External axes that vary by less than this [mm, deg] do not move."""
 
 
 def external_axes(
     source: Source, rows: MotionColumns, relative: Ints, placed: Bools, direction: Array | None, after: Ints | None
 ) -> tuple[list[Issue], Carriage | None]:
-    """Return what to tell of external axes, and the one that carries the robot.
+    """Return the issues about external axes, and the linear axis that carries the robot.
 
     :param relative: rows of relative targets, whose values are steps.
-    :param placed: (R,) True for motions whose path depends on where the robot stands: all but PTP to axis angles.
+    :param placed: (R,) True for motions whose path depends on the robot root: all but PTP to axis angles.
     :param direction: (3,) of E1, if it carries the robot.
-    :param after: (R,) at the end of which motion each begins, see `Program.after`.
-    :raises ProgramError: another axis moves, or it is not known where the robot stands.
+    :param after: (R,) the motion at whose end each begins, see `Program.after`.
+    :raises ProgramError: another axis moves, or the position of E1 is not known.
     """
     external = rows.numbers[:, 8:]
     if np.isnan(external).all():
@@ -43,17 +43,17 @@ def external_axes(
             raise _moves(source, axis, f"by {steps[stepping[0], axis]:g}", int(rows.line[stepping[0]]))
         moving = given[np.abs(values[given] - values[given[:1]]) > _SAME]
         if len(moving):
-            way = f"from {values[given[0]]:g} to {values[moving[0]]:g}"
-            raise _moves(source, axis, way, int(rows.line[moving[0]]))
+            change = f"from {values[given[0]]:g} to {values[moving[0]]:g}"
+            raise _moves(source, axis, change, int(rows.line[moving[0]]))
         if len(given) and abs(values[given[0]]) > _SAME:
-            issues.append(_standing(axis, values[given[0]], int(rows.line[given[0]]), len(given)))
+            issues.append(_fixed_axis(axis, values[given[0]], int(rows.line[given[0]]), len(given)))
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
     begin, end = _along(external[:, 0], steps[:, 0], after)
     unknown = np.flatnonzero(np.isnan(end) & placed)
     if len(unknown):
         raise source.line_error(
-            "it is not known where E1, which carries the robot, stands here",
+            "the position of E1, which carries the robot, is not known here",
             int(rows.line[unknown[0]]),
             "Give E1 in this target, or in a PTP before it.",
         )
@@ -65,7 +65,7 @@ def external_axes(
 
 
 def _along(given: Array, steps: Array, after: Ints | None) -> tuple[Array, Array]:
-    """Return where an axis stands (R,) at the start and at the end of each motion; NaN where that is not known.
+    """Return the positions of an axis (R,) at the start and at the end of each motion; NaN where not known.
 
     :param given: (R,) NaN where it is kept, or moves by a step (R,).
     """
@@ -83,22 +83,22 @@ def _along(given: Array, steps: Array, after: Ints | None) -> tuple[Array, Array
     return begin, end
 
 
-def _moves(source: Source, axis: int, way: str, line: int) -> ProgramError:
+def _moves(source: Source, axis: int, change: str, line: int) -> ProgramError:
     name = EXTERNAL[axis]
-    advice = "Only external axes that stand still are supported."
+    advice = "Only external axes that do not move are supported."
     if axis == 0:
         advice = (
             "If it is a linear axis that carries the robot, say in the cell where the robot goes for positive values, "
-            "in its root: [external_axes.E1] direction = [0, 1, 0]. Others must stand still."
+            "in its root: [external_axes.E1] direction = [0, 1, 0]. Others must not move."
         )
-    return source.line_error(f"the external axis {name} moves {way}", line, advice)
+    return source.line_error(f"the external axis {name} moves {change}", line, advice)
 
 
-def _standing(axis: int, value: float, line: int, count: int) -> Issue:
+def _fixed_axis(axis: int, value: float, line: int, count: int) -> Issue:
     name = EXTERNAL[axis]
     more = " (E1: or the cell must say where it goes, [external_axes.E1])" if axis == 0 else ""
     message = (
-        f"{name} stands at {value:g}: $BASE is taken as seen from the robot there. If {name} carries the robot or the "
+        f"{name} is at {value:g}: $BASE is taken as seen from the robot there. If {name} carries the robot or the "
         f"part, [base] of the cell must be that of this place{more}."
     )
     return Issue("warning", "external-axis", message, line, count=count, subject=name)
@@ -106,7 +106,7 @@ def _standing(axis: int, value: float, line: int, count: int) -> Issue:
 
 def _start(value: float, line: int) -> Issue:
     message = (
-        f"Where E1 stands before this line is not said: the robot is taken to begin this motion with E1 at {value:g}. "
+        f"The position of E1 before this line is not given: this motion is taken to begin with E1 at {value:g}. "
         "Give E1 in a PTP before it."
     )
     return Issue("warning", "external-axis", message, line, subject="E1")

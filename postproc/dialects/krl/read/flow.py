@@ -1,7 +1,7 @@
-"""Loops, branches and calls in the order in which they run.
+"""Loops, branches and calls in execution order.
 
-A control structure is followed statement by statement where its conditions are known. Where they are not, and nothing
-moves in it, all that it may write is no longer known behind it; where something moves, the program is refused.
+A control structure is followed statement by statement if its conditions are known. If they are not known and it holds
+no motions, every variable that it may write becomes unknown; if it holds motions, the program is refused.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.course import Branch, Fork, Join, Occasion
 from postproc.dialects.krl.language import tree
-from postproc.dialects.krl.language.parser import calls, statement
+from postproc.dialects.krl.language.expressions import calls
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
@@ -20,18 +21,24 @@ from postproc.dialects.krl.read.conditions import chosen, truth
 from postproc.dialects.krl.read.explanations import without_value
 from postproc.dialects.krl.read.inexact import InexactError, inexact
 from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
+from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
+from postproc.dialects.krl.read.rounds import carried_over
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Trace
 from postproc.errors import ProgramError
 
 _MOST_STATEMENTS = 200_000
-"""So many statements that do not move are followed in loops and called routines; later ones count as uncertain."""
+"""Most statements without motion followed in loops and called routines; later ones count as uncertain."""
 _MOST_TRACED = 400_000
-"""A course has at most so many statements more than the file has lines."""
+"""A trace has at most this many statements more than the file has lines."""
 _MOST_UNCOUNTED = 60_000
-"""A loop around motions of which it is not known how often it runs may run so many statements."""
+"""Most statements that a loop around motions may run if its number of iterations is not known."""
+_CASES = 4
+"""Number of CASEs that count as one statement."""
+_MOST_FORKS = 4000
+"""Most forks followed whose branch taken is not known before run time."""
+_TOO_MUCH = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
 _FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
-_ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO", "HALT"})
 
 
 class Flow:
@@ -39,30 +46,31 @@ class Flow:
 
     :param run: the program as far as it has run.
     :param motion: takes a motion of the program.
-    :param fault: takes what is wrong with a statement of the program.
-    :param stays: whether a motion statement leads to where the robot is.
-    :param trace: where its course is put down; None where it follows a course already.
+    :param fault: takes the error of a statement of the program.
+    :param stays: whether a motion statement leads to the current robot position.
+    :param trace: records the execution trace; None if a recorded trace is followed.
     """
 
     def __init__(
         self,
         run: Run,
-        motion: Callable[[Place, str, int, int], None],
+        motion: Callable[[Place, tree.Statement], None],
         fault: Callable[[Place, ProgramError], None],
-        stays: Callable[[Place, str, int, int], bool],
+        stays: Callable[[tree.Motion], bool],
         trace: Trace | None = None,
     ) -> None:
         self.run, self.trace, self._fault, self._stays = run, trace, fault, stays
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
         self._way: list[tuple[Place, int]] = []
-        self._traced = self._still = 0
+        self._traced = self._still = self._forks = 0
+        self._least = LeastStatements(run)
 
     def follow(self, source: Source, nodes: tuple[Node, ...], *, last: bool = False) -> None:
         """Run statements and control structures one by one, up to RETURN or the EXIT of a loop.
 
-        :param last: behind them the routine ends.
-        :raises InexactError: it is not known what runs.
+        :param last: the routine ends after them.
+        :raises InexactError: the branch taken is not known before run time.
         """
         level, index = self.run.level, 0
         while index < len(nodes):
@@ -86,12 +94,12 @@ class Flow:
         return here.label if isinstance(here, tree.Goto) else ""
 
     def labels(self, source: Source, lines: Iterable[int]) -> set[str]:
-        """Return the labels that stand on some lines, upper case."""
+        """Return the labels on some lines, upper case."""
         found = (statement(source, line) for line in lines)
         return {here.name for here in found if isinstance(here, tree.Label)}
 
     def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
-        """Return where the label of a GOTO stands among statements, behind one of them; the run goes on there."""
+        """Return the index of the statement with the label of a GOTO, after a given one; execution continues there."""
         level, trace = self.run.level, self.trace
         wanted = self.label_of(source, level.jump)
         for number in range(index + 1, len(nodes)):
@@ -104,13 +112,15 @@ class Flow:
 
     def called(self) -> None:
         """Run the routine that was called."""
-        routine = self.run.level.routine
+        routine, level = self.run.level.routine, self.run.level
+        if not level.traced:
+            self._check_least(Place(routine.source, routine.first), self._least.of_call(level.module, routine))
         self.follow(routine.source, self.run.nodes(routine), last=True)
 
     def matters(self, source: Source, node: Node) -> bool:
-        """Return whether the course of the program leads through a statement or a control structure.
+        """Return whether a statement or a control structure belongs in the execution trace.
 
-        It does where the robot moves, and where a comment says which force acts.
+        It does if it moves the robot or contains a force comment.
         """
         if isinstance(node, int):
             return self._statement_moves(source, node)
@@ -129,14 +139,13 @@ class Flow:
     def _statement_moves(self, source: Source, line: int) -> bool:
         here = statement(source, line)
         if isinstance(here, tree.Goto | tree.Spline):
-            return True  # what moves behind a GOTO depends on it
+            return True  # the motions after a GOTO depend on it
         if isinstance(here, tree.Motion):
-            return not self._stays(Place(source, line), here.word, here.start, here.stop)
+            return not self._stays(here)
         if isinstance(here, tree.Event):
             return False
         try:
-            found = calls(source, here.start, here.stop)
-            return any(self.interpreter.calls.moving(call) is not None for call in found)
+            return any(self.interpreter.calls.moving(call) is not None for call in calls(here.values))
         except ProgramError:
             return False
 
@@ -177,13 +186,31 @@ class Flow:
                 raise inexact(at, "too much runs before")
             return
         self._traced += 1
-        most = _MOST_TRACED + len(at.source.starts)
+        most = self._most(at.source)
         if self._traced > most:
             problem = f"loops around motions are too long: {most} statements have run when the program comes here"
-            raise at.error(problem, "Divide the program, or give its loops fewer rounds.")
+            raise inexact(at, problem, _TOO_MUCH)
+
+    def _most(self, source: Source) -> int:
+        """Return how many statements may run around motions."""
+        return _MOST_TRACED + len(source.starts)
+
+    def _check_least(self, at: Place, least: int) -> None:
+        """Refuse code that runs too many statements, before it is followed.
+
+        :param least: lower bound on the number of statements.
+        :raises InexactError: it is above the limit.
+        """
+        if self._still or not self.run.level.traced:
+            if self.run.steps + least > _MOST_STATEMENTS:
+                raise inexact(at, "too much runs before")
+        elif self._traced + least > self._most(at.source):
+            problem = f"loops and calls around motions are too long: at least {least} statements run from here on, "
+            problem += f"{self._most(at.source)} are followed"
+            raise inexact(at, problem, _TOO_MUCH)
 
     def _entered(self, at: Place, call: Call) -> bool:
-        """Go into a routine that moves; return whether it was done."""
+        """Inline the call of a routine with motions; return whether this was done."""
         run, trace = self.run, self.trace
         if trace is None or not run.level.traced or not run.certain:
             return False
@@ -191,6 +218,7 @@ class Flow:
         if found is None:
             return False
         _, routine = found
+        self._check_least(at, self._least.of_call(*found))
         undo = self._undoing(trace)
         try:
             self._inlined(at, call, trace, *found)
@@ -206,15 +234,16 @@ class Flow:
         return True
 
     def _undoing(self, trace: Trace) -> Callable[[], None]:
-        """Return what goes back to where the run is now."""
+        """Return a function that restores the present state of the run."""
         run, entered = self.run, self.interpreter.calls.entered
-        marks, mark, here, depth, way = run.marks(), trace.mark(), run.standing(), len(entered), len(self._way)
+        marks, mark, here = run.marks(), trace.mark(), run.standing()
+        calls_open, depth = len(entered), len(self._way)
 
         def undo() -> None:
             run.back_to(marks)
             trace.back_to(mark)
             run.stand(here)
-            del entered[depth:], self._way[way:]
+            del entered[calls_open:], self._way[depth:]
 
         return undo
 
@@ -250,7 +279,7 @@ class Flow:
             self._still -= 1
 
     def _kept(self, source: Source, block: Block, trace: Trace) -> None:
-        """Follow a control structure that matters; where that cannot be done it is kept as it is, if that is wanted."""
+        """Follow a control structure that matters; if that fails, keep it unchanged under `--keep-unresolved`."""
         run = self.run
         if not run.keep:
             try:
@@ -258,7 +287,9 @@ class Flow:
             except InexactError:
                 if self._moves(source, block):
                     raise
-                problem = f"a force comment stands inside {block.word}, and it is not known what runs"
+                problem = (
+                    f"a force comment is inside {block.word}, whose condition is not known before the program runs"
+                )
                 raise inexact(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
         undo = self._undoing(trace)
@@ -271,10 +302,10 @@ class Flow:
             self.roughly(source, block)
 
     def roughly(self, source: Source, block: Block) -> None:
-        """Forget what a control structure may write, however often it runs."""
+        """Mark all variables that a control structure may write as unknown, for any number of iterations."""
         lines = list(block.lines())
         marks = self.run.marks()
-        for _ in range(1 + (block.word in LOOPS)):  # once more with what its own statements have left
+        for _ in range(1 + (block.word in LOOPS)):  # once more with the values that its own statements leave
             self.run.back_to(marks)
             for line in lines:
                 if self.run.level.traced:
@@ -284,7 +315,7 @@ class Flow:
     def _exactly(self, source: Source, block: Block, trace: Trace | None) -> None:
         """Follow a control structure.
 
-        :raises InexactError: it is not known what runs in it.
+        :raises InexactError: the branch taken is not known before run time.
         """
         if block.word in LOOPS:
             self._loop(source, block, trace)
@@ -313,14 +344,18 @@ class Flow:
             trace.pass_to(block.last)
 
     def _all(self, source: Source, block: Block, trace: Trace, occasion: Occasion, why: InexactError) -> None:
-        """Follow all branches of IF or SWITCH, each from where they divide.
+        """Follow all branches of IF or SWITCH, each from the fork.
 
-        :raises InexactError: one of them does not lead to where they meet.
+        :raises InexactError: one of them does not lead to the join.
         """
         run, level = self.run, self.run.level
         heads = [part.head for part in block.parts]
-        if any(calls(source, *source.code_span(head)) for head in heads):
+        if any(calls(statement(source, head).values) for head in heads):
             raise why
+        self._forks += 1
+        if self._forks > _MOST_FORKS:
+            problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
+            raise inexact(Place(source, block.first), problem, _TOO_MUCH)
         trace.run_to(block.first - 1)
         trace.pass_to(block.first)
         trace.divide(Fork(0, occasion))
@@ -341,18 +376,17 @@ class Flow:
         run.join(Place(source, block.last), complete=complete)
 
     def _skipped(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
-        """Follow an IF that leads to a label or the end of a called routine, and what it skips, as two branches.
+        """Follow an IF that jumps to a label or the end of a called routine, and the skipped code, as two branches.
 
-        :param last: behind the nodes the routine ends.
-        :returns: the place among the nodes behind what it skips; 0 where it does not do that, or its condition is
-            known.
-        :raises InexactError: it is not known what runs in one of the branches.
+        :param last: the routine ends after the nodes.
+        :returns: the index of the node after the skipped code; 0 if the IF does not jump, or its condition is known.
+        :raises InexactError: a condition in one of the branches is not known before run time.
         """
         run, block, trace = self.run, nodes[index], self.trace
         if trace is None or not isinstance(block, Block) or not run.level.traced or run.level.loops or not run.certain:
             return 0
         part = block.parts[0]
-        if block.word != "IF" or len(block.parts) > 1 or calls(source, *source.code_span(block.first)):
+        if block.word != "IF" or len(block.parts) > 1 or calls(statement(source, block.first).values):
             return 0
         beyond, end = self._target(source, nodes, index, part.nodes[-1:], last=last)
         if not beyond:
@@ -390,7 +424,7 @@ class Flow:
     def _branch(self, source: Source, nodes: tuple[Node, ...], trace: Trace, *, last: bool) -> None:
         """Follow one of the branches of an IF that skips statements.
 
-        :raises InexactError: it does not lead to its end.
+        :raises InexactError: the branch is left before its end.
         """
         level = self.run.level
         trace.divide(Branch(0))
@@ -402,14 +436,14 @@ class Flow:
     def _target(
         self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
     ) -> tuple[int, int]:
-        """Return the place among some nodes behind what a GOTO or RETURN skips, and its last line.
+        """Return the index of the node after the code that a GOTO or RETURN skips, and the last skipped line.
 
-        :returns: zeros where it leads elsewhere.
+        :returns: zeros if it jumps elsewhere.
         """
         if not jump or not isinstance(jump[0], int):
             return 0, 0
         here = statement(source, jump[0])
-        if isinstance(here, tree.Return) and not source.text[here.value.start : here.value.stop].strip():
+        if isinstance(here, tree.Return) and here.value is None:
             return (len(nodes), self.run.level.routine.last - 1) if last and len(self.run.stack) > 1 else (0, 0)
         if not isinstance(here, tree.Goto):
             return 0, 0
@@ -424,21 +458,23 @@ class Flow:
         """Return which part of IF or SWITCH runs; −1 for none."""
         at, here = Place(source, block.first), statement(source, block.first)
         if isinstance(here, tree.If):
-            holds = truth(self.run.variables, source, here.condition, here.head)
+            holds = truth(self.run.variables, here.condition)
             if holds is None:
                 raise self._unknown(at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
-        if not isinstance(here, tree.Switch) or calls(source, here.head.start, here.head.stop):
+        if not isinstance(here, tree.Switch) or calls(here.values):
             raise self._unknown(at)
-        if here.value is None:
-            raise here.error or self._unknown(at)
-        known = self.run.variables.evaluate(source, here.value)
+        known = self.run.variables.evaluate(here.value)
+        if self._still or not self.run.level.traced:
+            self.run.steps += len(block.parts) // _CASES
+        else:
+            self._traced += len(block.parts) // _CASES
         for index, part in enumerate(block.parts[1:], 1):
             case = statement(source, part.head)
             if isinstance(case, tree.Faulty):
                 raise case.error
-            values = case.values if isinstance(case, tree.Case) else ()
-            found = case.word == "DEFAULT" or chosen(self.run.variables, source, known, values)
+            values = case.cases if isinstance(case, tree.Case) else ()
+            found = case.word == "DEFAULT" or chosen(self.run.variables, known, values)
             if found is None:
                 raise self._unknown(at)
             if found:
@@ -448,21 +484,22 @@ class Flow:
     def _loop(self, source: Source, block: Block, trace: Trace | None) -> None:
         level, part = self.run.level, block.parts[0]
         words = {statement(source, line).word for line in block.lines()}
-        if block.word == "LOOP" and words.isdisjoint(_ENDS_LOOPS):
-            raise inexact(Place(source, block.first), "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+        if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
+            self._endless(source, block, trace)
+            return
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
         step = counter.step if counter is not None else 0
-        if counter is not None and words.isdisjoint(_ENDS_LOOPS):
+        if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, trace)
         loop = trace.begin(block, step, left="EXIT" in words) if trace is not None else None
         began = self._traced
         level.loops += 1
-        way = len(self._way)
+        depth = len(self._way)
         self._way.append((Place(source, block.first), 0))
         try:
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
-                self._way[way] = Place(source, block.first), self._way[way][1] + 1
+                self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
                 before = self.run.variables.changes
                 if counter is None and self._traced - began > _MOST_UNCOUNTED:
                     problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
@@ -480,18 +517,43 @@ class Flow:
                 if counter is not None:
                     counter.advance()
                 elif self.run.variables.changes == before:
-                    problem = f"{block.word} never ends: nothing that it asks changes from round to round"
+                    problem = f"{block.word} never ends: no variable of its condition changes from round to round"
                     raise inexact(Place(source, block.first), problem, LOOP_ADVICE)
         finally:
             level.loops -= 1
-            del self._way[way:]
+            del self._way[depth:]
         ended = counter is not None and not (level.returned or level.left)
         level.left = False
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.text if counter is not None and ended else None)
 
+    def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:
+        """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
+
+        `endless_loops` checks later that the iteration ends in the pose and with the settings with which it began.
+
+        :raises InexactError: it is in another loop, a branch or a called routine, or an iteration changes a variable
+            that the next one may use.
+        """
+        run, level, at = self.run, self.run.level, Place(source, block.first)
+        if trace is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
+            raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+        before = run.variables.as_now()
+        loop = trace.begin(block, 0, left=False)
+        loop.endless = True
+        self._way.append((at, 1))
+        trace.repeat(loop, block, None)
+        self.follow(source, block.parts[0].nodes)
+        trace.repeated(block, whole=True)
+        trace.end(loop, block, None)
+        self._way.pop()
+        if names := carried_over(run, source, block, before):
+            problem = f"LOOP never ends, and its rounds differ: each one changes {', '.join(names)} for the next"
+            raise inexact(at, problem, "Set it at the beginning of each round.")
+        level.returned = block.last
+
     def _check_rounds(self, source: Source, block: Block, counter: _Counter, trace: Trace | None) -> None:
-        """Refuse a FOR of too many rounds before it is followed.
+        """Refuse a FOR with too many iterations before it is followed.
 
         :raises InexactError: it has too many.
         """
@@ -499,6 +561,10 @@ class Flow:
         if counter.rounds > most:
             problem = f"FOR has {counter.rounds} rounds, more than {most}"
             raise inexact(Place(source, block.first), problem, "Check its bounds.")
+        module = self.run.level.module
+        if not self.run.level.loops and not self._least.writes(source, block, counter.here.name, module):
+            rounds = counter.rounds * self._least.of_round(source, block, module)
+            self._check_least(Place(source, block.first), rounds)
 
     def _again(self, source: Source, block: Block, counter: _Counter | None) -> bool:
         """Return whether the body of a loop runs once more."""
@@ -509,25 +575,25 @@ class Flow:
     def _holds(self, source: Source, line: int) -> bool:
         here, holds = statement(source, line), None
         if isinstance(here, tree.While):
-            holds = truth(self.run.variables, source, here.condition, here.head)
+            holds = truth(self.run.variables, here.condition)
         if holds is None:
             raise self._unknown(Place(source, line))
         return holds
 
     def _unknown(self, at: Place) -> InexactError:
-        word = statement(at.source, at.line).word
-        asked = [call.spelt(at.source) for call in calls(at.source, *at.source.code_span(at.line))]
+        here = statement(at.source, at.line)
+        asked = [call.spelt(at.source) for call in calls(here.values)]
         why = f": it asks {asked[0]}()" if asked else ""
-        names = without_value(self.run.variables, at.source, *at.source.code_span(at.line))
+        names = without_value(self.run.variables, at.source, here.values)
         given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
-        problem = f"motion inside {word}: its condition is not known before the program runs{why}"
+        problem = f"motion inside {here.word}: its condition is not known before the program runs{why}"
         return inexact(at, problem, LOOP_ADVICE + given)
 
 
 class _Counter:
     """The counter of a FOR loop.
 
-    :raises InexactError: it is not known what it counts.
+    :raises InexactError: its bounds are not known before run time.
     """
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
@@ -539,7 +605,7 @@ class _Counter:
             raise self._unknown()
         self.here = here
         self.name = source.text[here.counter.start : here.counter.stop]
-        key = run.variables.key_of(source, here.counter)
+        key = run.variables.key_of(here.counter)
         if key is None or here.bounds is None:
             raise self._unknown()
         self.key, self.given = key, here.bounds
@@ -548,46 +614,46 @@ class _Counter:
 
     @property
     def text(self) -> str:
-        """An assignment that gives it the number that it has."""
+        """An assignment of its present value."""
         return f"{self.name}={self._now()}"
 
     @property
     def rounds(self) -> int:
-        """How often it can count from now on."""
+        """Number of iterations from now on."""
         return max(0, (self.last - self._now()) // self.step + 1)
 
     def within(self) -> bool:
-        """Return whether it is not beyond its last number."""
+        """Return whether it is within its last value."""
         now = self._now()
         return now <= self.last if self.step > 0 else now >= self.last
 
     def advance(self) -> None:
-        """Count on."""
+        """Advance by one step."""
         if self._bounds() != (self.last, self.step):
             raise inexact(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
         self._set(self._now() + self.step)
 
     def _bounds(self) -> tuple[int, int]:
-        """Return its last number and its step, as they are now."""
-        if calls(self.at.source, self.here.values.start, self.here.values.stop):
+        """Return its present last value and step."""
+        first, last, width = self.given
+        if calls([first, last, *([] if width is None else [width])]):
             raise self._unknown()
-        _, last, width = self.given
         step = 1 if width is None else self._step(width)
         return self._whole(last), step
 
     def _step(self, width: Value) -> int:
         """Return a step.
 
-        :raises ProgramError: nothing can be counted by it.
+        :raises ProgramError: it is zero or not an integer.
         """
-        known = self.run.variables.evaluate(self.at.source, width)
+        known = self.run.variables.evaluate(width)
         if isinstance(known, Number) and (not known.integer or known.value == 0.0):
             problem = f"FOR cannot count by STEP {known.value:g}"
             raise self.at.error(problem, "Give a whole number other than 0, as it is or by an INT.")
         return self._whole(width)
 
     def _whole(self, value: Value) -> int:
-        known = self.run.variables.evaluate(self.at.source, value)
+        known = self.run.variables.evaluate(value)
         if not isinstance(known, Number) or not known.integer:
             raise self._unknown()
         return int(known.value)

@@ -1,7 +1,7 @@
-"""Force comments of KRL: where they stand, and which of them hold.
+"""Force comments of KRL: their lines, and the one in force at each motion.
 
-A comment holds until the next one, in the order in which lines run. A control structure or a called routine with one is
-therefore followed as one that moves; behind what cannot be followed the force is not known until the next comment.
+A comment holds until the next one, in execution order. A control structure or a called routine with one is therefore
+followed like one with motions; after code that cannot be followed the force is not known until the next comment.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from postproc.program import FORCE_COMMENT, Bools, ForceNote, Ints, parse_force_
 _FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 _Force = ForceNote | str | None
 _SAME = 0.01
-"""Forces that differ by less [N, N·m] are one: they move the tool of a robot by some nanometres."""
-_MEETING_ADVICE = "Let the last motion of each branch have the same force, in the axes of $BASE or of the tool."
+"""Forces that differ by less [N, N·m] count as equal: they deflect the tool by a few nanometres."""
+_JOIN_ADVICE = "Let the last motion of each branch have the same force, in the axes of $BASE or of the tool."
 _ADVICE = "Write a force comment before this motion."
 
 
@@ -36,15 +36,15 @@ def notes_of(
     unknown: Mapping[int, str],
     free: Set[Join] = frozenset(),
 ) -> list[tuple[int, ForceNote]]:
-    """Return the force comments of a course that hold, by its lines.
+    """Return the force comments that are in force in a trace, by its lines.
 
-    Where a branch begins, and where branches meet, the force that holds there is stated once more.
+    The acting force is stated again at the begin of each branch and at each join.
 
-    :param motions: (M,) lines of the course on which its motions stand.
+    :param motions: (M,) lines of the motions in the trace.
     :param rapid: (M,) True for motions that carry no force.
-    :param unknown: lines of the course behind which it is not known which force acts, and why.
-    :param free: where branches may end in different poses.
-    :raises ProgramError: that is so for a motion.
+    :param unknown: lines of the trace after which the acting force is not known, and why.
+    :param free: joins at which branches may end in different poses.
+    :raises ProgramError: the force on a motion is not known.
     :raises ForceError: a comment cannot be read.
     """
     source = course.source
@@ -57,8 +57,8 @@ def notes_of(
         if isinstance(step, Kept):
             inside = (lines >= step.first) & (lines <= step.last)
             if inside.any():
-                stands = source.origin(int(lines[inside][0]))
-                lost[step.last] = f"a force comment stands in what stays as it is ({stands})"
+                at = source.origin(int(lines[inside][0]))
+                lost[step.last] = f"a force comment is in code that is left unchanged ({at})"
                 places, lines = places[~inside], lines[~inside]
     before, own = np.searchsorted(motions, lines).tolist(), source.own(lines).tolist()
     stops = source.stops[lines - 1].tolist()
@@ -79,10 +79,10 @@ def notes_of(
 
 
 class _Held:
-    """Which comment holds, from line to line.
+    """The force comment in force, from line to line.
 
-    :ivar now: what holds; a text: that is not known, and why.
-    :ivar last: what acts on the last motion.
+    :ivar now: the comment in force; a text if it is not known: the reason.
+    :ivar last: the same for the last motion.
     """
 
     def __init__(self, course: Course, motions: Ints, rapid: Bools, free: Set[Join]) -> None:
@@ -95,9 +95,9 @@ class _Held:
     def through(
         self, notes: Sequence[tuple[int, ForceNote]], lost: Mapping[int, str], marks: Sequence[Fork | Branch | Join]
     ) -> list[tuple[int, ForceNote]]:
-        """Return the comments, and those that state once more what holds.
+        """Return the comments, and those that state the acting force again.
 
-        :param lost: lines behind which it is not known which force acts, and why.
+        :param lost: lines after which the acting force is not known, and why.
         """
         events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
             *((line, 0, note) for line, note in notes),
@@ -127,23 +127,23 @@ class _Held:
         return self.notes
 
     def _meet(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, free: bool) -> None:
-        """Come to where branches meet.
+        """Pass a join.
 
-        :param free: they may end in different poses.
-        :raises ProgramError: they end under different forces: corrected, they would not meet.
+        :param free: branches may end in different poses.
+        :raises ProgramError: the branches end under different forces: corrected, they would not meet.
         """
         held, last = ([_force_of(end[which]) for end in ends] for which in (0, 1))
         if not free and any(_differ(force, last[0]) or _turns(*force) for force in last):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
-            raise self.course.source.line_error(problem, line, _MEETING_ADVICE)
+            raise self.course.source.line_error(problem, line, _JOIN_ADVICE)
         alike = all(force == held[0] for force in held)
         row = int(np.searchsorted(self.motions, line))
         if alike and row < len(self.motions) and self.motions[row] == line:
-            return  # what holds is not stated on the line of a motion, behind which a routine ends
+            return  # not stated again on the line of a motion after which a routine ends
         self._state(line, ends[0][0] if alike else "branches that meet before it leave different ones")
 
     def _state(self, line: int, held: _Force) -> None:
-        """Have a force hold from a line on."""
+        """Put a force in force from a line on."""
         self.now = held
         if isinstance(held, str) or (held is None and not self.notes):
             return
@@ -154,7 +154,7 @@ class _Held:
     def _move(self, line: int) -> None:
         """Pass the motions up to a line.
 
-        :raises ProgramError: it is not known which force acts on one of them.
+        :raises ProgramError: the force on one of them is not known.
         """
         first, beyond = np.searchsorted(self.motions, [self.since, line], side="right").tolist()
         self.since = max(self.since, line)
@@ -168,7 +168,7 @@ class _Held:
 
 
 def _differ(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
-    """Return whether two forces are different ones: what is in other axes may be the same force."""
+    """Return whether two forces certainly differ: forces given in different axes may be equal."""
     still = not any(one[0]) or not any(other[0])
     return (still or one[1] == other[1]) and any(abs(a - b) > _SAME for a, b in zip(one[0], other[0], strict=True))
 
@@ -179,7 +179,7 @@ def _turns(wrench: Sequence[float], frame: str) -> bool:
 
 
 def _force_of(held: _Force) -> tuple[Any, ...]:
-    """Return what a comment says."""
+    """Return the force of a comment and its axes."""
     if isinstance(held, ForceNote):
         return held.wrench, held.frame
     return ((0.0,) * 6, "BASE") if held is None else (held, "")
@@ -192,5 +192,5 @@ def _places(source: Source) -> tuple[Ints, Ints]:
     lines = np.searchsorted(source.starts, places, side="right")
     starts, stops = source.starts[lines - 1].tolist(), source.stops[lines - 1].tolist()
     begins = [comment_start(text, *span) for span in zip(starts, stops, strict=True)]
-    real = np.array(begins, dtype=np.int64) == places  # else the semicolon stands in a string or a comment
+    real = np.array(begins, dtype=np.int64) == places  # else the semicolon is inside a string or a comment
     return places[real], lines[real]

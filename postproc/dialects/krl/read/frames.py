@@ -6,7 +6,7 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, Position, from_pose
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
@@ -40,7 +40,7 @@ class Frames:
         """
         name = target.name
         if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
-            known = self.variables.argument(at, value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
+            known = self.variables.argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
             if not isinstance(known, Number):
                 text = at.source.text[value.start : value.stop]
                 why = why_unknown(self.variables, at.source, known or NOTHING)
@@ -48,16 +48,16 @@ class Frames:
             return self.numbered(state, at, name, int(known.value))
         if isinstance(value, Call) and value.name == "EK":
             raise at.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")
-        if target.element is not None or (target.field is not None and target.field not in CARTESIAN):
+        if target.indices is not None or (target.field is not None and target.field not in CARTESIAN):
             return self.unknown(state, name, at, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
-            key = self.variables.key_of(at.source, value)
+            key = self.variables.key_of(value)
             return self._named(state, at, name, value, key or value.name)
         self._show(state)
         if target.field is not None:
             position = self._with_field(state, at, target, value)
         else:
-            position = self.variables.position(at.source, value)
+            position = self.variables.position(value)
         if position is None or position.axis:
             return self.unknown(state, name, at, why_unknown(self.variables, at.source, value))
         if not position.complete:
@@ -69,15 +69,15 @@ class Frames:
     def numbered(self, state: State, at: Place, name: str, number: int) -> State:
         """Return the state behind ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``."""
         key = f"{name[1:]}_DATA[{number}]"
-        return self._named(state, at, name, Reference(f"{name[1:]}_DATA", str(number), None, 0, 0), key)
+        return self._named(state, at, name, _numbered(f"{name[1:]}_DATA", number), key)
 
     def unknown(self, state: State, name: str, at: Place, why: str) -> State:
         """Return a state in which `$BASE` or `$TOOL` is not known."""
         return self.reasons.unknown(state, FIELDS[name], at.error(f"{name} is not known: {why}", _ADVICE))
 
-    def assumed(self, state: State, source: Source) -> set[str]:
+    def assumed(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are the cell's though #INITMOV as KUKA has it gives others."""
-        tool = self.variables.position(source, Reference("TOOL_DATA", "1", None, 0, 0))
+        tool = self.variables.position(_numbered("TOOL_DATA", 1))
         real = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
         return {name for name in state.initial if not self._is_cell(name, real[name])}
 
@@ -95,7 +95,7 @@ class Frames:
         return from_pose(frames[row]) if row >= 0 else None
 
     def _with_field(self, state: State, at: Place, target: Reference, value: Value | Known) -> Position | None:
-        current, number = self._current(state, target.name), self.variables.number(at.source, value)
+        current, number = self._current(state, target.name), self.variables.number(value)
         if current is None or number is None:
             return None
         values = list(current.values)
@@ -103,11 +103,11 @@ class Frames:
         return Position(tuple(values))
 
     def _named(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
-        position = self.variables.position(at.source, reference)
+        position = self.variables.position(reference)
         if position is not None and position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
         if position is None:
-            known = self.variables.evaluate(at.source, reference)
+            known = self.variables.evaluate(reference)
             why = "is neither in the cell nor in the $config.dat"
             if isinstance(known, Unknown) and known.where:
                 why = f"is changed while the program runs ({known.where})"
@@ -126,6 +126,11 @@ class Frames:
                 frames.append(pose)
             self._rows[name, position.values] = row
         return state.with_known(**{FIELDS[name]: row})
+
+
+def _numbered(name: str, number: int) -> Reference:
+    """Return an element of an array."""
+    return Reference(name, (Number(float(number), 0, 0, True),), None, 0, 0)
 
 
 def _lacking(position: Position) -> str:

@@ -1,4 +1,4 @@
-"""What cannot be followed statement by statement."""
+"""Errors for control flow and values that are not known before run time."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from postproc.errors import ProgramError
 
 
 class InexactError(ProgramError):
-    """It is not known before the program runs what runs, or how often.
+    """The branch taken, or the number of iterations, is not known before run time.
 
-    :ivar routine: what was to be run; None where it is not about a call.
+    :ivar routine: the called routine; None if the error is not about a call.
     """
 
     routine: Routine | None = None
 
 
 class UnresolvedError(ProgramError):
-    """What a motion needs is not known before the program runs."""
+    """A value that a motion depends on is not known before run time."""
 
 
 def unresolved(cause: ProgramError) -> UnresolvedError:
-    """Return an error as one that says so."""
+    """Return the error as an `UnresolvedError`."""
     return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
 
 
 def inexact(at: Place, problem: str, advice: str | None = None, routine: Routine | None = None) -> InexactError:
-    """Return the error for a line at which that is not known."""
-    told = at.error(problem, advice)
-    error = InexactError(told.problem, file=told.file, line=told.line, text=told.text, advice=told.advice)
+    """Return the `InexactError` for a line."""
+    base = at.error(problem, advice)
+    error = InexactError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.routine = routine
     return error

@@ -1,22 +1,21 @@
-"""Statements in the order in which they run: what they set, and what is no longer known behind them.
+"""Statements in execution order: the values that they set, and the values that become unknown.
 
-Where it is not certain that something runs, or how often (branches, loops, parts of expressions), all that it may write
-is no longer known; what interrupts, triggers and cyclic statements write may change at any time from their declaration
-on.
+If it is not certain whether or how often code runs (branches, loops, parts of expressions), everything that it may
+write becomes unknown. Variables that interrupts, triggers and cyclic statements write may change at any time from
+their declaration on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.language import tree
-from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
-from postproc.dialects.krl.language.parser import calls, statement
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import LOOPS
-from postproc.dialects.krl.language.tokens import NAME
-from postproc.dialects.krl.language.values import Call, Reference, Value, Word
+from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
 from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.inexact import inexact
@@ -45,19 +44,18 @@ LOOP_ADVICE = (
 
 
 class Interpreter:
-    """Runs the statements of a program, and of what it calls.
+    """Runs the statements of a program, and of the routines that it calls.
 
     :param run: the program as far as it has run.
-    :param motion: takes a motion of the program: where it stands, its instruction in upper case, offsets of the
-        instruction and behind the code of the line.
+    :param motion: takes a motion of the program, or a line that begins or ends a spline block.
     :param called: runs the routine that was called.
-    :param entered: goes into a routine that moves, in the course of the program; False where it does not.
+    :param entered: inlines the call of a routine with motions in the trace; False if it does not.
     """
 
     def __init__(
         self,
         run: Run,
-        motion: Callable[[Place, str, int, int], None],
+        motion: Callable[[Place, tree.Statement], None],
         called: Callable[[], None],
         entered: Callable[[Place, Call], bool],
     ) -> None:
@@ -67,12 +65,12 @@ class Interpreter:
     def statement(self, at: Place) -> None:
         """Run one statement.
 
-        :raises ProgramError: it is not understood, or it changes motion in a way that is not modelled.
+        :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
         here = statement(at.source, at.line)
         if isinstance(here, tree.Motion | tree.Spline | tree.EndSpline):
             if self.run.in_main:
-                self._motion(at, here.word, here.start, here.stop)
+                self._motion(at, here)
         elif not self._control(at, here):
             self._other(at, here)
 
@@ -100,13 +98,13 @@ class Interpreter:
         return True
 
     def _timed(self, at: Place, here: tree.Timed) -> None:
-        """Follow a statement that says how fast spline motions are driven: it stays as it is.
+        """Follow a statement on the speed of spline motions, which is kept unchanged.
 
-        :raises ProgramError: it is not understood, or stands where none can.
+        :raises ProgramError: it is not understood, or not allowed here.
         """
         if not here.complete:
             raise at.error("the statement is not understood", "Check its spelling.")
-        self._inner_calls(at, here.start, here.stop)
+        self._inner_calls(at, here.values)
         if not self.run.in_main:
             return
         if here.word != "STOP" and not self.run.settings.state.block:
@@ -120,18 +118,18 @@ class Interpreter:
             if not level.traced or len(self.run.stack) > 1:
                 raise inexact(at, "it is not known whether it returns here")
             return
-        if here.value.of(at.source.text).strip():
-            level.result = converted(self.calls.value(at, here.value.start, here.value.stop), level.routine.result)
+        if here.value is not None:
+            level.result = converted(self.calls.value(at, here.value), level.routine.result)
         level.returned = level.returned or at.line
 
     def _condition(self, at: Place, here: tree.Statement) -> None:
-        self._inner_calls(at, here.start, here.stop)
+        self._inner_calls(at, here.values)
         if isinstance(here, tree.For) and here.name:
             self.run.variables.forget(self.run.stored(here.name), str(at))
 
-    def _inner_calls(self, at: Place, start: int, stop: int) -> None:
-        """Follow the functions in a piece of code, of which it is not certain that they run."""
-        for call in calls(at.source, start, stop):
+    def _inner_calls(self, at: Place, values: Iterable[Value]) -> None:
+        """Follow the functions in values, of which it is not certain that they run."""
+        for call in calls(values):
             self.calls.call(at, call, certain=False)
 
     def _other(self, at: Place, here: tree.Statement) -> None:
@@ -155,11 +153,11 @@ class Interpreter:
         elif isinstance(here, tree.Outside):
             return
         elif here.word in WITHOUT_MOTION:
-            self._inner_calls(at, here.start, here.stop)
+            self._inner_calls(at, here.values)
         elif isinstance(here, tree.Assignment):
-            self._assign(at, here.target, here.value.start, here.value.stop)
+            self._assign(at, here.target, here.value)
         elif isinstance(here, tree.CallStatement):
-            self._inner_calls(at, here.call.start + len(here.call.name), here.stop)
+            self._inner_calls(at, here.call.arguments)
             if not self._entered(at, here.call):
                 self.calls.call(at, here.call, certain=self.run.certain)
         elif isinstance(here, tree.Faulty):
@@ -189,15 +187,14 @@ class Interpreter:
             problem = f"what motions depend on is changed inside {word} (line {opened})"
             self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
 
-    def _assign(self, at: Place, target: Reference, start: int, stop: int) -> None:
-        for call in calls(at.source, target.start, target.stop):
-            self.calls.call(at, call, certain=False)
+    def _assign(self, at: Place, target: Reference, given: Value) -> None:
+        self._inner_calls(at, [target])
         name = target.name
         if name in RELEVANT:
-            self._set_to(at, target, start, stop)
+            self._set_to(at, target, given)
             return
-        before = self.run.variables.key_of(at.source, target)
-        value = self.calls.value(at, start, stop)
+        before = self.run.variables.key_of(target)
+        value = self.calls.value(at, given)
         if name in _SUPERPOSED and target.field == "MODE" and not (isinstance(value, Word) and value.text == "#OFF"):
             raise at.error(
                 f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
@@ -206,29 +203,29 @@ class Interpreter:
             return
         if target.field is None and self.run.in_main:
             self.run.understood.add(target.start)
-        key = self.run.variables.key_of(at.source, target)
+        key = self.run.variables.key_of(target)
         if key != before:
-            self.run.variables.forget(self.run.stored(name), self._which_element(at, target, start, stop))
-        elif not self.run.certain or key is None or target.element == "":
+            self.run.variables.forget(self.run.stored(name), self._which_element(at, target, given))
+        elif not self.run.certain or key is None or target.indices == ():
             self.run.variables.forget(self.run.stored(name), str(at))
         elif target.field is not None:
             self.run.variables.set_field(key, target.field, value, str(at))
         elif value != NOTHING:
             self.run.variables.set(key, value, str(at))
         elif name != "$H_POS":
-            given = at.source.text[start:stop].strip()[:80]
-            why = "not known" if "(" in given else "in no file of the program"
-            self.run.variables.set(key, Unknown(f"{at}: {given} is {why}"), str(at))
+            text = at.source.text[given.start : given.stop].strip()[:80]
+            why = "not known" if "(" in text else "in no file of the program"
+            self.run.variables.set(key, Unknown(f"{at}: {text} is {why}"), str(at))
 
-    def _which_element(self, at: Place, target: Reference, start: int, stop: int) -> str:
+    def _which_element(self, at: Place, target: Reference, given: Value) -> str:
         """Return why it is not known which element an assignment writes: what it calls changes the index.
 
         KUKA does not say whether the index is evaluated before the value or after it.
         """
-        indices = {name.upper() for name in NAME.findall(at.source.text, *target.inside)}
+        indices = {value.name for value in walk(target.indices or ()) if isinstance(value, Reference)}
         places = {
             place
-            for call in calls(at.source, start, stop)
+            for call in calls([given])
             for index in indices
             if (place := self.calls.writer(call, self.run.stored(index))) is not None
         }
@@ -236,15 +233,16 @@ class Interpreter:
         element = at.source.text[target.start : target.stop]
         return f"{at}: which element {element} is, is not known, because the call changes its index: {changed}"
 
-    def _set_to(self, at: Place, target: Reference, start: int, stop: int) -> None:
+    def _set_to(self, at: Place, target: Reference, given: Value) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""
-        value: Value | Known
-        value, end = parse(at.source, start, stop)
-        if at.source.text[end:stop].strip():
-            raise at.error(f"{at.source.text[end:stop].strip()!r} is not understood")
-        if "(" in at.source.text[start:stop]:
-            known = self.calls.value(at, start, stop)
-            if isinstance(value, Call) and not isinstance(known, Unknown):
+        value: Value | Known = given
+        if isinstance(given, Unreadable):
+            raise given.error
+        if isinstance(given, Opaque) and given.rest >= 0:
+            raise at.error(f"{at.source.text[given.rest : given.stop].strip()!r} is not understood")
+        if isinstance(given, Call) or calls([given]):
+            known = self.calls.value(at, given)
+            if isinstance(given, Call) and not isinstance(known, Unknown):
                 value = known
         self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
 

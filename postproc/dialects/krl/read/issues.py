@@ -1,4 +1,8 @@
-"""What a reader of a KRL program should know: what was assumed, and about which names."""
+"""Issues of a program, and calls that must not stay uncorrected under force.
+
+Only forces of comments are known here; those of tables and processes are checked where they are used
+(`Program.unfollowed`).
+"""
 
 from __future__ import annotations
 
@@ -9,20 +13,21 @@ import numpy as np
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
+from postproc.dialects.krl.read.run import Apart, Run
 from postproc.dialects.krl.read.state import State
-from postproc.errors import Issue
-from postproc.program import Ints
+from postproc.errors import Issue, ProgramError
+from postproc.program import ForceNote, Ints, Unfollowed
 
 _MOST_NAMES = 10
-"""So many names of points are told in one message."""
+"""Most names of points in one message."""
 
 
 def issues_of(
     main: MainRoutine, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
-    """Yield what was assumed of a program.
+    """Yield the assumptions about a program.
 
-    :param states: all that is in force anywhere; `state` (M,) which of them at each motion.
+    :param states: all states in force anywhere; `state` (M,) index of the state at each motion.
     """
     yield from _absent(main)
     yield from _uncalled(main)
@@ -30,16 +35,16 @@ def issues_of(
 
 
 def _absent(main: MainRoutine) -> Iterator[Issue]:
-    """Each called program that is in no file, and what it is trusted not to do."""
+    """Called programs that are in no file, and what they are assumed not to do."""
     shared = sorted(main.run.variables.used & main.run.variables.public)
     more = "" if len(shared) <= _MOST_NAMES else f" and {len(shared) - _MOST_NAMES} more"
     points = f", nor the GLOBAL {', '.join(shared[:_MOST_NAMES])}{more}" if shared else ""
     for name, line in main.run.absent:
         fault = main.run.library.faults.get(name.upper())
-        where = f"stands in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
+        where = f"is in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
         message = (
             f"{name}() {where}: it is assumed not to move the robot nor to change $BASE, $TOOL, speeds{points}. "
-            "Put its .src beside the program, or name its folder in the cell: [krl] search."
+            "Put its .src next to the program, or name its folder in the cell: [krl] search."
         )
         yield Issue("warning", "external-call", message, line, subject=name.upper())
 
@@ -54,7 +59,7 @@ def _uncalled(main: MainRoutine) -> Iterator[Issue]:
         if motion is None or motion.source is not main.run.source:
             continue
         if not routine.first < motion.line < routine.last:
-            continue  # told for the routine in which it stands
+            continue  # reported for the routine that contains it
         message = (
             f"DEF {routine.name} has motions but {main.run.routine.name} does not call it; they are left as they are."
         )
@@ -68,7 +73,7 @@ def _initial_frames(
     axis = np.zeros(len(rows), dtype=np.bool_)
     axis[[row for row, move in layout.statements.items() if move.end.position.axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
-        assumed = np.array([name in main.run.settings.assumed_frames(one, main.run.source) for one in states])
+        assumed = np.array([name in main.run.settings.assumed_frames(one) for one in states])
         found = np.flatnonzero(assumed[state] & ~axis)
         if not len(found):
             continue
@@ -85,3 +90,48 @@ def _initial_frames(
             subject=name,
             count=len(found),
         )
+
+
+_KEEP = "--keep-unresolved leaves motions as they are"
+
+
+def refuse_noted(run: Run) -> None:
+    """Refuse routines that are not followed and contain force comments.
+
+    :raises ProgramError: there is one; it names the statement that cannot be followed.
+    """
+    for call in run.moved:
+        force = run.analysis.of(call.module, call.routine).force
+        if force is not None and run.analysis.cuts(call.module, call.routine):
+            raise _loaded(run, call, f": it contains a force comment ({force})")
+
+
+def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
+    """Refuse routines that are not followed and cut under the force that holds where they are called.
+
+    :param notes: force comments of the trace, by its lines.
+    :raises ProgramError: there is one; it names the statement that cannot be followed.
+    """
+    for call in run.moved:
+        held = [note for line, note in notes if line < call.line][-1:]
+        if held and any(held[0].wrench) and run.analysis.cuts(call.module, call.routine):
+            raise _loaded(run, call, ": a force comment holds there")
+
+
+def unfollowed(run: Run) -> tuple[Unfollowed, ...]:
+    """Return the calls of routines that are not followed and cut."""
+    return tuple(
+        Unfollowed(int(run.source.shown(np.array([call.line]))[0]), _loaded(run, call))
+        for call in run.moved
+        if run.analysis.cuts(call.module, call.routine)
+    )
+
+
+def _loaded(run: Run, call: Apart, force: str = "") -> ProgramError:
+    cause, at = call.cause, run.source.origin(call.line)
+    where = f"{at.source.document.name}, line {at.line}"
+    problem = f"{cause.problem}; {call.name}(), called in {where}, would stay uncorrected under force{force}"
+    advice = cause.advice or ""
+    if "--keep-unresolved" not in advice:
+        advice = f"{advice} {_KEEP}.".strip()
+    return ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice)

@@ -1,4 +1,4 @@
-"""What is known of a value before the program runs, and which variable a name means."""
+"""Values as known before run time, and the scopes that resolve names to variables."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from postproc.dialects.krl.language.values import Aggregate, Number, Word
 
 
 class Unknown(Struct, frozen=True):
-    """A variable whose value is not known before the program runs.
+    """A variable whose value is not known before run time.
 
-    :param where: what changes it, as text for a message; empty where it has no value at all.
+    :param where: what changes it, as text for a message; empty if it has no value at all.
     """
 
     where: str = ""
@@ -27,7 +27,7 @@ Known = Number | Word | Aggregate | Position | Unknown
 
 
 class Unread(Struct, frozen=True):
-    """A value that stands in a declaration and is read when it is needed."""
+    """A value in a declaration, parsed on first use."""
 
     source: Source
     start: int
@@ -35,11 +35,11 @@ class Unread(Struct, frozen=True):
 
 
 class Scope(Struct, frozen=True):
-    """Which variable a name means.
+    """Resolves names to variables.
 
-    :param local: names of the routine's own → how they are stored.
-    :param own: names of the routine's module, or those of the main program that it does not see.
-    :param prefix: what is put before these.
+    :param local: local names of the routine → stored names.
+    :param own: names of the routine's module, or names of the main program that the routine does not see.
+    :param prefix: stored before the names in `own`.
     """
 
     local: Mapping[str, str] = field(default_factory=dict)
@@ -47,6 +47,6 @@ class Scope(Struct, frozen=True):
     prefix: str = ""
 
     def stored(self, name: str) -> str:
-        """Return under which name a variable (upper case) is stored."""
+        """Return the name under which a variable (upper case) is stored."""
         local = self.local.get(name)
         return local if local is not None else self.prefix + name if name in self.own else name

@@ -1,4 +1,4 @@
-"""The motions of a program in the order in which they run, and what is in force when they do."""
+"""The motions of a program in execution order, and the settings in force at each."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines, Occasion
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import MOTION_WORDS, RESERVED, fault_of
-from postproc.dialects.krl.language.parser import calls, statement
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
-from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion
+from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion, Statement
 from postproc.dialects.krl.read.flow import Flow
+from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.inexact import UnresolvedError
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
-from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.plain import Plain
@@ -53,7 +54,7 @@ def course_of(
     run.elsewhere = elsewhere
     trace = Trace(main)
     taken = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
-    flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # told when the course is followed
+    flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # reported when the trace is followed
     given = np.array(main.settings, dtype=np.int64)
     nodes = nodes_of(main.source, _one_by_one(main.source, main.others, given)[0])
     checked(main.source, nodes)
@@ -66,7 +67,7 @@ def course_of(
         label = flow.label_of(main.source, run.level.jump)
         problem = f"there is no label {label} in {main.name}"
         if label in flow.labels(main.source, main.others):
-            problem = f"the label {label} stands before GOTO, or in a control structure that GOTO is not in"
+            problem = f"the label {label} precedes GOTO, or is in a control structure that GOTO is not in"
         raise main.source.line_error(problem, run.level.jump, JUMP_ADVICE)
     if not run.level.returned:
         trace.run_to(main.last - 1)
@@ -82,8 +83,8 @@ def _calls(main: Routine, line: int) -> bool:
     return isinstance(here, Goto) or ("(" in main.source.text[here.start : here.stop] and not isinstance(here, Motion))
 
 
-def _passed(at: Place, word: str, start: int, stop: int) -> None:
-    """Pass over a motion: it is read when the course is followed."""
+def _passed(at: Place, here: Statement) -> None:
+    """Pass over a motion: it is read when the trace is followed."""
 
 
 def _submitted(run: Run) -> None:
@@ -95,7 +96,7 @@ def _submitted(run: Run) -> None:
 
 
 class MainRoutine:
-    """Follows the course of a program through the lines that are not plain motions.
+    """Follows the execution trace of a program through the lines that are not plain motions.
 
     :ivar run: the program as far as it has run.
     :ivar motions: those of the course, in order.
@@ -122,7 +123,7 @@ class MainRoutine:
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Follow the course.
 
-        :param faults: what is wrong with the bounds of routines.
+        :param faults: errors in the bounds of routines.
         :raises ProgramError: something that changes motion is not understood; all such lines together.
         """
         run, source = self.run, self.run.source
@@ -163,7 +164,7 @@ class MainRoutine:
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], own
 
     def _come_to_settings(self) -> dict[Lines, Sequence[int]]:
-        """Have plain settings come into force where they stand; return the lines that are run one by one."""
+        """Apply plain settings at their lines; return the lines that are run one by one."""
         found, free = {}, np.zeros(len(self.run.source.starts) + 1, dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
@@ -193,7 +194,7 @@ class MainRoutine:
     def executed(self, plain: Ints) -> Bools:
         """Return which plain motions, by their lines, are those of the course.
 
-        :raises ProgramError: one of them stands behind RETURN, or outside of DEF … END.
+        :raises ProgramError: one of them follows RETURN, or is outside of DEF … END.
         """
         out = np.zeros(len(plain), dtype=np.bool_)
         for step in self.course.steps:
@@ -210,7 +211,7 @@ class MainRoutine:
             inside |= (plain > routine.first) & (plain < routine.last)
         outside = np.flatnonzero(~inside)
         if len(outside):
-            raise self.run.source.line_error("the motion stands outside of DEF … END", int(plain[outside[0]]))
+            raise self.run.source.line_error("the motion is outside of DEF … END", int(plain[outside[0]]))
         return out
 
     def in_one_block(self, first: int, last: int) -> bool:
@@ -230,7 +231,7 @@ class MainRoutine:
         self.run.line = step.line
         here = statement(at.source, step.line)
         if isinstance(here, CallStatement):
-            for inner in calls(at.source, here.call.start + len(here.call.name), here.stop):
+            for inner in calls(here.call.arguments):
                 self._flow.interpreter.calls.call(at, inner, certain=False)
             self._flow.interpreter.calls.enter(at, here.call, step.module, step.routine)
 
@@ -255,22 +256,22 @@ class MainRoutine:
         run.unresolved = [*dict(run.unresolved).items()]
 
     def _fault(self, at: Place, cause: ProgramError) -> None:
-        """Note what is wrong with a statement, but not what follows from what was wrong before."""
+        """Note an error of a statement, unless it follows from an earlier error."""
         names = [name.upper() for name in NAME.findall(at.source.text, *at.source.code_span(at.line))]
         if self._broken.isdisjoint(names):
             self._errors.append(cause)
         self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
 
-    def _motion(self, at: Place, word: str, start: int, stop: int) -> None:
+    def _motion(self, at: Place, here: Statement) -> None:
         """Take a motion of the course.
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
-        if word not in MOTION_WORDS:
-            self.splines.statement(at, word, start, stop)
+        if not isinstance(here, Motion):
+            self.splines.statement(at, here)
             return
         level = self.run.level
-        if level.open and not self.reader.stays(at, word, start, stop):
+        if level.open and not self.reader.stays(here):
             opener, opened = level.open[-1]
             if self.run.keep:
                 self.run.unresolved.append((at.line, at.error(f"motion inside {opener} (line {opened})")))
@@ -279,10 +280,10 @@ class MainRoutine:
                 self._refused.add(opened)
                 raise at.error(f"motion inside {opener} (line {opened})", LOOP_ADVICE)
             return
-        for call in calls(at.source, start, stop):
+        for call in calls(here.values):
             self._flow.interpreter.calls.call(at, call, certain=False)
         try:
-            move, state, names = self.reader.read(at, word, start, stop)
+            move, state, names = self.reader.read(at, here)
         except UnresolvedError as cause:
             if not self.run.keep:
                 raise
@@ -302,7 +303,7 @@ def _one_by_one(source: Source, lines: Sequence[int], settings: Ints) -> tuple[S
 
 
 def _others(course: Course, plain: Plain) -> list[int]:
-    """Return the lines of a course that have code and are not plain."""
+    """Return the lines of a trace that have code and are not plain."""
     source, found = course.source, []
     for line in (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist():
         start, stop = source.code_span(line)

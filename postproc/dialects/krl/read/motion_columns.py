@@ -27,13 +27,13 @@ class MotionColumns(Struct, frozen=True, eq=False):
     :param line: (R,) 1-based line.
     :param kind: (R,) `LIN`, `CIRC` or `PTP`.
     :param numbers: (R, 14) X, Y, Z [mm], A, B, C [deg], S, T, E1…E6 as the text gives them; NaN where missing.
-    :param spans: (R, 8, 2) where the texts of X…T stand in the line; −1 where they do not.
+    :param spans: (R, 8, 2) spans of the texts of X…T in the line; −1 where missing.
     :param keyword: (R,) offset of the instruction.
     :param target: (R, 2) span of the target.
     :param tail: (R, 2) span of what follows it: approximation, WITH.
     :param approximated: (R,) True where `$APO.CDIS` applies.
     :param via: (R, 3) X, Y, Z of the auxiliary point of a circle [mm]; NaN elsewhere.
-    :param via_spans: (R, 3, 2) where their texts stand in the line; −1 where they do not.
+    :param via_spans: (R, 3, 2) spans of their texts in the line; −1 where missing.
     :param via_target: (R, 2) span of that point; −1 where it is not in the line.
     """
 
@@ -64,7 +64,7 @@ class MotionColumns(Struct, frozen=True, eq=False):
 class MotionCollector:
     """Takes statements one by one; keeps the plain ones as rows only.
 
-    :ivar states: what is in force at each.
+    :ivar states: state in force at each.
     :ivar special: (index, statement) of those that are not plain.
     """
 
@@ -78,7 +78,7 @@ class MotionCollector:
         return len(self.states)
 
     def add(self, move: MotionStatement, state: State) -> None:
-        """Take the next statement, and what is in force for it."""
+        """Add the next statement, and the state in force for it."""
         if not move.plain:
             self.special.append((len(self.states), move))
         self.states.append(state)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
@@ -10,9 +9,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.circles import circles, same_orientation
-from postproc.dialects.krl.language.motion_statements import MotionStatement
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.triggers import Trigger, triggers
+from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Layout
 from postproc.dialects.krl.read.auxiliary_points import left_out
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
@@ -34,11 +33,11 @@ _LITTLE = 0.5 * RAD_PER_DEG
 of half of it."""
 _AT_THE_END = 1e-6
 """A circle with CA that ends this close [rad] to its end point ends there."""
-_BY_SPEED = re.compile(r"\bC_(?:VEL|ORI)\b", re.IGNORECASE)
+_BY_SPEED = frozenset({"C_VEL", "C_ORI"})
 
 
 class OrderedMotions(NamedTuple):
-    """All motions in order: what their lines say, and what is in force.
+    """All motions in order: the contents of their lines, and the settings in force.
 
     :param rows: (R,) motions.
     :param states: all states that are in force anywhere.
@@ -86,13 +85,13 @@ def motions_and_layout(
     forward: Callable[[Array], Array],
     after: Ints | None = None,
 ) -> tuple[Motions, Layout, list[Issue]]:
-    """Return the motions of a program in order, where their text stands, and what had to be assumed.
+    """Return the motions of a program in order, the layout of their text, and the assumptions.
 
     :param main: has followed all lines that are not plain.
     :param ordered: all motions.
-    :param start_joints: (6,) where the robot stands first [rad].
+    :param start_joints: (6,) joint angles at the start [rad].
     :param forward: (6,) joints → (4, 4) flange in the robot root.
-    :param after: (M,) at the end of which motion each begins, see `Program.after`.
+    :param after: (M,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
@@ -108,7 +107,7 @@ def motions_and_layout(
     relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
     placed = np.ones(len(rows), dtype=np.bool_)
     placed[[row for row, move in moves.items() if move.end.position.axis]] = False
-    standing, carriage = external_axes(source, rows, relative, placed, settings.cell.carriage, after)
+    axis_issues, carriage = external_axes(source, rows, relative, placed, settings.cell.carriage, after)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     given = rows.numbers[:, :6]
     led = _led(source, rows, states, state)
@@ -166,13 +165,13 @@ def motions_and_layout(
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     assumptions = _assumptions(motions.line, missing, assumed, moves)
-    return motions, layout, [*standing, *assumptions, *_by_speed(source, rows), *told(motions)]
+    return motions, layout, [*axis_issues, *assumptions, *_by_speed(source, rows), *told(motions)]
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:
-    """Return all states, for plain lines and then statements which one is in force, and where it came into force there.
+    """Return all states; the index of the state in force, for plain lines and then statements; and its first line.
 
-    The third is told of plain lines only.
+    The last is given for plain lines only.
     """
     states = [state for _, state in settings.changes]
     changes = np.array([line for line, _ in settings.changes])
@@ -187,6 +186,23 @@ def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[li
     return states, plain, np.array(own, dtype=np.int64), changes[plain]
 
 
+def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Array]]:
+    """Return the settings in force before lines (n,): the state, and `$BASE` and `$TOOL` (4, 4) instead of its rows."""
+    states, state, _, changed = _states(settings, line, [])
+    numbers = [settings.coming.at(row, line, changed, _column(states, state, _number(row))) for row in (0, 1)]
+    found = []
+    for index, *values in zip(state.tolist(), *(each.tolist() for each in numbers), strict=True):
+        one = states[index]
+        frames = settings.frames.bases[one.base], settings.frames.tools[one.tool]
+        known = dict(zip(NUMBERS, values, strict=True))
+        found.append((replace(one, base=min(one.base, 0), tool=min(one.tool, 0), assumed=False, **known), *frames))
+    return found
+
+
+def _number(row: int) -> Callable[[State], object]:
+    return lambda state: getattr(state, NUMBERS[row])
+
+
 def _column(states: list[State], state: Ints, value: Callable[[State], object]) -> np.ndarray:
     """Return one property of the states in force."""
     return np.array([value(s) for s in states])[state]
@@ -199,14 +215,14 @@ def _whole(numbers: Array) -> Ints:
 def _check_settings(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> None:
-    """Refuse motions that depend on what is not known: frames, speeds, modes."""
+    """Refuse motions that depend on unknown frames, speeds or modes."""
     faults = list(_unsettled(settings, rows, states, state, moves))
     if faults:
         raise together(faults)
 
 
 def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
-    """Yield what is wrong with the settings of the motions of a program, once for each reason."""
+    """Yield the errors in the settings of the motions of a program, once for each reason."""
     ordered = ordered_motions(main, plain)
     yield from _unsettled(main.run.settings, ordered.rows, ordered.states, ordered.state, ordered.moves)
 
@@ -214,7 +230,7 @@ def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[Program
 def _unsettled(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> Iterator[ProgramError]:
-    told: set[tuple[str | None, int | None, str]] = set()
+    seen: set[tuple[str | None, int | None, str]] = set()
     for index, used in enumerate(states):
         if not used.uncertain and used.base >= 0 and used.tool >= 0:
             continue
@@ -224,13 +240,13 @@ def _unsettled(
             try:
                 settings.refuse_uncertain(used, fields)
             except ProgramError as cause:
-                if (key := (cause.file, cause.line, cause.problem)) not in told:
-                    told.add(key)
+                if (key := (cause.file, cause.line, cause.problem)) not in seen:
+                    seen.add(key)
                     yield cause
 
 
 def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) -> Led:
-    """Return how the orientation is led: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
+    """Return the orientation control: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
     Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle takes
     the tool along: what stays, or changes by one rotation, is the orientation as seen from the path. `$CIRC_TYPE` means
@@ -352,9 +368,10 @@ def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, s
 
 
 def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
-    """Tell where the path is approximated by something else than a distance."""
+    """Return an issue if the path is approximated by a criterion other than a distance."""
     exact = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
-    found = [row for row in exact.tolist() if _BY_SPEED.search(source.text, *rows.tail[row].tolist())]
+    tails = zip(exact.tolist(), rows.tail[exact].tolist(), strict=True)
+    found = [row for row, tail in tails if any(word in _BY_SPEED for word, _ in words_in(source.text, *tail))]
     if not found:
         return []
     message = (

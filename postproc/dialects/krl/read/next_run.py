@@ -1,7 +1,7 @@
 """The next run of a program: whether it does the same as the first.
 
 Values of a `.dat`, BASE_DATA and TOOL_DATA stay as a run leaves them. Where a program changes some of them, it is
-followed once more from there. If it then goes elsewhere, what is written holds only for runs that begin with the files.
+followed once more from there. If it then moves differently, the output holds only for runs that begin with the files.
 """
 
 from __future__ import annotations
@@ -16,25 +16,26 @@ from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain import Plain
+from postproc.dialects.krl.read.rounds import Uses
 from postproc.dialects.krl.read.settings import Settings
 from postproc.errors import Issue, ProgramError
 from postproc.frames import Array
 
 _MOST_NAMES = 10
-"""So many names are told in one message."""
+"""Most names in one message."""
 
 
 def changed_data_issues(
     main: MainRoutine, first: OrderedMotions, plain: Plain, start_joints: tuple[float, ...]
 ) -> Iterator[Issue]:
-    """Yield a warning if the next run, with the values that this one leaves, goes elsewhere or cannot be known.
+    """Yield a warning if the next run, with the values that this one leaves, moves differently or is not known.
 
     :param main: has followed the program.
     :param first: its motions.
     :param plain: its plain lines.
-    :param start_joints: where the robot stands first [deg].
+    :param start_joints: joint angles at the start [deg].
     """
-    kept = main.run.settings.variables.kept()
+    kept = _used(main, main.run.settings.variables.kept())
     if not kept:
         return
     cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
@@ -59,14 +60,22 @@ def changed_data_issues(
     more = "" if len(kept) <= _MOST_NAMES else f" and {len(kept) - _MOST_NAMES} more"
     message = (
         f"The program changes data that stay changed: {', '.join(names)}{more}. The next run begins with the changed "
-        "values and moves otherwise from this line on: what is written holds for a run that begins with the values in "
+        "values and moves differently from this line on: the output holds for a run that begins with the values in "
         "the files. Set them at the beginning of the program."
     )
     yield Issue("warning", "changed-data", message, line, subject=", ".join(list(kept)[:_MOST_NAMES]))
 
 
+def _used(main: MainRoutine, kept: dict[str, str]) -> dict[str, str]:
+    """Return the values left by a run that the next one may use: not counters that it sets first."""
+    run = main.run
+    uses = Uses(run, run.routine.source, run.nodes(run.routine)) if kept else None
+    changing = run.settings.variables.changing
+    return {name: where for name, where in kept.items() if uses is None or name in changing or uses.uses(name)}
+
+
 def _elsewhere(one: Course, other: Course) -> int | None:
-    """Return a line of the first course from which on another one goes elsewhere."""
+    """Return the first line at which two traces differ; None if they are equal."""
     if one.steps == other.steps and one.source.text == other.source.text:
         return None
     pairs = zip(one.source.text.splitlines(), other.source.text.splitlines(), strict=False)
@@ -97,7 +106,7 @@ def _same(one: Position, other: Position) -> bool:
 
 
 def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
-    """Return (S, 36) what motions depend on in each state, but for numbers; NaN for what is not known."""
+    """Return (S, 36) frames and modes of each state; NaN where not known."""
     return np.array(
         [
             np.concatenate(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from postproc.dialects.krl.language.expressions import parse
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
 from postproc.dialects.krl.layout import ORIENTATIONS
@@ -15,7 +14,7 @@ from postproc.frames import M_PER_MM
 
 FASTEST = 100.0
 """A speed above this [m/s] is a slip of the unit."""
-_IN_A_FILE = "have the .dat that declares it beside the program, in [krl] search or as config_dat of the cell"
+_IN_A_FILE = "have the .dat that declares it next to the program, in [krl] search or as config_dat of the cell"
 _RUN_TIME = f"Write it as a number, or {_IN_A_FILE}."
 MODES = {
     "$ORI_TYPE": ORIENTATIONS,
@@ -39,7 +38,7 @@ _OF_PTP = frozenset({"SAPO_PTP"})
 
 
 class PathSettings:
-    """Follows what is assigned to these variables."""
+    """Follows assignments to these variables."""
 
     def __init__(self, variables: Variables, reasons: Reasons, *, carried: bool) -> None:
         self.variables, self.reasons, self.carried = variables, reasons, carried
@@ -50,11 +49,11 @@ class PathSettings:
         :raises ProgramError: no path can be driven at that speed.
         """
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
-            value = parse(at.source, *value.arguments[0])[0]
+            value = value.arguments[0]
         wanted = self._component(at, field, "CP", value)
         if wanted is None:
             return state
-        number = self.variables.number(at.source, wanted)
+        number = self.variables.number(wanted)
         if number is None:
             return self._unknown(state, "speed", at, "the speed $VEL.CP is not known before the program runs", wanted)
         if not 0.0 < number <= FASTEST:
@@ -66,14 +65,14 @@ class PathSettings:
         if isinstance(value, Call) and value.name in _OF_PTP:
             return state
         if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
-            given = self.variables.argument(at, value, "APO_DIST")
+            given = self.variables.argument(value, "APO_DIST")
             if given is None:
                 return state
             field, value = "CDIS", given
         wanted = self._component(at, field, "CDIS", value)
         if wanted is None:
             return state
-        number = self.variables.number(at.source, wanted)
+        number = self.variables.number(wanted)
         if number is None or number < 0.0:
             return self._unknown(state, "cdis", at, "the approximation distance $APO.CDIS is not known", wanted)
         return state.with_known(cdis=number * M_PER_MM)
@@ -85,7 +84,7 @@ class PathSettings:
         """
         given: Value | Known | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
-            given = self.variables.argument(at, value, _MODE_OF[value.name])
+            given = self.variables.argument(value, _MODE_OF[value.name])
         word = self._word(at, name, given, MODES[name])
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
@@ -107,7 +106,7 @@ class PathSettings:
         """
         given: Value | Known | None = value
         if isinstance(value, Call) and value.name == "SCIRC_M":
-            given = self.variables.argument(at, value, "CB")
+            given = self.variables.argument(value, "CB")
         word = self._word(at, "$CIRC_MODE.AUX_PT.E1", self._of_auxiliary(at, field, given, "E1"), _AUXILIARY)
         if self.carried and word == "#INTERPOLATE":
             problem = (
@@ -130,7 +129,7 @@ class PathSettings:
         if path != names[: len(path)]:
             return None
         for name in names[len(path) :]:
-            known = NOTHING if value is None else self.variables.evaluate(at.source, value)
+            known = NOTHING if value is None else self.variables.evaluate(value)
             if value is None or not isinstance(known, Aggregate):
                 return value
             value = known.items.get(name)
@@ -138,7 +137,7 @@ class PathSettings:
 
     def _word(self, at: Place, name: str, value: Value | Known | None, words: tuple[str, ...]) -> str | ProgramError:
         """Return the mode that a value is, the first where there is none; or why it is not known."""
-        known = None if value is None else self.variables.evaluate(at.source, value)
+        known = None if value is None else self.variables.evaluate(value)
         word = words[0] if known is None else known.text if isinstance(known, Word) else ""
         if word in words:
             return word
@@ -147,10 +146,10 @@ class PathSettings:
         return at.error(f"{name} is not known: {why}", advice)
 
     def _component(self, at: Place, field: str | None, own: str, value: Value | Known) -> Value | Known | None:
-        """Return what is assigned to one component of a structure; None if that is another one, or left out."""
+        """Return the value assigned to one component of a structure; None if another is assigned, or it is left out."""
         if field is not None:
             return value if field == own else None
-        known = self.variables.evaluate(at.source, value)
+        known = self.variables.evaluate(value)
         return known.items.get(own) if isinstance(known, Aggregate) else value
 
     def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | Known) -> State:

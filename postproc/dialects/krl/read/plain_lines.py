@@ -22,7 +22,7 @@ from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
 _LINES = 8192
-"""Lines read at once: what is made of more does not fit the cache."""
+"""Lines read at once: the arrays of more lines do not fit the cache."""
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
 _STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
@@ -68,7 +68,7 @@ _BLANK[[9, 10, 13, 32]] = True
 
 
 def scan(source: Source) -> list[MotionColumns]:
-    """Return the plain motions of a document, wherever they stand, in some parts one behind the other."""
+    """Return all plain motions of a document, in consecutive parts."""
     text, starts = source.text, source.starts
     last = [*starts[_LINES::_LINES].tolist(), len(text)]
     return [
@@ -78,7 +78,11 @@ def scan(source: Source) -> list[MotionColumns]:
 
 
 def _plain(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:
-    """Return the plain motions of a piece of text whose lines start there; so many of both stand before it."""
+    """Return the plain motions of a piece of text.
+
+    :param starts: offsets of its lines in it.
+    :param lines: number of lines before it; `characters` of characters.
+    """
     codes = text.encode("ascii", "replace")
     alike = _alike(text, codes, starts)
     plain = _scan(codes, starts, alike, lines, characters)
@@ -112,7 +116,7 @@ def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
 def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: int) -> MotionColumns | None:
     """Return the motions of plain lines (P,); None if one of their numbers cannot be read.
 
-    :param lines: before the text, and so many `characters`.
+    :param lines: number of lines before the text; `characters` of characters.
     """
     if not len(index):
         return none()

@@ -1,8 +1,7 @@
 """Plain assignments to system variables: ``$VEL.CP=0.05`` before each of a hundred thousand motions.
 
 As for motions (`plain_lines`), one expression is the fence; what it leaves out is read statement by statement
-(`interpreter`, `path_settings`), and so could plain assignments be. It lets through numbers that nobody has to refuse,
-TRUE and FALSE.
+(`interpreter`, `path_settings`), and so could plain assignments be. It accepts valid numbers, TRUE and FALSE.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ def no_settings() -> PlainSettings:
 
 
 def scan(source: Source) -> PlainSettings:
-    """Return the plain assignments of a document, wherever they stand."""
+    """Return all plain assignments of a document."""
     text = source.text
     starts, names, numbers = [], [], []
     for match in _SETTING.finditer(text):
@@ -82,7 +81,7 @@ def scan(source: Source) -> PlainSettings:
 
 
 class Coming:
-    """Plain assignments that a program comes to.
+    """Plain assignments, in execution order.
 
     :param settings: those that run, in order.
     """
@@ -91,13 +90,16 @@ class Coming:
         self._given = [settings.given(row) for row in range(len(NUMBERS))]
         self._lines = [lines.tolist() for lines, _ in self._given]
         self._done = [0] * len(NUMBERS)
+        self._none = not any(self._lines)
 
     def before(self, line: int) -> list[tuple[int, str, float]]:
-        """Return what is in force at the first and the last assignment of each field before a line, but behind the line
-        asked for before: of all fields that are assigned there, since a state is put together at each of them.
+        """Return the values in force at the first and the last assignment of each field since the line of the previous
+        call: for all fields assigned in between, since each of these places gets a state of its own.
 
         :returns: (line, field, value), in order.
         """
+        if self._none:
+            return []
         spans = [(done, bisect_left(lines, line, done)) for done, lines in zip(self._done, self._lines, strict=True)]
         places = {lines[k] for (first, stop), lines in zip(spans, self._lines, strict=True) if stop > first
                   for k in (first, stop - 1)}  # fmt: skip
@@ -113,7 +115,7 @@ class Coming:
     def at(self, row: int, line: Ints, changed: Ints, otherwise: Array) -> Array:
         """Return one of the `NUMBERS` on lines (n,).
 
-        :param changed: (n,) lines on which what is in force there was put together, with all that was assigned before.
+        :param changed: (n,) lines on which the state in force there was created, with all earlier assignments.
         :param otherwise: (n,) its value then.
         """
         lines, values = self._given[row]

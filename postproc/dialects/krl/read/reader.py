@@ -1,6 +1,6 @@
 """From the files of a KRL program to a `Program`.
 
-Assumptions that are not certain for every controller are told as issues: a missing component keeps its previous value
+Assumptions that are not certain for every controller become issues: a missing component keeps its previous value
 (0 in ``_REL``); subprograms of other files do not move the robot; ``$VEL.CP`` is 2 m/s until it is set. `$ROBROOT` is
 taken as the origin of `$WORLD`. C_VEL and C_ORI have no distance: their motions get `blend` 0.
 """
@@ -19,25 +19,22 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.read.apart import refuse_loaded, refuse_noted, unfollowed
 from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings, free_joins
-from postproc.dialects.krl.read.data_lists import read_data
-from postproc.dialects.krl.read.folder_files import FolderFiles
+from postproc.dialects.krl.read.data_lists import read_data, read_shared
+from postproc.dialects.krl.read.endless_loops import check_round, starts
+from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, needed
 from postproc.dialects.krl.read.force_notes import notes_of
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.inexact import InexactError
-from postproc.dialects.krl.read.issues import issues_of
-from postproc.dialects.krl.read.library import Library
+from postproc.dialects.krl.read.issues import issues_of, refuse_loaded, refuse_noted, unfollowed
 from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
-from postproc.dialects.krl.read.needed_files import code_of, needed
 from postproc.dialects.krl.read.next_run import changed_data_issues
 from postproc.dialects.krl.read.plain import Plain, plain_of
 from postproc.dialects.krl.read.remarks import remarks
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.shared_data import read_shared
 from postproc.dialects.krl.read.unresolved import without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
@@ -58,7 +55,7 @@ def read_program(
 
     :param documents: the `.src` first, then its `.dat` if there is one, and files of routines that it calls, which
         count instead of those of the same name in its folder.
-    :param cell: frames for programs that set none of their own, frames by number, where the robot stands first.
+    :param cell: frames for programs that set none of their own, frames by number, the start position of the robot.
     :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
     :param name: name of the program.
     :returns: the program; its `layout` is a `Layout`.
@@ -89,7 +86,7 @@ def read_program(
 
 
 class _Reading(Struct, frozen=True, eq=False):
-    """What is known of a program before it is followed; see `read_program`.
+    """A program before it is followed; see `read_program`.
 
     :param code: all lines of the main file that are not plain.
     """
@@ -111,8 +108,8 @@ class _Reading(Struct, frozen=True, eq=False):
         """
         library, entry, cell = self.library, self.entry, self.cell
         start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
-        settings = self._settings()
-        before = self._settings()
+        variables = self._variables()
+        settings, before = (Settings(each, cell) for each in (variables, variables.copied()))
         course = course_of(library, entry, before, MotionReader(settings, start), elsewhere)
         if not course.straight:
             plain = plain_of(course.source, bulk=bulk)
@@ -172,10 +169,12 @@ class _Reading(Struct, frozen=True, eq=False):
             issues.append(Issue("info", "home-from-cell", message, line))
         if relied := settings.variables.relied | before.variables.relied:
             values = ", ".join(f"{name} = {value}" for name, value in cell.krl.values.items() if name.upper() in relied)
-            message = f"Values of [krl.values] in the cell: {values}. What is written holds for these alone."
+            message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
             issues.append(Issue("warning", "values-from-cell", message))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
         check_meetings(course, meetings, motions, layout.carriage, frames, self.forward(cell.start_joints))
+        begins = starts(course, layout.line, motions, frames, self.forward(cell.start_joints), after)
+        loop_issues, rounds = check_round(course, layout.line, motions, begins, layout.carriage, notes, settings)
         own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
         documents = *own, *course.files
         files = {document.name for document in course.files}
@@ -192,19 +191,19 @@ class _Reading(Struct, frozen=True, eq=False):
             events=remarks(source, layout.line),
             notes=tuple(note for _, note in notes),
             still=source.shown(distinct(np.array(main.still, dtype=np.int64))),
-            issues=tuple(issues),
+            issues=(*issues, *loop_issues),
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
             after=after,
-            meetings=tuple(meeting.ends for meeting in meetings),
+            meetings=(*(meeting.ends for meeting in meetings), *rounds),
             unresolved=resolved.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
             needed=needed(documents, code, library.files, moving),
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
-    def _settings(self) -> Settings:
-        """Return what is in force first."""
+    def _variables(self) -> Variables:
+        """Return the variables with the values that they have first."""
         variables = Variables(self.cell)
         for document in self.documents[1:]:
             if _belongs(document, self.documents[0]):
@@ -215,7 +214,7 @@ class _Reading(Struct, frozen=True, eq=False):
         own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
         read_shared(variables, self.code, own, self.library.files)
         variables.take_given()
-        return Settings(variables, self.cell)
+        return variables
 
 
 def _belongs(data: Document, source: Document) -> bool:
@@ -272,9 +271,9 @@ def _main(source: Source, plain: Plain, name: str) -> tuple[Module, Routine, lis
 
 
 def _folders(document: Document, cell: Cell) -> list[Path]:
-    """Return where called programs are looked for: beside the program, then where the cell says."""
-    beside = [Path(document.folder)] if document.folder else []
-    return beside + [Path(cell.folder) / folder for folder in cell.krl.search]
+    """Return the folders searched for called programs: that of the program, then those of the cell."""
+    own = [Path(document.folder)] if document.folder else []
+    return own + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
 def _check_size(source: Source, rows: MotionColumns) -> None:

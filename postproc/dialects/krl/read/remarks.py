@@ -1,4 +1,4 @@
-"""Comments and folds of a KRL program that may name what is done: operations, tools, layers."""
+"""Comments and folds of a KRL program that may name operations, tools or layers."""
 
 from __future__ import annotations
 

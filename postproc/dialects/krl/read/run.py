@@ -1,4 +1,4 @@
-"""A program as far as it has run: where it is, and what has been met on the way."""
+"""Execution state of a program while it is followed: the present line, and the findings so far."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Node, checked, nodes_of
 from postproc.dialects.krl.read.effects import Analysis
+from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
-from postproc.dialects.krl.read.library import Library
 from postproc.dialects.krl.read.scopes import Scopes
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
@@ -25,10 +25,10 @@ SETTING_ADVICE = "Set $BASE, $TOOL, speeds and modes outside of loops, branches 
 class Level(Struct, eq=False):
     """A routine that runs.
 
-    :ivar traced: True where its motions are those of the program: the main routine, and what it calls in its course.
-    :ivar open: control structures of which it is not known what runs in them: word and line.
-    :ivar loops: loops that are followed, one in the other.
-    :ivar left: True behind EXIT.
+    :ivar traced: True if its motions are in the execution trace: the main routine, and inlined routines.
+    :ivar open: control structures whose branch taken is not known before run time: word and line.
+    :ivar loops: number of nested loops that are followed.
+    :ivar left: True after EXIT.
     :ivar jump: line of a GOTO whose label has not been found yet; 0 for none.
     :ivar returned: line of a RETURN; 0 before.
     :ivar result: what a function returns.
@@ -47,14 +47,14 @@ class Level(Struct, eq=False):
 
     @property
     def broken_off(self) -> bool:
-        """Whether what stands behind does not run next: RETURN, EXIT, GOTO."""
+        """Whether the following statement does not run next: after RETURN, EXIT, GOTO."""
         return bool(self.returned or self.left or self.jump)
 
 
 class Apart(Struct, frozen=True, eq=False):
-    """A call of a routine of another file whose motions are not those of the program.
+    """A call of a routine of another file whose motions are not in the execution trace.
 
-    :param line: of the course; behind it it is not known where the robot stands.
+    :param line: of the trace; after it the robot position is not known.
     :param reason: why a motion must not begin there.
     :param name: of the routine, as it is spelled; `routine` itself, in `module`.
     :param cause: why it is not followed.
@@ -69,10 +69,10 @@ class Apart(Struct, frozen=True, eq=False):
 
 
 class _Fork(Struct, eq=False):
-    """Where branches divide.
+    """A fork.
 
-    :ivar values: of all variables there; `state` what is in force.
-    :ivar ends: the same where branches end.
+    :ivar values: of all variables there; `state` the settings in force.
+    :ivar ends: the same at the ends of the branches.
     """
 
     values: tuple[dict[str, Known | Unread], dict[str, Unknown]]
@@ -82,28 +82,28 @@ class _Fork(Struct, eq=False):
 
 
 class Run:
-    """What is shared by all that follows a program.
+    """State shared by the classes that follow a program.
 
     :ivar routine: the main routine.
-    :ivar source: the course of the program, see `course`.
-    :ivar line: of the course, where the run is.
+    :ivar source: the execution trace of the program, see `course`.
+    :ivar line: present line of the trace.
     :ivar level: the routine that runs.
     :ivar stack: it, and those that called it.
     :ivar steps: statements of called routines that have run.
     :ivar calls: calls that have been run.
-    :ivar resumable: True where RESUME may break off what is running.
-    :ivar resumed: RESUME that goes back to the program, or to where it is not known; None if there is none.
+    :ivar resumable: True if RESUME may break off the running routine.
+    :ivar resumed: RESUME that returns to the program or to an unknown routine; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
-    :ivar moved: calls behind which it is not known where the robot stands.
+    :ivar moved: calls after which the robot position is not known.
     :ivar unfollowed: routines reached by calls that move the robot and are not followed.
-    :ivar unforced: line → reason: behind such a line it is not known which force acts.
+    :ivar unforced: line → reason: after such a line the acting force is not known.
     :ivar understood: offsets of names in the main routine whose use is followed.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
-    :ivar issues: what the user should know.
-    :ivar unresolved: (line, reason): motions of the course that stay as they are, where `keep`s that.
-    :ivar elsewhere: routines of other files whose motions are not those of the program, and occasions on which branches
-        are not followed; and why.
+    :ivar issues: warnings and remarks for the user.
+    :ivar unresolved: (line, reason): motions of the trace that are left uncorrected under `keep`.
+    :ivar elsewhere: routines of other files whose motions are not in the trace, and visits to forks whose branches are
+        not followed; with the reason.
     """
 
     def __init__(self, library: Library, routine: Routine, settings: Settings, source: Source | None = None) -> None:
@@ -134,7 +134,7 @@ class Run:
     def nodes(self, routine: Routine) -> tuple[Node, ...]:
         """Return the statements and control structures of a routine.
 
-        :raises ProgramError: these are not as they must be.
+        :raises ProgramError: a control structure is not closed properly.
         """
         if routine not in self._nodes:
             self._nodes[routine] = checked(routine.source, nodes_of(routine.source, routine.lines))
@@ -142,15 +142,15 @@ class Run:
 
     @property
     def here(self) -> int:
-        """Line of the program's own `.src` that stands for where the run is."""
+        """Line of the program's own `.src` to report for the present line."""
         return int(self.source.shown(np.array([self.line]))[0])
 
     def fork(self) -> None:
-        """Come to branches of which one runs."""
+        """Reach a fork."""
         self._forks.append(_Fork(self.variables.as_now(), self.settings.state))
 
     def branch(self) -> None:
-        """Begin with one of them."""
+        """Begin one of its branches."""
         fork = self._forks[-1]
         if fork.begun:
             fork.ends.append((self.variables.as_now(), self.settings.state))
@@ -159,46 +159,51 @@ class Run:
         self.settings.change(self.line, fork.state)
 
     def join(self, at: Place, *, complete: bool) -> None:
-        """Go on where the branches meet; what they leave in different ways is not known."""
+        """Continue after a join; values that differ between the branches become unknown."""
         fork = self._forks.pop()
         for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
             self.variables.meet(values, str(at))
             problem = "what motions depend on differs behind the branches that meet here"
             self.settings.may_become(self.line, state, at.error(problem, SETTING_ADVICE))
 
+    @property
+    def forked(self) -> bool:
+        """Whether a branch is being followed that may not be taken."""
+        return bool(self._forks)
+
     def standing(self) -> tuple[Level, int, Scope, int, bool, int]:
-        """Return in which routine the run is, for `stand`."""
+        """Return the present routine and depth of the run, for `stand`."""
         level = self.level
         return level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks)
 
     def stand(self, where: tuple[Level, int, Scope, int, bool, int]) -> None:
-        """Run in that routine again."""
+        """Return to that routine and depth."""
         self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = where
         del self.stack[depth:], self._forks[forks:]
         self.level.open.clear()
         self.level.jump = 0
 
     def marks(self) -> tuple[int, ...]:
-        """Return how much is noted, for `back_to`."""
+        """Return the number of findings, for `back_to`."""
         return len(self.triggers), len(self.moved), len(self.absent), len(self.issues)
 
     def back_to(self, marks: tuple[int, ...]) -> None:
-        """Forget what was noted since, to follow the same statements in another way."""
+        """Drop the findings since, to follow the same statements differently."""
         triggers, moved, absent, issues = marks
         del self.triggers[triggers:], self.moved[moved:], self.absent[absent:], self.issues[issues:]
 
     @property
     def in_main(self) -> bool:
-        """Whether what runs is in the course of the program: the main routine, or what stands in place of its call."""
+        """Whether the present routine is in the execution trace: the main routine or an inlined one."""
         return self.level.traced
 
     @property
     def certain(self) -> bool:
-        """Whether what follows runs once, and now: no control structure is open."""
+        """Whether the next statement runs exactly once: no control structure is open."""
         return not self.level.open
 
     def stored(self, name: str) -> str:
-        """Return under which name a variable of the routine that runs is stored."""
+        """Return the name under which a variable of the running routine is stored."""
         return self.variables.scope.stored(name.upper())
 
     def may_change(self, names: Mapping[str, Place], what: str) -> None:
@@ -208,5 +213,5 @@ class Run:
             self.variables.changing.setdefault(name, Unknown(f"by {where}"))
 
     def changes_always(self, at: Place, name: str) -> None:
-        """Note that a name, as it is stored, has another value again and again."""
+        """Note that a name, as it is stored, changes cyclically."""
         self.variables.changing.setdefault(name, Unknown(str(at)))

@@ -1,11 +1,11 @@
-"""What is in force, followed from statement to statement."""
+"""Settings in force, followed from statement to statement."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.dialects.krl.read.bas import Bas
 from postproc.dialects.krl.read.frames import Frames
@@ -20,10 +20,9 @@ from postproc.errors import ProgramError
 class Settings:
     """The state of a program.
 
-    :ivar state: what is in force now.
-    :ivar changes: (line of the program, state in force behind it), in order.
-    :ivar coming: plain assignments that the program comes to: behind the first and the last that it has come to between
-        two statements there is a state of its own.
+    :ivar state: the present state.
+    :ivar changes: (line of the program, state in force after it), in order.
+    :ivar coming: plain assignments: the first and the last of them between two statements each create a state.
     :ivar frames: the frames that are used.
     """
 
@@ -38,7 +37,7 @@ class Settings:
         self._bas = Bas(variables, cell, self.frames, self._path)
 
     def change(self, line: int, state: State) -> None:
-        """Put a state into force behind a line of the program."""
+        """Put a state into force after a line of the program."""
         if state != self.state:
             self.state = state
             self.changes.append((line, state))
@@ -74,7 +73,7 @@ class Settings:
         :raises ProgramError: the value moves the robot in a way that is not modelled.
         """
         name = target.name
-        self.variables.rely(at.source, value)
+        self.variables.rely(value)
         if name in ("$BASE", "$TOOL"):
             return self.frames.assigned(state, at, target, value)
         if name == "$VEL":
@@ -94,6 +93,6 @@ class Settings:
         """
         return self._bas.called(self.state, at, call)
 
-    def assumed_frames(self, state: State, source: Source) -> set[str]:
-        """Return which of `$BASE` and `$TOOL` are the cell's because nobody says what #INITMOV gives."""
-        return set() if self.cell.krl.initmov is not None else self.frames.assumed(state, source)
+    def assumed_frames(self, state: State) -> set[str]:
+        """Return which of `$BASE` and `$TOOL` are taken from the cell because `[krl] initmov` is not given."""
+        return set() if self.cell.krl.initmov is not None else self.frames.assumed(state)

@@ -13,6 +13,7 @@ from msgspec import Struct
 from postproc.dialects.krl.language.names import SPLINES
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import word_at
+from postproc.dialects.krl.language.tree import EndSpline, Spline, Statement
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.settings import Settings
@@ -25,7 +26,7 @@ class Opened(Struct, frozen=True):
     """A block that is open.
 
     :ivar line: of its first line.
-    :ivar before: what is in force outside of it.
+    :ivar before: state in force outside of it.
     """
 
     line: int
@@ -46,21 +47,21 @@ class SplineBlocks:
         self.approximated: list[int] = []
         self.ended: list[int] = []
 
-    def statement(self, at: Place, word: str, start: int, stop: int) -> None:
+    def statement(self, at: Place, here: Statement) -> None:
         """Take a line that opens or closes a block.
 
         :raises ProgramError: it is not understood, or none is open.
         """
-        if word != "ENDSPLINE":
+        if isinstance(here, Spline):
             if self.open is not None:
-                raise at.error(f"{word} inside of a spline block (line {self.open.line})")
-            state = self.reader.block(at, word, start + len(word), stop)
+                raise at.error(f"{here.word} inside of a spline block (line {self.open.line})")
+            state = self.reader.block(at, here)
             self.open = Opened(at.line, self.settings.state)
             self.settings.change(at.line, state)
             return
         if self.open is None:
             raise at.error("ENDSPLINE without SPLINE")
-        tail = at.source.text[start + len(word) : stop].strip()
+        tail = here.behind if isinstance(here, EndSpline) else ""
         if tail.upper() not in ("", "C_SPL"):
             raise at.error(f"{tail!r} is not understood")
         if tail:
@@ -71,9 +72,9 @@ class SplineBlocks:
 
 
 def check_words(source: Source, rows: MotionColumns, block: np.ndarray) -> None:
-    """Refuse motions that cannot stand where they do.
+    """Refuse motions that are not allowed inside or outside of a spline block.
 
-    :param block: (R,) the block in which each stands; empty outside.
+    :param block: (R,) the block that contains each; empty outside.
     :raises ProgramError: SPL outside of a block, or an instruction in a block that is none of it.
     """
     for row in np.flatnonzero((block != "") | (rows.kind == SPL)).tolist():
@@ -100,13 +101,13 @@ def approximated(rows: MotionColumns, inside: Bools, ends: list[int]) -> Bools:
 
 
 def told(motions: Motions) -> list[Issue]:
-    """Return what the user should know of splines."""
+    """Return the warning about splines."""
     found = np.flatnonzero(motions.kind == SPL)
     if not len(found):
         return []
     message = (
         "The path of SPL is not known between its points: these are corrected for the force at each of them, nothing "
-        "is inserted between, and what is said of the path between targets leaves SPL out."
+        "is inserted between, and statements on the path between targets leave SPL out."
     )
     line = motions.line[found]
     lines = tuple(np.unique(line).tolist())

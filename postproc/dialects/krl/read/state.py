@@ -1,4 +1,4 @@
-"""What is in force at a motion: `$BASE`, `$TOOL`, speed, approximation; and why some of it may not be known.
+"""Settings in force at a motion: `$BASE`, `$TOOL`, speed, approximation; and why some of it may not be known.
 
 Sources: KUKA's `BAS.SRC` (what #INITMOV, #CP_PARAMS, #FRAMES … set) and the system variables' descriptions.
 """
@@ -35,7 +35,7 @@ RELEVANT = frozenset({*FIELDS, "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE
 
 
 class State(Struct, frozen=True):
-    """What is in force between two statements.
+    """Settings in force between two statements.
 
     :ivar base: row of `Frames.bases`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
     :ivar tool: row of `Frames.tools`; likewise.

@@ -1,8 +1,7 @@
-"""Puts down what runs, line by line, while a program is followed: its course."""
+"""Records the execution trace, line by line, while a program is followed."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Set
 from typing import Any
 
@@ -27,18 +26,17 @@ from postproc.dialects.krl.course import (
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Origins, Place, Source
 from postproc.dialects.krl.language.structures import Block
+from postproc.dialects.krl.language.tokens import indent
 from postproc.dialects.text import line_spans
 from postproc.errors import ProgramError
 from postproc.program import Document
 
-_INDENT = re.compile(r"[ \t]*")
 
+class _OpenRoutine(Struct, eq=False):
+    """A routine of the trace that has not ended yet.
 
-class _Standing(Struct, eq=False):
-    """A routine in the course.
-
-    :ivar cursor: its first line that is not put down yet.
-    :ivar shown: line of the `.src` that stands for its lines; 0 where that is their own.
+    :ivar cursor: its first line that is not recorded yet.
+    :ivar shown: line of the `.src` to report for its lines; 0 if that is their own.
     """
 
     source: Source
@@ -48,10 +46,10 @@ class _Standing(Struct, eq=False):
 
 
 class Trace:
-    """The course of a program so far.
+    """The execution trace of a program so far.
 
     :param main: the main routine.
-    :ivar pinned: True where routines may also run as they stand.
+    :ivar pinned: True if routines may also be called unchanged.
     """
 
     def __init__(self, main: Routine) -> None:
@@ -66,57 +64,53 @@ class Trace:
         self._files: dict[Document, None] = {}
         self._put(main.source, 1, main.first, 0, live=False)
         self.body = Body(self.count + 1)
-        self._standing = [_Standing(main.source, main.first + 1, 0, [self.body])]
+        self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
     def run_to(self, line: int) -> None:
-        """Put down lines that run, up to a line of the routine."""
+        """Record lines that run, up to a line of the routine."""
         first = self.count + 1
         if self._next(line, live=True):
-            before = self._steps[-1] if self._steps else None
-            if isinstance(before, Lines) and before.last == first - 1:
-                self._steps[-1] = Lines(before.first, self.count)
-            else:
-                self._steps.append(Lines(first, self.count))
+            self._run_on(first)
 
     def pass_to(self, line: int, *, live: bool = True) -> None:
-        """Put down lines that say what runs, up to a line of the routine; or, not `live`, lines that do not run."""
+        """Record lines of control statements, up to a line of the routine; if not `live`, lines that do not run."""
         self._next(line, live=live)
 
     def keep(self, line: int, why: ProgramError) -> None:
-        """Put down lines up to one of which it is not known what runs."""
+        """Record lines up to a line whose branch taken is not known before run time."""
         first = self.count + 1
         self._next(line, live=True)
         self._steps.append(Kept(first, self.count, why))
         self.pinned = True
 
     def divide(self, step: Fork | Branch | Join) -> None:
-        """Note that branches divide, begin or meet behind what was put down."""
+        """Record a fork, the begin of a branch or a join after the recorded lines."""
         self._steps.append(replace(step, line=self.count))
 
     def mark(self) -> tuple[Any, ...]:
-        """Return how far it is, for `back_to`."""
-        standing = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._standing]
+        """Return the present length of the trace, for `back_to`."""
+        open_ = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._open]
         last = self._steps[-1] if self._steps else None
-        return self.count, len(self._texts), len(self._steps), last, set(self._inlined), dict(self._files), standing
+        return self.count, len(self._texts), len(self._steps), last, set(self._inlined), dict(self._files), open_
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
-        """Forget what was put down since."""
-        self.count, texts, steps, last, self._inlined, self._files, standing = mark
-        del self._texts[texts:], self._from[texts:], self._steps[steps:], self._standing[len(standing) :]
+        """Drop everything recorded since."""
+        self.count, texts, steps, last, self._inlined, self._files, open_ = mark
+        del self._texts[texts:], self._from[texts:], self._steps[steps:], self._open[len(open_) :]
         if steps:
             self._steps[-1] = last
-        for each, (cursor, bodies, parts) in zip(self._standing, standing, strict=True):
+        for each, (cursor, bodies, parts) in zip(self._open, open_, strict=True):
             each.cursor = cursor
             del each.bodies[bodies:]
             for body, count in zip(each.bodies, parts, strict=True):
                 del body.parts[count:]
 
     def enter(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
-        """Begin with a routine that the present line calls.
+        """Begin a routine that the present line calls.
 
         :param name: span of its name in the file of that line.
         """
-        here = self._standing[-1]
+        here = self._open[-1]
         self.pass_to(at.line)
         start = int(at.source.starts[at.line - 1])
         self._steps.append(Enter(self.count, module, routine))
@@ -124,53 +118,53 @@ class Trace:
         here.bodies[-1].parts.append(Called(self.count, (name[0] - start, name[1] - start), routine, body))
         own = routine.source is self.main.source
         shown = 0 if own else here.shown or at.line
-        self._standing.append(_Standing(routine.source, routine.first + 1, shown, [body]))
+        self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown, [body]))
         self._inlined.add(routine)
         if not own:
             self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
 
     def leave(self) -> None:
-        """End with the routine that was entered last."""
-        body = self._standing.pop().bodies[0]
+        """End the routine that was entered last."""
+        body = self._open.pop().bodies[0]
         body.last = self.count + 1
         self._steps.append(Leave())
 
     def begin(self, block: Block, step: int, *, left: bool) -> Repeated:
-        """Begin to write out a loop; `step` of FOR, else 0."""
+        """Begin to unroll a loop; `step` of FOR, else 0."""
         self.run_to(block.first - 1)
-        source = self._standing[-1].source
+        source = self._open[-1].source
         opener, closer = (_line(source, line) for line in (block.first, block.last))
         loop = Repeated(opener, closer, step, left, self.count + 1)
-        self._standing[-1].bodies[-1].parts.append(loop)
+        self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
     def repeat(self, loop: Repeated, block: Block, assigned: str | None) -> None:
-        """Begin with the body of a loop, once more."""
+        """Begin an iteration of a loop."""
         body = Body(self.count + 1)
         loop.bodies.append(body)
-        self._standing[-1].bodies.append(body)
+        self._open[-1].bodies.append(body)
         self._assign(loop, block, assigned)
-        self._standing[-1].cursor = block.first + 1
+        self._open[-1].cursor = block.first + 1
 
     def repeated(self, block: Block, *, whole: bool) -> None:
-        """End with the body of a loop; not `whole`: it was left."""
+        """End an iteration of a loop; if not `whole`, the loop was left."""
         if whole:
             self.run_to(block.last - 1)
         self.pass_to(block.last - 1, live=False)
-        self._standing[-1].bodies.pop().last = self.count + 1
+        self._open[-1].bodies.pop().last = self.count + 1
 
     def end(self, loop: Repeated, block: Block, assigned: str | None) -> None:
-        """End with a loop."""
+        """End a loop."""
         if not loop.bodies:
             self.pass_to(block.last, live=False)
         self._assign(loop, block, assigned)
-        self._standing[-1].cursor = block.last + 1
+        self._open[-1].cursor = block.last + 1
         loop.last = self.count + 1
 
     def course(self, reached: Set[Routine]) -> Course:
-        """Return the whole of it.
+        """Return the complete trace.
 
-        :param reached: routines that calls reach which are not followed.
+        :param reached: routines reached by calls that are not followed.
         """
         main = self.main
         self.body.last = self.count + 1
@@ -202,8 +196,8 @@ class Trace:
         )
 
     def _next(self, line: int, *, live: bool) -> bool:
-        """Put down the lines up to one; return whether there are any."""
-        here = self._standing[-1]
+        """Record the lines up to one; return whether there are any."""
+        here = self._open[-1]
         if line < here.cursor:
             return False
         self._put(here.source, here.cursor, line, here.shown, live=live)
@@ -220,17 +214,24 @@ class Trace:
         self.count += last - first + 1
 
     def _assign(self, loop: Repeated, block: Block, assigned: str | None) -> None:
-        """Put down an assignment to the counter of a loop."""
+        """Record an assignment to the counter of a loop."""
         if assigned is None:
             return
-        here = self._standing[-1]
-        indent = _INDENT.match(loop.opener)
-        self._texts.append(f"{indent[0] if indent else ''}{assigned}{_end(loop.opener)}")
+        here = self._open[-1]
+        self._texts.append(f"{indent(loop.opener)}{assigned}{_end(loop.opener)}")
         self._from.append(
             (self._sources.setdefault(here.source, len(self._sources)), 1, 1, here.shown, block.first, True)
         )
         self.count += 1
-        self._steps.append(Lines(self.count, self.count))
+        self._run_on(self.count)
+
+    def _run_on(self, first: int) -> None:
+        """Record that lines from `first` on run, in one step with those directly before them."""
+        before = self._steps[-1] if self._steps else None
+        if isinstance(before, Lines) and before.last == first - 1:
+            self._steps[-1] = Lines(before.first, self.count)
+        else:
+            self._steps.append(Lines(first, self.count))
 
 
 def _line(source: Source, line: int) -> str:

@@ -1,14 +1,18 @@
-"""Motions that stay as they are: only the running robot knows where they lead, or whether they run."""
+"""Motions left uncorrected: their target, or whether they run, is not known before run time."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
 from msgspec import Struct
 
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.positions import CARTESIAN
+from postproc.dialects.krl.language.tree import Motion, Statement
+from postproc.dialects.krl.language.values import Aggregate, Reference, walk
 from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.motion_reader import HERE
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
@@ -16,9 +20,7 @@ from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
 _BEGIN = "where it begins is not known, and its path depends on that"
-_SHIFTED = ". It leads on from where the robot stands: the correction of the motion before it moves it too"
-_RELATIVE = re.compile(r"\w+_REL\b", re.IGNORECASE)
-_COMPONENT = re.compile(r"[{,:][ \t]*([XYZABC])[ \t]", re.IGNORECASE)
+_SHIFTED = ". It starts from the current robot position: the correction of the motion before it moves it too"
 _OPEN = (
     "Where this motion begins is not known, because the one before stays as it is: its end is corrected, no targets "
     "are inserted into it, and its path is not checked."
@@ -29,9 +31,9 @@ class Separated(Struct, frozen=True, eq=False):
     """The motions of a program, separated by whether they can be corrected.
 
     :param ordered: those that can.
-    :param after: at the end of which motion each of them begins, see `Program.after`.
+    :param after: the motion at whose end each of them begins, see `Program.after`.
     :param unresolved: the others.
-    :param issues: what is to be told.
+    :param issues: warnings for the user.
     """
 
     ordered: OrderedMotions
@@ -79,7 +81,7 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> Separated:
     left = OrderedMotions(
         rows.take(~dropped), ordered.states, ordered.state[~dropped], ordered.numbers[~dropped], moves
     )
-    unresolved, issues = _told(main, lost)
+    unresolved, issues = _reported(main, lost)
     return Separated(left, after, unresolved, (*issues, *_opened(main, left, begins)))
 
 
@@ -113,8 +115,8 @@ def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool
     return bool(np.isnan(ordered.rows.numbers[row, :6]).any())
 
 
-def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:
-    """Return each line that stays as it is, and a warning for it."""
+def _reported(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:
+    """Return each uncorrected line, and a warning for it."""
     found: dict[str, Unresolved] = {}
     issues = []
     for line, reason in sorted(lost.items()):
@@ -124,7 +126,7 @@ def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unres
         shown: int | None = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
-        shifted = _SHIFTED if _depends(text) else ""
+        shifted = _SHIFTED if _depends(statement(*origin)) else ""
         elsewhere = origin.source is not main.run.routine.source
         where, shown = (f"{origin}: ", None) if elsewhere else ("", shown)
         message = f"{where}stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
@@ -132,11 +134,13 @@ def _told(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unres
     return tuple(found.values()), issues
 
 
-def _depends(text: str) -> bool:
-    """Return whether a motion that stays as it is goes to a place that is given from where the robot stands."""
-    literal = text[text.rfind("{") :] if "{" in text else ""
-    given = {name.upper() for name in _COMPONENT.findall(literal)}
-    return _RELATIVE.match(text) is not None or (0 < len(given) < 6)
+def _depends(here: Statement) -> bool:
+    """Return whether the target of an uncorrected motion depends on the current robot position."""
+    if not isinstance(here, Motion):
+        return False
+    given = here.end.items.keys() & CARTESIAN if isinstance(here.end, Aggregate) else ()
+    from_here = any(isinstance(value, Reference) and value.name in HERE for value in walk(here.values))
+    return from_here or here.word.endswith("_REL") or 0 < len(given) < len(CARTESIAN)
 
 
 def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:

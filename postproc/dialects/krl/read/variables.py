@@ -1,9 +1,8 @@
-"""Variables whose values are known before the program runs: from the `.dat`, the `$config.dat`, the `.src` itself."""
+"""Variables with values known before run time: from the `.dat`, the `$config.dat`, the `.src` itself."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections import defaultdict
 from collections.abc import Callable
 from copy import copy
@@ -12,11 +11,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.brackets import split
-from postproc.dialects.krl.language.expressions import parse
+from postproc.dialects.krl.language.expressions import value_at
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,
@@ -25,14 +23,14 @@ from postproc.dialects.krl.language.values import (
     Opaque,
     Operation,
     Reference,
+    Unreadable,
     Value,
     Word,
+    parts,
 )
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
 from postproc.frames import inverse
 
-_INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
-_FIRST_FIELD = re.compile(r"\w+", re.ASCII)
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _REAL = frozenset({*CARTESIAN, *AXES})
 _FUNCTIONS: dict[str, Callable[..., float]] = {
@@ -84,8 +82,19 @@ class Variables:
         for name in ("$NULLFRAME", "$WORLD", "$ROBROOT", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, _ZERO)
 
+    def copied(self) -> Variables:
+        """Return the same values, for another run."""
+        other = copy(self)
+        other._values, other._elements = dict(self._values), defaultdict(list)
+        for name, keys in self._elements.items():
+            other._elements[name] = list(keys)
+        other.types, other.structures, other.public = dict(self.types), dict(self.structures), set(self.public)
+        other.changing, other.changed = dict(self.changing), dict(self.changed)
+        other.used, other.initial, other.relied = set(self.used), set(self.initial), set(self.relied)
+        return other
+
     def take_given(self, name: str = "") -> None:
-        """Give variables the values that the cell has for them; with a name but this one and its elements."""
+        """Set variables to the values of the cell; with a name, only that one and its elements."""
         for key, value in self.given.items():
             root = key.partition("[")[0]
             if not name or name == root:
@@ -99,7 +108,7 @@ class Variables:
         self._values[key] = value
 
     def set(self, key: str, value: Known, where: str) -> None:
-        """Give a variable another value: what its type makes of it.
+        """Set a variable to a value, converted to its type.
 
         :param where: where the program does.
         """
@@ -129,8 +138,7 @@ class Variables:
         """Give one component of a variable a value (``XP1.X=5``)."""
         whole = self.value(key)
         self.changed.setdefault(key.partition("[")[0], where)
-        match = _FIRST_FIELD.match(field)
-        first = match[0] if match else field
+        first = field.partition(".")[0].partition("[")[0]
         if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
             values = list(whole.values)
             values[CARTESIAN.index(field)] = value.value
@@ -160,12 +168,19 @@ class Variables:
         self._values, self.changing = dict(then[0]), dict(then[1])
 
     def meet(self, other: tuple[dict[str, Known | Unread], dict[str, Unknown]], where: str) -> None:
-        """Forget what differs from other values that the variables may have instead."""
+        """Merge with the values of another branch: those that differ become unknown."""
         values, changing = other
         self.changing = changing | self.changing
         for key in self._values.keys() | values.keys():
             if not self._same(self._values.get(key), values.get(key)):
                 self._values[key] = Unknown(where)
+
+    def differing(self, then: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> frozenset[str]:
+        """Return the names of variables whose values are not what they were."""
+        values, changing = then
+        keys = (key for key in self._values.keys() | values.keys())
+        found = {key.partition("[")[0] for key in keys if not self._same(self._values.get(key), values.get(key))}
+        return frozenset(found | (self.changing.keys() ^ changing.keys()))
 
     def _same(self, one: object, other: object) -> bool:
         if one is other or (not isinstance(one, Aggregate) and one == other):
@@ -175,7 +190,7 @@ class Variables:
         if isinstance(one, Unread):
             if isinstance(other, Aggregate):
                 return not other.computed and other.source is one.source and one.start <= other.start < one.stop
-            value, _ = parse(one.source, one.start, one.stop)
+            value, _ = value_at(one.source, one.start, one.stop)
             return isinstance(value, Number) and isinstance(other, Number) and value.value == other.value
         if not isinstance(one, Aggregate) or not isinstance(other, Aggregate):
             return False
@@ -218,27 +233,31 @@ class Variables:
             self.relied.add(key)
         value = self._values.get(key)
         if isinstance(value, Unread):
-            parsed, _ = parse(value.source, value.start, value.stop)
-            value = self.evaluate(value.source, parsed)
+            value = self.evaluate(value_at(value.source, value.start, value.stop)[0])
             if isinstance(value, Number):
                 value = converted(value, self.types.get(key.partition("[")[0], ""))
             self._values[key] = value
         return value
 
-    def evaluate(self, source: Source, value: Value | Known) -> Known:
-        """Return what a value is now; `Unknown` when that is not known before the program runs."""
+    def evaluate(self, value: Value | Known) -> Known:
+        """Return the present value; `Unknown` when that is not known before the program runs.
+
+        :raises ProgramError: it cannot be read.
+        """
         if isinstance(value, Number | Word | Position | Unknown):
             return value
         if isinstance(value, Aggregate):
             return self._resolved(value)
         if isinstance(value, Reference):
-            return self.looked_up(source, value)
+            return self.looked_up(value)
         if isinstance(value, Operation):
-            return self._computed(source, value)
+            return self._computed(value)
         if isinstance(value, Chain):
-            return self._product(source, value)
+            return self._product(value)
         if isinstance(value, Call):
-            return self._function(source, value)
+            return self._function(value)
+        if isinstance(value, Unreadable):
+            raise value.error
         return NOTHING
 
     def _resolved(self, aggregate: Aggregate) -> Aggregate:
@@ -247,14 +266,14 @@ class Variables:
             return aggregate
         items = {}
         for name, item in aggregate.items.items():
-            known = self.evaluate(aggregate.source, item)
+            known = self.evaluate(item)
             items[name] = known if isinstance(known, Number | Word | Aggregate) else Opaque(*_span(item))
         return replace(aggregate, items=items, computed=True)
 
-    def _computed(self, source: Source, operation: Operation) -> Known:
+    def _computed(self, operation: Operation) -> Known:
         """Return a sum, difference, product or quotient; two INTs are divided only where nothing remains."""
-        left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(source, operation.left)
-        right = self.evaluate(source, operation.right)
+        left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
+        right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, Unknown)), NOTHING)
         a, b, integer = left.value, right.value, left.integer and right.integer
@@ -263,15 +282,15 @@ class Variables:
         value = {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else 0.0}[operation.operator]
         return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
 
-    def _function(self, source: Source, call: Call) -> Known:
+    def _function(self, call: Call) -> Known:
         """Return what a function of the controller gives (angles in degrees) that depends on nothing else."""
         function = _FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
             return NOTHING
-        given = [self.evaluate(source, parse(source, *span)[0]) for span in call.arguments]
+        given = [self.evaluate(argument) for argument in call.arguments]
         numbers = [one.value for one in given if isinstance(one, Number)]
         if call.name == "INV_POS" and len(given) == 1:
-            position = self.position(source, given[0])
+            position = self.position(given[0])
             return NOTHING if position is None or position.axis else from_pose(inverse(position.pose()))
         if function is None or len(numbers) < len(given) or len(given) != 1 + (call.name == "ATAN2"):
             return NOTHING
@@ -282,11 +301,11 @@ class Variables:
         integer = call.name == "ABS" and all(one.integer for one in given if isinstance(one, Number))
         return Number(value, call.start, call.stop, integer)
 
-    def _product(self, source: Source, chain: Chain) -> Known:
+    def _product(self, chain: Chain) -> Known:
         """Return the position that a chain of frames gives: S, T and external axes are those of its last operand."""
         pose, part = np.eye(4), None
         for operand in chain.operands:
-            part = self.position(source, operand)
+            part = self.position(operand)
             if part is None or part.axis or (isinstance(operand, Reference) and not part.complete):
                 return NOTHING
             pose = pose @ part.pose()
@@ -294,92 +313,75 @@ class Variables:
             return NOTHING
         return replace(from_pose(pose), status=part.status, turn=part.turn, external=part.external)
 
-    def key_of(self, source: Source, reference: Reference) -> str | None:
+    def key_of(self, reference: Reference) -> str | None:
         """Return the key of a variable, its index resolved; None if the index is not known."""
         name = self.scope.stored(reference.name)
-        if reference.element is None:
+        if reference.indices is None:
             return name
-        if _INDEX.fullmatch(reference.element):
-            return f"{name}[{int(reference.element)}]"
-        indices = [self.index(source, span) for span in split(source, *reference.inside)]
+        indices = [self.index(value) for value in reference.indices]
         if not indices or None in indices:
             return None
         return f"{name}[{','.join(map(str, indices))}]"
 
-    def index(self, source: Source, span: tuple[int, int]) -> int | None:
-        """Return one index of an array by the span of its text, None if it is not known."""
-        start, stop = span
-        if not source.text[start:stop].strip():
-            return None
-        value, end = parse(source, start, stop)
-        index = self.number(source, value)
-        return None if index is None or index != int(index) or source.text[end:stop].strip() else int(index)
+    def index(self, value: Value) -> int | None:
+        """Return one index of an array, None if it is not known."""
+        index = self.number(value)
+        return None if index is None or index != int(index) else int(index)
 
-    def looked_up(self, source: Source, reference: Reference) -> Known:
-        """Return what a variable, an element or a component of it is now."""
-        key = self.key_of(source, reference)
+    def looked_up(self, reference: Reference) -> Known:
+        """Return the present value of a variable, an element or a component of it."""
+        key = self.key_of(reference)
         value = self.value(key) if key is not None else None
-        if value is None and key is not None and reference.element is not None:
+        if value is None and key is not None and reference.indices is not None:
             value = self.value(self.scope.stored(reference.name))  # the whole array was changed
         if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:
             return Number(value.values[CARTESIAN.index(reference.field)], reference.start, reference.stop, False)
         if reference.field is not None and not isinstance(value, Unknown):
             item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
-            value = self.evaluate(source, item) if item is not None else None
+            value = self.evaluate(item) if item is not None else None
             if isinstance(value, Number):
                 value = self._member(reference, value)
         return value if value is not None else NOTHING
 
     def _member(self, reference: Reference, number: Number) -> Known:
-        """Return what a member of a structure makes of a number."""
+        """Return a number converted to the type of a member of a structure."""
         if reference.field in _REAL:
             return replace(number, integer=False)
         members = self.structures.get(self.types.get(self.scope.stored(reference.name), ""), {})
         kind = members.get(reference.field or "")
         return number if kind is None else converted(number, kind)
 
-    def position(self, source: Source, value: Value | Known) -> Position | None:
+    def position(self, value: Value | Known) -> Position | None:
         """Return the position that a value gives, or None when it is not known before the program runs.
 
         :raises ProgramError: it is known but not a valid position.
         """
-        known = self.evaluate(source, value)
+        known = self.evaluate(value)
         if isinstance(known, Aggregate):
             return from_aggregate(known)
         return known if isinstance(known, Position) else None
 
-    def number(self, source: Source, value: Value | Known) -> float | None:
+    def number(self, value: Value | Known) -> float | None:
         """Return a number, or None when it is not known before the program runs."""
-        known = self.evaluate(source, value)
+        known = self.evaluate(value)
         return known.value if isinstance(known, Number) else None
 
-    def rely(self, source: Source, value: Value | Known) -> None:
+    def rely(self, value: Value | Known) -> None:
         """Note which names a motion, a frame or a speed depends on."""
         if isinstance(value, Reference):
             self.used.add(self.scope.stored(value.name))
-            for start, stop in split(source, *value.inside):
-                if source.text[start:stop].strip():
-                    self.rely(source, parse(source, start, stop)[0])
-        elif isinstance(value, Chain):
-            for operand in value.operands:
-                self.rely(source, operand)
-        elif isinstance(value, Operation):
-            for side in (value.left, value.right):
-                if side is not None:
-                    self.rely(source, side)
-        elif isinstance(value, Aggregate):
-            for item in value.items.values():
-                self.rely(value.source, item)
+        if isinstance(value, Reference | Chain | Operation | Aggregate):
+            for part in parts(value):
+                self.rely(part)
 
-    def argument(self, at: Place, call: Call, field: str) -> Value | Known | None:
+    def argument(self, call: Call, field: str) -> Value | Known | None:
         """Return the first argument of a call, of a structure the component in question: None where it says nothing."""
         if not call.arguments:
             return NOTHING
-        value = parse(at.source, *call.arguments[0])[0]
-        known = self.evaluate(at.source, value)
+        known = self.evaluate(call.arguments[0])
         if isinstance(known, Aggregate):
             return known.items.get(field)
-        return value if isinstance(known, Unknown) else known
+        return call.arguments[0] if isinstance(known, Unknown) else known
 
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""
@@ -394,7 +396,7 @@ def _from_cell(value: float) -> Number | Word:
 
 
 def converted(value: Known, kind: str) -> Known:
-    """Return what a variable makes of a value that it is given.
+    """Return a value converted to the type of a variable.
 
     :param kind: its type, upper case; empty if that is not known.
     """

@@ -1,9 +1,7 @@
 """KRL out: a program as it was with other numbers, or a new one."""
 
-from postproc.dialects.krl.write.emit import emit
-from postproc.dialects.krl.write.frame import axis_motion, document, head
-from postproc.dialects.krl.write.own_copies import own_copies
-from postproc.dialects.krl.write.renaming import renamed
+from postproc.dialects.krl.write.emit import axis_motion, document, emit, head
+from postproc.dialects.krl.write.renaming import own_copies, renamed
 from postproc.dialects.krl.write.rewrite import rewrite
 from postproc.dialects.krl.write.splitting import in_files
 

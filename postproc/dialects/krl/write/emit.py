@@ -3,27 +3,29 @@
 Decisions, where KUKA leaves a choice:
 
 - Lines of the cell for spindle, coolant and tool change are preceded by ``WAIT SEC 0``, and the motion before them has
-  no C_DIS: the advance run stops there, so that outputs switch when the robot stands, not up to three motions early.
+  no C_DIS: the advance run stops there, so that outputs switch once the robot stops, not up to three motions early.
+- With ``[gcode] motions = "SLIN"`` path motions are SLIN and SCIRC with C_SPL, which keep the programmed path at any
+  speed. PTP gets no C_DIS then: spline and other motions are not approximated into each other.
 - C_DIS is also left out before a dwell, a HALT, a change of `$BASE` or `$TOOL`, a PTP, and at the end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import PurePath
 
 import numpy as np
 
 from postproc.cell import Cell
 from postproc.chunks import chunks
-from postproc.decimals import Number, Part, lines
+from postproc.decimals import Number, Part, lines, without_trailing_zeros
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
 from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.positions import CARTESIAN
-from postproc.dialects.krl.write.frame import axis_motion, head
 from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
 from postproc.dialects.krl.write.target_statements import aggregate_text
-from postproc.dialects.new_program import NewProgram, Words, check_name, number
+from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
 from postproc.errors import group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
@@ -53,7 +55,7 @@ def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces |
     """Return a program read from G-code as KRL for the cell's controller.
 
     :param program: its motions, frames, events and name.
-    :param targets: what is to be commanded.
+    :param targets: commanded poses.
     :param cell: start position, approximation, lines for events, controller.
     :param carried: forces to be written as comments, on the lines of their targets.
     :returns: one document, ``NAME.src``, CR LF.
@@ -147,13 +149,16 @@ class _Emitter:
         """Return the lines of all targets of a kind."""
         k = np.flatnonzero(self.targets.kind == kind)
         parts = map(k.__getitem__, chunks(len(k)))
-        return b"".join([self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows)])
+        printed = (self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows))
+        return b"".join([without_trailing_zeros(text) for text in printed])
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
         """Return the lines of some targets of a kind."""
         numbers = xyzabc_from_pose(self.targets.pose.take(k, axis=0))
         end = _aggregate(numbers)
-        tail: list[Part] = [where(b" C_DIS", approximated)]
+        spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
+        approximated = approximated & (not spline or kind != PTP)
+        tail: list[Part] = [where(b" C_SPL" if spline else b" C_DIS", approximated)]
         if self.carried is not None and self.noted[k].any():
             tail += [where(b" ", self.noted[k]), *force_comments.columns(b";", self.carried, k, self.noted[k])]
         tail.append(b"\r\n")
@@ -163,8 +168,8 @@ class _Emitter:
             return lines([b"PTP ", *end, *tail])
         if kind == CIRC:
             via = _aggregate(self.targets.via[k] * MM_PER_M)
-            return lines([b"CIRC ", *via, b",", *end, *tail])
-        return lines([b"LIN ", *end, *tail])
+            return lines([spline + b"CIRC ", *via, b",", *end, *tail])
+        return lines([spline + b"LIN ", *end, *tail])
 
 
 def _aggregate(numbers: Array) -> list[Part]:
@@ -184,3 +189,28 @@ def _bits(prefix: bytes, values: Ints) -> list[Part]:
 def _frame(pose: Array) -> str:
     numbers = zip("XYZABC", xyzabc_from_pose(pose).tolist(), strict=True)
     return aggregate_text({name: printed(value, _FRAME_DECIMALS, 0) for name, value in numbers})
+
+
+_HEADER = ("&ACCESS RVP", "&REL 1")
+_DECLARATIONS_KRC2 = ("EXT BAS (BAS_COMMAND :IN,REAL :IN )",)  # a KRC2 does not know BAS without it
+
+
+def head(name: str, controller: str, parameters: Sequence[str] = ()) -> list[str]:
+    """Return the lines of a program down to its DEF.
+
+    :param controller: ``"KRC4"`` or ``"KRC2"``.
+    :param parameters: further lines of the header.
+    """
+    declarations = _DECLARATIONS_KRC2 if controller == "KRC2" else ()
+    return [*_HEADER, *parameters, f"DEF {name}( )", *declarations]
+
+
+def axis_motion(angles: Iterable[float], decimals: int) -> str:
+    """Return the PTP to joint angles A1…A6 [deg]."""
+    joints = ",".join(f"A{axis} {angle + 0.0:.{decimals}f}" for axis, angle in enumerate(angles, 1))
+    return f"PTP {{{joints}}}"
+
+
+def document(name: str, lines: Iterable[str]) -> Document:
+    """Return a program of some lines, END behind them."""
+    return Document(f"{name}.src", "".join(line + LINE_END for line in (*lines, "END")), "cp1252")

@@ -1,13 +1,12 @@
-"""From the corrected course of a program back to its files.
+"""From the corrected execution trace of a program back to its files.
 
-A loop of which all rounds read the same again stays a loop; else its rounds are written out. A routine that reads the
-same in all its calls stands corrected in its place; where calls differ, the others get copies of it under names of
-their own.
+A loop whose rounds have the same corrected text stays a loop; otherwise its rounds are written out. A routine that has
+the same corrected text in all its calls is corrected in place; where calls differ, the others get copies of it under
+other names.
 """
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -18,27 +17,24 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Called, Course, Repeated
 from postproc.dialects.krl.language.names import unused
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import NAME, indent
+from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.text import line_spans
 from postproc.errors import Issue
 from postproc.program import Document, Ints
-
-_INDENT = re.compile(r"[ \t]*")
-_HEAD = re.compile(
-    r"(GLOBAL[ \t]+)?(DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+)([A-Za-z_$][\w$]*)", re.IGNORECASE
-)
 
 
 class Folded(Struct, frozen=True):
     """The files of a program.
 
     :ivar documents: the `.src`, then changed files of routines that it calls.
-    :ivar line: (L + 1,) line of the `.src` on which each line of the course begins now; of lines in other files that
+    :ivar line: (L + 1,) line of the `.src` on which each line of the trace begins now; of lines in other files that
         of the call.
-    :ivar inside: (L + 1,) True where the line stands in the `.src`.
-    :ivar issues: what the user should know.
+    :ivar inside: (L + 1,) True where the line is in the `.src`.
+    :ivar issues: warnings for the user.
     """
 
     documents: tuple[Document, ...]
@@ -48,17 +44,17 @@ class Folded(Struct, frozen=True):
 
 
 def folded(course: Course, main: Routine, text: str, begins: Ints) -> Folded:
-    """Return the files of a program whose course was corrected.
+    """Return the files of a program whose trace was corrected.
 
     :param main: its main routine.
-    :param text: the corrected course.
-    :param begins: (L + 1,) offset in it where each line of the course now begins, and where it ends.
+    :param text: the corrected trace.
+    :param begins: (L + 1,) offset in it where each line of the trace now begins, and where it ends.
     """
     return _Folder(course, main, text, begins.tolist()).folded()
 
 
 class _Piece(NamedTuple):
-    """Some lines of a file, and which lines of the course begin with them."""
+    """Some lines of a file, and which lines of the trace begin with them."""
 
     text: str
     lines: tuple[int, ...] = ()
@@ -98,19 +94,19 @@ class _Folder(Struct, eq=False):
             text = "".join(piece.text for piece in file)
             if source is self.main.source or text != source.text:
                 documents.append(replace(source.document, text=text))
-                self._tell_users(source)
+                self._warn_users(source)
         for called in self.outside:
             rows = line[called.body.first : called.body.last]
             rows[rows == 0] = line[called.line]
         return Folded(tuple(documents), line, inside, tuple(self.issues))
 
-    def _tell_users(self, source: Source) -> None:
+    def _warn_users(self, source: Source) -> None:
         """Warn of other programs that call routines of a file that is changed."""
         name = source.document.name
         if users := self.course.users.get(name, ()):
             message = (
                 f"{name} is corrected for this program. {', '.join(users)} of its folders call it too, and would "
-                f"move by what is corrected here: give them a {name} of their own."
+                f"move by the correction made here: give them a {name} of their own."
             )
             self.issues.append(Issue("warning", "shared-file", message, subject=name))
 
@@ -128,7 +124,7 @@ class _Folder(Struct, eq=False):
         return [*pieces, *self._lines(line, body.last)]
 
     def _lines(self, first: int, last: int) -> list[_Piece]:
-        """Return lines first … last − 1 of the course as they are now."""
+        """Return lines first … last − 1 of the trace as they are now."""
         begins, text = self.begins, self.text
         return [_Piece(text[begins[line - 1] : begins[line]], (line,)) for line in range(first, last)]
 
@@ -142,15 +138,15 @@ class _Folder(Struct, eq=False):
         if all([piece.text for piece in pieces] == texts for pieces in own[1:]):
             return [_Piece(loop.opener), *_joined(own), _Piece(loop.closer)]
         runs = _alike(rounds, loop.step)
-        head, indent, end = loop.opener.strip(), _indent(loop.opener), _line_end(loop.opener)
+        head, blanks, end = loop.opener.strip(), indent(loop.opener), _line_end(loop.opener)
         out = [piece for run in runs for piece in self._run(run, loop)]
         out += self._lines(loop.bodies[-1].last, loop.last)
         if loop.left:
-            out = [_Piece(f"{indent}LOOP{end}"), *out, _Piece(f"{indent}EXIT{end}{indent}ENDLOOP{end}")]
+            out = [_Piece(f"{blanks}LOOP{end}"), *out, _Piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}")]
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = int(self.course.source.shown(np.array([loop.first]))[0])
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        return [_Piece(f"{indent}; {head} (written out){end}"), *out]
+        return [_Piece(f"{blanks}; {head} (written out){end}"), *out]
 
     def _run(self, rounds: list[list[_Piece]], loop: Repeated) -> list[_Piece]:
         """Return rounds that read the same: one as it is, several of FOR as a FOR of their own."""
@@ -159,7 +155,7 @@ class _Folder(Struct, eq=False):
         name, _, first = rounds[0][0].text.strip().partition("=")
         last = rounds[-1][0].text.partition("=")[2].strip()
         step = "" if loop.step == 1 else f" STEP {loop.step}"
-        opener = f"{_indent(loop.opener)}FOR {name}={first} TO {last}{step}{_line_end(loop.opener)}"
+        opener = f"{indent(loop.opener)}FOR {name}={first} TO {last}{step}{_line_end(loop.opener)}"
         return [_Piece(opener), *_joined([pieces[1:] for pieces in rounds]), _Piece(loop.closer)]
 
     def _call(self, called: Called) -> _Piece:
@@ -196,8 +192,8 @@ class _Folder(Struct, eq=False):
             sources = [self.course.source, self.main.source, *(routine.source for routine in self.versions)]
             self.taken = {word.upper() for source in sources for word in NAME.findall(source.text)} | self.course.taken
         routine = called.routine
-        head = _HEAD.search(_text(routine.source, routine.first, routine.first))
-        spelt = head[3] if head else routine.name
+        head = statement(routine.source, routine.first)
+        spelt = head.name if isinstance(head, Definition) else routine.name
         name = unused(spelt, self.taken)
         self.taken.add(name.upper())
         why = "is corrected differently from call to call"
@@ -220,18 +216,23 @@ class _Folder(Struct, eq=False):
                 line = routine.last + 1
                 yield _Piece(end)
                 head = _text(source, routine.first, routine.first)
+                gap = _line_end(head)
                 for version in copies:
-                    gap = _line_end(head)
                     yield _Piece(gap if _line_end(end) else gap + gap)
-                    yield _Piece(self._head(head, version.name, source))
+                    yield _Piece(self._head(routine, version.name))
                     yield from version.pieces
                     yield _Piece(end if _line_end(end) else end + gap)
         yield _Piece(_text(source, line, len(source.starts)))
 
-    def _head(self, head: str, name: str, source: Source) -> str:
-        """Return the line of a DEF with another name; in other files it is one that the program finds."""
-        public = "GLOBAL " if source is not self.main.source else ""
-        return _HEAD.sub(lambda match: f"{match[1] or public}{match[2]}{name}", head, count=1)
+    def _head(self, routine: Routine, name: str) -> str:
+        """Return the line of a DEF with another name; in other files it is GLOBAL, for the program to find it."""
+        source, text = routine.source, _text(routine.source, routine.first, routine.first)
+        here, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
+        if not isinstance(here, Definition):
+            return text
+        start, at = here.start - begin, here.at - begin
+        public = "" if here.public or source is self.main.source else "GLOBAL "
+        return f"{text[:start]}{public}{text[start:at]}{name}{text[at + len(here.name) :]}"
 
 
 def _alike(rounds: list[list[_Piece]], step: int) -> list[list[list[_Piece]]]:
@@ -265,13 +266,8 @@ def _text(source: Source, first: int, last: int) -> str:
 def _count(text: str) -> int:
     """Return how many lines a text has."""
     if text.endswith("\n") and text.count("\r") in (0, text.count("\r\n")):
-        return text.count("\n")  # told much faster
+        return text.count("\n")  # counted much faster
     return len(line_spans(text)[0])
-
-
-def _indent(text: str) -> str:
-    match = _INDENT.match(text)
-    return match[0] if match else ""
 
 
 def _line_end(text: str) -> str:

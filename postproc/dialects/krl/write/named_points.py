@@ -1,4 +1,4 @@
-"""Named points: corrected where they stand when only one motion uses them, given a new name otherwise."""
+"""Named points: corrected in place when only one motion uses them, given a new name otherwise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.write.replacements import Replacements
+from postproc.dialects.krl.write.edits import Replacements
 from postproc.dialects.krl.write.target_statements import applied, literal_of, replaced_numbers
 from postproc.errors import Issue
 
@@ -50,7 +50,7 @@ class NamedPoints(Struct, eq=False):
     _elsewhere: dict[str, bool] = {}
 
     def use(self, use: Use) -> None:
-        """Note a use; one of a point whose numbers stand nowhere becomes a literal at once."""
+        """Note a use; one of a point whose numbers are in no text becomes a literal at once."""
         aggregate = use.operand.position.aggregate
         if aggregate is not None and use.operand.name:
             self._uses[aggregate.source.index, aggregate.start].append(use)
@@ -70,7 +70,7 @@ class NamedPoints(Struct, eq=False):
                 self._separate(changed, aggregate)
 
     def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
-        """Return whether the numbers of a point can be changed where they stand."""
+        """Return whether the numbers of a point can be changed in place."""
         name = uses[0].operand.name
         if name not in self._elsewhere:
             known = self.layout.understood
@@ -81,7 +81,7 @@ class NamedPoints(Struct, eq=False):
         return same and not shared and aggregate.source.index < len(self.sources)
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
-        """Change the numbers of a point where they stand."""
+        """Change the numbers of a point in place."""
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
             self.replacements[aggregate.source.index].add(*piece)
 
@@ -105,7 +105,7 @@ class NamedPoints(Struct, eq=False):
             self.issues.append(Issue("info", "new-point", message, use.line))
 
     def _away(self, use: Use) -> bool:
-        """Return whether the motion of a use stands in another file than the program."""
+        """Return whether the motion of a use is in another file than the program."""
         source = self.sources[0]
         return source.origin(source.line_at(use.operand.start)).source.document.name != source.document.name
 
@@ -134,9 +134,9 @@ class NamedPoints(Struct, eq=False):
 
 
 def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapping[str, Sequence[int]]:
-    """Return where the code of a course names each variable, upper case, in lines other than plain motions.
+    """Return where the code of a trace names each variable, upper case, in lines other than plain motions.
 
-    Of routines that also run as they stand, the names are given at −1, an offset whose use nobody follows.
+    Names in routines that also run unchanged are listed at −1, an offset that is never understood.
     """
     plain = set(plain_lines)
     places: defaultdict[str, list[int]] = defaultdict(list)

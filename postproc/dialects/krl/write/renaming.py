@@ -1,20 +1,17 @@
-"""A KRL program under another name: files, DEF and DEFDAT, and the calls of its parts."""
+"""Programs and subprograms under other names: files, DEF and DEFDAT, and the calls of them."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import PurePath
 
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.names import MAX_LENGTH, unused
+from postproc.dialects.krl.language import scan
+from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused
 from postproc.dialects.krl.language.parts import MAIN, beyond, called
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, after_sign
 from postproc.program import Document
-
-_HEAD = re.compile(r"((?:\A|(?<=[\r\n]))[ \t]*(?:GLOBAL[ \t]+)?(?:DEF|DEFDAT)[ \t]+)[A-Za-z_$][\w$]*", re.IGNORECASE)
-_PUBLIC = re.compile(r"^[ \t]*(?:DECL[ \t]+)?GLOBAL\b[^;\r\n]*", re.IGNORECASE | re.MULTILINE)
 
 
 def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
@@ -41,14 +38,13 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     stems = {f"{old}{MAIN}": f"{new}{MAIN}"} | {part: f"{new}{part[len(old) :]}" for part in parts}
     spelt = {one.lower(): other for one, other in stems.items()}
     family = [document for document in documents if PurePath(document.name).stem.lower() in spelt]
-    inside = re.compile(rf"\b(?:{'|'.join(map(re.escape, stems))})(?=[ \t]*\([ \t]*\)|[ \t]*[\r\n])", re.IGNORECASE)
     public = _public_names(family, old, new)
     out = []
     for document in documents:
         if document not in family:
             out.append(document)
             continue
-        text = inside.sub(lambda match: spelt[match[0].lower()], document.text)
+        text = _with_names(document.text, spelt)
         if public:
             text = NAME.sub(lambda match: public.get(match[0].upper(), match[0]), text)
         out.append(_renamed(replace(document, text=text), spelt[PurePath(document.name).stem.lower()]))
@@ -58,7 +54,7 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
 def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str, str]:
     """Return new names for GLOBAL ones, upper case, that begin with the name of their program."""
     found: dict[str, str] = {}
-    lines = (line for document in documents for line in _PUBLIC.findall(document.text))
+    lines = (line for document in documents for line in scan.global_lines(document.text))
     for name in (word for line in lines for word in NAME.findall(line)):
         if name.upper().startswith(f"{old}_".upper()) and name.upper() not in found:
             fresh = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
@@ -67,10 +63,106 @@ def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str
     return found
 
 
-def with_name(text: str, name: str) -> str:
-    """Return the text of a file with another name behind its first DEF or DEFDAT."""
-    return _HEAD.sub(lambda match: match[1] + name, text, count=1)
+def _with_names(text: str, new: Mapping[str, str]) -> str:
+    """Return a text with other names, by the old ones in lower case, where an empty list or nothing follows them."""
+    pieces, done = list[str](), 0
+    for name, start in scan.places(text, new):
+        behind = after_blanks(text, start + len(name), len(text))
+        opened = after_sign(text, behind, len(text), "(")
+        if text[behind : behind + 1] in ("\r", "\n") or (opened >= 0 and after_sign(text, opened, len(text), ")") >= 0):
+            pieces += [text[done:start], new[name.lower()]]
+            done = start + len(name)
+    return "".join([*pieces, text[done:]])
 
 
 def _renamed(document: Document, name: str) -> Document:
-    return replace(document, name=f"{name}{PurePath(document.name).suffix}", text=with_name(document.text, name))
+    return replace(document, name=f"{name}{PurePath(document.name).suffix}", text=scan.with_name(document.text, name))
+
+
+_HEADS = frozenset({"DEF", "DEFDAT", "EXT"})
+"""Words that a name of a routine follows where it is no call."""
+_PATH = "/R1/"
+
+
+def own_copies(
+    documents: Sequence[Document],
+    unchanged: Sequence[bytes],
+    stems: Sequence[str],
+    program: str,
+    taken: Collection[str],
+) -> tuple[tuple[Document, ...], dict[str, str]] | None:
+    """Return the files of a program with other names for some of its subprograms, and for those that call them.
+
+    Only names change: of the files, behind DEF, DEFDAT and EXT, before the bracket of a call, and behind ``/R1/``.
+
+    :param documents: files of the program and of its subprograms, the main file first.
+    :param unchanged: contents of files that are written with them and must stay as they are.
+    :param stems: names of the files to be renamed, without extension.
+    :param program: name of the program, which becomes a part of the new names.
+    :param taken: names of other files, without extension, lower case.
+    :returns: the files, and new file name → old file name. None where a name is used in another way (in a string, as a
+        variable), where an unchanged file uses it, or where a file declares something GLOBAL: the controller would know
+        that twice.
+    """
+    main = PurePath(documents[0].name).stem.upper()
+    old = {stem.upper() for stem in stems}
+    own = {PurePath(document.name).stem.upper() for document in documents}
+    while True:  # what calls a copy is another one too
+        calling = {
+            PurePath(document.name).stem.upper()
+            for document in documents
+            if not old.isdisjoint(scan.names(document.text))
+        }
+        if (calling - {main}) <= old:
+            break
+        old |= calling - {main}
+    if (
+        main in old
+        or not old <= own
+        or any(not old.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
+    ):
+        return None
+    used = {name.upper() for name in taken} | own
+    used |= {name for document in documents for name in scan.names(document.text)}
+    new: dict[str, str] = {}
+    for stem in sorted({PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old}):
+        if stem.upper() not in new:
+            wanted = f"{stem}_{program}"
+            fits = wanted.upper() not in used and len(wanted) <= MAX_LENGTH
+            new[stem.upper()] = wanted if fits else unused(wanted, used)
+            used.add(new[stem.upper()].upper())
+    if any(fault_of(name) for name in new.values()):
+        return None
+    out: list[Document] = []
+    names: dict[str, str] = {}
+    for document in documents:
+        path = PurePath(document.name)
+        text = _with_other_routines(document.text, new)
+        if text is None or (path.stem.upper() in old and scan.global_lines(document.text)):
+            return None
+        name = f"{new[path.stem.upper()]}{path.suffix}" if path.stem.upper() in old else document.name
+        if name != document.name:
+            names[name] = document.name
+        out.append(replace(document, name=name, text=text))
+    return tuple(out), names
+
+
+def _with_other_routines(text: str, new: Mapping[str, str]) -> str | None:
+    """Return a text with other names for routines; None if one of the names is used in another way."""
+    pieces: list[str] = []
+    last = behind = 0
+    before = ""
+    for word, start in scan.words(text):
+        if word[0] == '"' and any(name.upper() in new for name in NAME.findall(word)):
+            return None
+        head = before in _HEADS and not text[behind:start].strip(BLANKS)
+        before, behind = word.upper(), start + len(word)
+        name = new.get(word.upper())
+        if name is None:
+            continue
+        path = text[max(0, start - len(_PATH)) : start].upper() == _PATH
+        if not head and not path and after_sign(text, behind, len(text), "(") < 0:
+            return None
+        pieces += [text[last:start], name]
+        last = behind
+    return "".join([*pieces, text[last:]])

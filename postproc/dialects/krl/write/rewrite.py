@@ -2,12 +2,13 @@
 
 What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 
-- Inserted targets stand directly before the motion's line, or around the TRIGGERs that belong to it, so that each of
-  these switches where it did; they repeat its approximation and its WITH (frames and speed of the motion stand there).
+- Inserted targets are directly before the motion's line, or around the TRIGGERs that belong to it, so that each of
+  these switches where it did; they repeat its approximation and its WITH (frames and speed of the motion).
 - A relative target that is corrected, or whose predecessor is, becomes an absolute one.
-- A motion under another `$ORI_TYPE` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR`` (`freed`).
+- A motion under another `$ORI_TYPE` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR``, see
+  `target_statements`.
 - CA is dropped when a circle is corrected: its end point is then where the arc ends.
-- A point used by several motions with different corrections gets a new name beside the old one in the `.dat`; where
+- A point used by several motions with different corrections gets a new name next to the old one in the `.dat`; where
   that is not possible (array elements, points assigned in the `.src`, chains of frames) numbers take its place.
 """
 
@@ -22,22 +23,21 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.dialects.force_comments import needed, texts
-from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Point, Trigger
+from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
-from postproc.dialects.krl.language.triggers import Trigger
 from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
+from postproc.dialects.krl.write.edits import InsertedLines, Replacements
 from postproc.dialects.krl.write.folding import folded
-from postproc.dialects.krl.write.freed import LED_BY, runs
-from postproc.dialects.krl.write.inserted_lines import InsertedLines
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
-from postproc.dialects.krl.write.replacements import Replacements
 from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
 from postproc.dialects.krl.write.target_statements import (
-    APPROXIMATION,
+    LED_BY,
     TargetStatements,
     aggregate_text,
     replaced_numbers,
+    runs,
 )
 from postproc.dialects.krl.write.trigger_places import placed
 from postproc.dialects.text import line_spans
@@ -53,7 +53,7 @@ def rewrite(program: Program, targets: Targets, carried: TargetForces | None = N
     """Return a KRL program with other targets.
 
     :param program: as `read` returned it.
-    :param targets: what is to be commanded; axis targets have no rows.
+    :param targets: commanded poses; axis targets have no rows.
     :param carried: forces that its comments must give to the targets; None leaves the comments as they are.
     :returns: the documents of the program. Reading them gives the targets, rounded to 0.1 µm and 1e-5°, in order.
     :raises ValueError: the program was not read from KRL; a number is too large to be written.
@@ -146,7 +146,7 @@ class _Rewriter:
         return np.asarray(given & (self.targets.kind == PTP) & ~self.targets.keep)
 
     def _replace_numbers(self, k: Ints) -> None:
-        """Replace the numbers that stand in plain lines, all at once."""
+        """Replace the numbers in plain lines, all at once."""
         spans = self.layout.spans[self.row[k], :6].astype(np.int64)
         there = spans[:, :, 0] >= 0
         self.replacements[0].add_numbers(
@@ -197,11 +197,11 @@ class _Rewriter:
             if move.relative:
                 if move.behind is not None:
                     self.replacements[0].add(*move.behind, "")
-                self._tell("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
+                self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
         if changed and move.angle is not None:
             self.replacements[0].add(move.end.stop, move.tail, "")
-            self._tell("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
+            self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         statements = self.statements
         whole = statements.whole(k, move.end)
         self._point(
@@ -214,7 +214,7 @@ class _Rewriter:
     def _point(
         self, line: int, operand: Point, texts: Mapping[str, str] | None, whole: str, points: NamedPoints
     ) -> None:
-        """Change the numbers of a point where they stand in the statement; note the use of any other point."""
+        """Change the numbers of a point in the statement; note the use of any other point."""
         literal = self.statements.inline(operand)
         if literal is None:
             points.use(Use(line, operand, texts, whole))
@@ -241,9 +241,9 @@ class _Rewriter:
             if not self.last[k]:
                 text = self.statements.inserted(int(self.row[k]), k)
                 lines.add(before, text, k)
-                if not self.layout.passed[self.row[k]] and not APPROXIMATION.search(text):
+                if not self.layout.passed[self.row[k]] and not is_approximated(text, 0, len(text)):
                     why = _ROUNDED if self.layout.distant[self.row[k]] else _UNSURE
-                    self._tell("stop-inserted", why, int(line[k]))
+                    self._report("stop-inserted", why, int(line[k]))
             if k in bound:
                 kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
                 lines.behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
@@ -258,7 +258,7 @@ class _Rewriter:
         return set(begins.tolist()), set(ends.tolist())
 
     def _indent(self, k: int) -> str:
-        """Return what stands before the instruction on the line of a motion."""
+        """Return the text before the instruction on the line of a motion."""
         keyword = int(self.layout.keyword[self.row[k]])
         return self.text[self.source.starts[self.layout.line[self.row[k]] - 1] : keyword]
 
@@ -266,7 +266,9 @@ class _Rewriter:
         """Return the force comments that targets need beyond those of the program."""
         if self.carried is None:
             return {}
-        seen = line + self.last  # a comment on the line of a motion holds for it, but not for what is inserted before
+        seen = (
+            line + self.last
+        )  # a comment on the line of a motion holds for it, but not for targets inserted before it
         seen[list(at)] = list(at.values())
         note = np.searchsorted(self.layout.notes, seen) - 1
         rows = np.flatnonzero(needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
@@ -282,7 +284,7 @@ class _Rewriter:
         return True
 
     def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
-        """Return the lines before which targets stand, and the TRIGGERs that are moved there, where these matter."""
+        """Return the lines before which targets are inserted, and the TRIGGERs that are moved there."""
         at: dict[int, int] = {}
         moved: dict[int, list[tuple[Trigger, str]]] = {}
         motions = self.program.motions
@@ -317,5 +319,5 @@ class _Rewriter:
             return self.text[start:stop]
         return self.text[start : trigger.path[0]] + path + self.text[trigger.path[1] : stop]
 
-    def _tell(self, kind: str, message: str, line: int) -> None:
+    def _report(self, kind: str, message: str, line: int) -> None:
         self.issues.append(Issue("info", kind, message, line))

@@ -11,17 +11,17 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.data_files import DataLine, data_lines
-from postproc.dialects.krl.language.declarations import Declared, declared
+from postproc.dialects.krl.language.declarations import DataLine, Declared, data_lines, declared
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import DECLARING, MAX_LENGTH, unused
-from postproc.dialects.krl.language.parser import calls, statement
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME, after_blanks, after_word, key_word, occurrences, word_at
 from postproc.dialects.krl.language.tree import Assignment, Cyclic, Declaration, Definition, Event, For
-from postproc.dialects.krl.write.cuts import ADVICE, undivided
-from postproc.dialects.krl.write.replacements import Replacements
+from postproc.dialects.krl.write.division import ADVICE, undivided
+from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
 
@@ -45,8 +45,8 @@ class Sharing:
     """Finds what the files of a divided program share, and edits both texts so that all of them see it.
 
     :param base: what GLOBAL names begin with.
-    :param others: its own routines, which stand in files of their own.
-    :param file: (L + 1,) number of the file in which each line of the program will stand.
+    :param others: its own routines, which get files of their own.
+    :param file: (L + 1,) number of the file that will contain each line of the program.
     :param taken: names, upper case, that are used already; the new ones join them.
     """
 
@@ -92,7 +92,7 @@ class Sharing:
         source = Source.of(replace(self.source.document, text=edits.applied(self.source.text)), 0)
         return source, self._data(public, declarations), routines
 
-    # --- what is shared ----------------------------------------------------------------------------------------------
+    # --- shared names ----------------------------------------------------------------------------------------------
 
     def _look(self) -> None:
         """Note which files use which variables."""
@@ -126,7 +126,7 @@ class Sharing:
     def _written_in(self, line: int) -> set[str]:
         """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR.
 
-        What is done at another time (TRIGGER, INTERRUPT, ANIN, DIGIN) may write all that is named in it.
+        Statements that act at another time (TRIGGER, INTERRUPT, ANIN, DIGIN) may write every name in them.
         """
         source, here = self.source, statement(self.source, line)
         if isinstance(here, For):
@@ -134,11 +134,11 @@ class Sharing:
         if isinstance(here, Event) or (isinstance(here, Cyclic) and here.word != "SIGNAL"):
             return {name.upper() for name in NAME.findall(source.text, here.start, here.stop)}
         names = {here.target.name} if isinstance(here, Assignment) else set()
-        for call in calls(source, here.start, here.stop):
+        for call in calls(here.values):
             if call.name != "BAS":
                 given = next((one.parameters for one in self.others if one.name == call.name), ())
-                spans = [s for k, s in enumerate(call.arguments) if not (k < len(given) and given[k].by_value)]
-                names |= {name.upper() for span in spans for name in NAME.findall(source.text, *span)}
+                open_ = [a for k, a in enumerate(call.arguments) if not (k < len(given) and given[k].by_value)]
+                names |= {name.upper() for one in open_ for name in NAME.findall(source.text, one.start, one.stop)}
         return names
 
     def _check_types(self, own: Collection[str], kept: Mapping[str, Declared]) -> None:
@@ -164,7 +164,7 @@ class Sharing:
         problem = f"{what} is used in several of the files, and its type {kind} is not GLOBAL"
         return undivided(self.source, problem, line, f"Declare {kind} in the $config.dat, or: {ADVICE}")
 
-    # --- what is declared --------------------------------------------------------------------------------------------
+    # --- declarations --------------------------------------------------------------------------------------------
 
     def _declared_on(self, line: int) -> list[Declared]:
         """Return the variables that a line of the program declares."""
@@ -198,7 +198,7 @@ class Sharing:
         return next(found, name)
 
     def _move(self, moved: Mapping[str, str], edits: Replacements) -> list[str]:
-        """Take declarations out of the main routine; return them as they stand in a `.dat`."""
+        """Take declarations out of the main routine; return them as written in a `.dat`."""
         found = []
         for line in dict.fromkeys(line for line, one in self.declared if one.name in moved):
             start, stop = self.source.code_span(line)
@@ -214,7 +214,7 @@ class Sharing:
     def _rename(
         self, moved: Mapping[str, str], public: Mapping[str, str], routines: Mapping[str, str], edits: Replacements
     ) -> None:
-        """Rename what is GLOBAL now, wherever the program uses it."""
+        """Rename the new GLOBAL variables, wherever the program uses it."""
         text, gone = self.source.text, {line for line, one in self.declared if one.name in moved}
         for routine in (self.main, *self.others):
             hidden = self.hidden if routine is self.main else routine.local
@@ -235,7 +235,7 @@ class Sharing:
                 edits.add(start, start, "GLOBAL ")
 
     def _data(self, public: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
-        """Return the `.dat` with what is GLOBAL now."""
+        """Return the `.dat` with the new GLOBAL variables."""
         if self.data is None:
             if not declarations:
                 return None

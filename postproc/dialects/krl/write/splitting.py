@@ -2,10 +2,10 @@
 
 Decisions, where KUKA leaves a choice:
 
-- What is a system variable (`$BASE`, `$VEL.CP`, `$APO.CDIS` …) stays as it is from file to file: all run in one
-  interpreter. What is declared in the DEF or in the `.dat` is seen by one file only: what is never written stands in
-  each file that uses it, and variables that are written are GLOBAL (`shared_names`).
-- Routines of its own stand behind the parts, in files of the same row that nobody calls, as GLOBAL DEF.
+- System variables (`$BASE`, `$VEL.CP`, `$APO.CDIS` …) keep their values from file to file: all run in one interpreter.
+  Variables declared in the DEF or in the `.dat` are visible in one file only: constants are repeated in each file that
+  uses them, and variables that are written are GLOBAL (`shared_names`).
+- Its own routines follow the parts, in files of the same series that no program calls, as GLOBAL DEF.
 - The advance run goes on over a call, DEF and END, so that a motion with C_DIS before a cut is approximated as before:
   it stops at statements as WAIT, HALT, INTERRUPT DECL and BAS (#INITMOV), none of which is added (KUKA, Expert
   Programming, 'computer advance run': END stops it only in a module that declares an interrupt that is not GLOBAL). All
@@ -23,22 +23,71 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.dialects.krl.language.declarations import DataLine, data_lines
 from postproc.dialects.krl.language.names import MAX_LENGTH, MOTION_WORDS, fault_of
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN, joined, taken_apart
 from postproc.dialects.krl.language.routines import Module, routines
+from postproc.dialects.krl.language.scan import with_name
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME, word_at
-from postproc.dialects.krl.write.cuts import bounds, places, undivided
-from postproc.dialects.krl.write.file_data import with_data
-from postproc.dialects.krl.write.renaming import with_name
+from postproc.dialects.krl.write.division import bounds, places, undivided
 from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, together
 from postproc.program import Document, Ints, Written
 
+
+def with_data(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
+    """Yield the files of a program, behind each `.src` the `.dat` that it needs.
+
+    :param sources: the main program first.
+    :param data: the `.dat` of the whole program. GLOBAL and unused variables stay with the main program.
+    """
+    if data is None:
+        yield from sources
+        return
+    source = Source.of(data, 1)
+    lines = data_lines(source)
+    header = [_line(source, line) for line in range(1, len(source.starts) + 1) if _line(source, line)[0] == "&"]
+    needed = [_needed(lines, document) for document in sources]
+    away = set().union(*needed[1:]) - needed[0] - {one.line for one in lines if one.public}
+    for index, document in enumerate(sources):
+        yield document
+        stem = PurePath(document.name).stem
+        if index == 0 and any(one.names and one.line not in away for one in lines):
+            whole = range(1, len(source.starts) + 1)
+            text = "".join(_line(source, line) for line in whole if line not in away)
+            yield replace(data, name=f"{stem}.dat", text=with_name(text, stem))
+        own = [one.text for one in lines if one.line in needed[index] and not one.public]
+        if index and own:
+            text = "".join([*header, f"DEFDAT {stem}\r\n", *own, "ENDDAT\r\n"])
+            yield replace(data, name=f"{stem}.dat", text=text)
+
+
+def _needed(lines: Sequence[DataLine], document: Document) -> set[int]:
+    """Return the numbers of the lines whose names a file uses, or that the types and values of such lines need."""
+    declaring: dict[str, list[DataLine]] = {}
+    for one in lines:
+        for name in one.names:
+            declaring.setdefault(name, []).append(one)
+    found: set[int] = set()
+    waiting = {word.upper() for word in NAME.findall(document.text)} & declaring.keys()
+    while waiting:
+        new = [one for one in declaring[waiting.pop()] if one.line not in found]
+        found |= {one.line for one in new}
+        waiting |= {word.upper() for one in new for word in NAME.findall(one.text)} & declaring.keys()
+    return found
+
+
+def _line(source: Source, line: int) -> str:
+    """Return a line with its end."""
+    stop = int(source.starts[line]) if line < len(source.starts) else len(source.text)
+    return source.text[int(source.starts[line - 1]) : stop]
+
+
 _RESUME = "RESUME would break off the whole file that runs"
 _MOST_NAMES = 5
-"""So many names are told in one message."""
+"""Names in one message at most."""
 
 
 def in_files(
@@ -56,7 +105,7 @@ def in_files(
     :param written: it as one text.
     :param limit: lines of a file at most; 0: a program that was in one file stays in one.
     :param taken: names of other programs and GLOBAL routines, upper case.
-    :param broken_off: where RESUME stands in another file that goes back to the program; empty: nowhere.
+    :param broken_off: where RESUME in another file goes back to the program; empty: nowhere.
     :raises ProgramError: it is too long, and cannot be divided.
     """
     before = joined(documents) if documents else None
@@ -147,7 +196,7 @@ class _Splitter:
         )
 
     def _files(self) -> list[_File]:
-        """Return what stands in which file, the main program first."""
+        """Return the contents of each file, the main program first."""
         where, blocks = places(self.source, self.main), self._blocks()
         text, starts = self.source.text, self.source.starts
         first = min(routine.first for routine in (self.main, *self.others))
@@ -198,9 +247,9 @@ class _Splitter:
         return out
 
     def _lines(self, files: Sequence[_File]) -> tuple[Ints, Ints]:
-        """Return in which file each line (L + 1,) stands, and which number it has there, counted on from file to file.
+        """Return the file of each line (L + 1,), and its number there, counted on from file to file.
 
-        Lines that stand in several files count in the first.
+        Lines in several files count in the first.
         """
         file_of, number_of = (np.zeros(len(self.source.starts) + 1, dtype=np.int64) for _ in range(2))
         number = 1

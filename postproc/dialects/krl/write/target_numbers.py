@@ -25,7 +25,7 @@ _EQUAL = 1e-9
 class TargetNumbers(Struct, frozen=True, eq=False):
     """K targets as text will command them.
 
-    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as they stand.
+    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as in the text.
     :param decimals: (K, 6) decimals to print.
     :param least: (K, 6) decimals to print even if they are zeros.
     :param written: (K, 6) True where a number is to be printed: for a changed target the given components and, of the

@@ -1,29 +1,41 @@
-"""Motion statements with other numbers: in place, and as lines of their own in the style of the line they precede."""
+"""Motion statements with other numbers: in place, and as lines of their own in the style of the line they precede.
+
+A corrected motion under another `$ORI_TYPE` than ``#VAR`` must be led to A, B, C of its own. Under #CONSTANT the
+controller keeps the orientation at the start of the motion, under #IGNORE it chooses that of the target, so that a
+correction of it, or of the one before, would be ignored; under #JOINT it would turn the tool by the wrist axes. Such
+motions get ``$ORI_TYPE=#VAR`` for themselves alone: spline motions by WITH, others by lines around consecutive ones.
+
+The auxiliary point of a SCIRC keeps its A, B, C, which were meant for the whole circle as it was: once the circle is
+corrected, or divided, it ignores them (``$CIRC_MODE.AUX_PT.ORI=#IGNORE``). Settings for SCIRC alone are left out where
+lines replace the circle.
+"""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from msgspec import Struct
 
+from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import Point
+from postproc.dialects.krl.language.parser import is_approximated, statement
 from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNAL
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import INTEGER_LITERAL, word_at
+from postproc.dialects.krl.language.tree import Assignment, Motion, Tail
 from postproc.dialects.krl.language.values import Aggregate
-from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.write.freed import freed_tail, straight_tail, unheeding_tail
+from postproc.dialects.krl.layout import FREE, Layout
 from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
 from postproc.frames import MM_PER_M
-from postproc.program import CIRC, LIN, PTP, Targets
+from postproc.program import CIRC, LIN, PTP, Ints, Targets
 
-_WORD = re.compile(r"[A-Za-z_]+")
-_RELATIVE = re.compile("_REL$", re.IGNORECASE)
-APPROXIMATION = re.compile(r"\bC_(?:DIS|VEL|ORI|PTP|SPL)\b", re.IGNORECASE)
-_E1 = re.compile(r"\bE1[ \t]+([-+]?[\d.]+(?:E[-+]?\d+)?)", re.IGNORECASE)
-_BINARY = re.compile(r"'[Bb]([01]+)'")
+LED_BY = "$ORI_TYPE="
+_FREE = f"{LED_BY}{FREE}"
+_AUXILIARY = "AUX_PT.ORI"
+_UNHEEDED = "$CIRC_MODE.AUX_PT.ORI=#IGNORE"
+_OF_CIRCLES = frozenset({"$CIRC_TYPE", "$CIRC_MODE"})
 
 
 class Replacement(NamedTuple):
@@ -48,7 +60,7 @@ class Literal(Struct, frozen=True):
 
 
 def literal_of(aggregate: Aggregate) -> Literal:
-    """Return where the numbers of an aggregate stand."""
+    """Return the places of the numbers of an aggregate."""
     places = {name: (item.start, item.stop) for name, item in aggregate.items.items()}
     return Literal(aggregate.source.text, aggregate.start, aggregate.stop, places)
 
@@ -97,25 +109,25 @@ class TargetStatements:
         self.text = source.text
 
     def literal(self, row: int) -> Literal | None:
-        """Return the literal in which the end of a motion stands in its statement; None if it does not."""
+        """Return the literal of the end of a motion in its statement; None if there is none."""
         move = self.layout.statements.get(row)
         if move is not None:
             return None if move.relative else self.inline(move.end)
         spans = self.layout.spans[row].tolist()
         places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
-        carriage = _E1.search(self.text, start, stop) if self.layout.carriage is not None else None
-        if carriage:
-            places["E1"] = carriage.span(1)
+        if self.layout.carriage is not None:
+            carriage = parse_aggregate(self.source, start, stop).items.get("E1")
+            places |= {} if carriage is None else {"E1": (carriage.start, carriage.stop)}
         return Literal(self.text, start, stop, places)
 
     def inline(self, operand: Point) -> Literal | None:
-        """Return the literal of a point whose numbers stand in the statement itself."""
+        """Return the literal of a point whose numbers are in the statement itself."""
         aggregate = operand.position.aggregate
         return literal_of(aggregate) if aggregate is not None and operand.inline else None
 
     def via(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
-        """Return where the auxiliary point of a circle stands, and its literal if its numbers stand there."""
+        """Return the span of the auxiliary point of a circle, and its literal if its numbers are there."""
         move = self.layout.statements.get(row)
         if move is not None:
             via = move.via
@@ -142,7 +154,7 @@ class TargetStatements:
         return texts
 
     def _carriage(self, k: int, *, relative: bool = False) -> dict[str, str]:
-        """Return where the carriage of the robot stands at an inserted target; nothing if it does not move.
+        """Return the position of the linear axis at an inserted target; nothing if it does not move.
 
         :param relative: the text of the motion gives but a step.
         """
@@ -152,7 +164,7 @@ class TargetStatements:
         return {"E1": printed(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
     def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
-        """Return the numbers to be written for the end point of a statement, wherever its own stand."""
+        """Return the numbers to be written for the end point of a statement, wherever its own are."""
         aggregate = operand.position.aggregate
         if aggregate is None:
             return self.commanded.texts(k, range(6))
@@ -186,15 +198,16 @@ class TargetStatements:
 
     def keyword(self, row: int, k: int) -> str:
         """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
-        word = _RELATIVE.sub("", self._word(row))
+        word = self._word(row)
+        word = word[: -len("_REL")] if word.upper().endswith("_REL") else word
         if self.via(row)[0] is not None and self.targets.kind[k] == LIN:
             line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
             word = word[:1] + line if word[:1] in "sS" else line
         return word
 
     def _word(self, row: int) -> str:
-        match = _WORD.match(self.text, int(self.layout.keyword[row]))
-        return match[0] if match else ""
+        start = int(self.layout.keyword[row])
+        return self.text[start : start + len(word_at(self.text, start, len(self.text)))]
 
     def points(self, row: int, k: int) -> str:
         """Return the point or points of a target as text."""
@@ -224,20 +237,20 @@ class TargetStatements:
         statement = self.statement(row, k)
         tail = self.tail(row, k)
         passed = layout.passed[row] or not layout.distant[row]
-        if self.targets.blend[k] > 0.0 and not passed and not APPROXIMATION.search(tail):
+        if self.targets.blend[k] > 0.0 and not passed and not is_approximated(tail, 0, len(tail)):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
     def tail(self, row: int, k: int) -> str:
-        """Return what stands behind a target: what holds for all of its motion."""
-        tail = self.text[slice(*self.layout.tail[row].tolist())]
-        if self.commanded.freed[row] and self.is_spline(row):
-            tail = freed_tail(tail)
-        if self.via(row)[0] is None or not self.is_spline(row):
-            return tail
-        if self.targets.kind[k] == LIN:
-            return straight_tail(tail)
-        return unheeding_tail(tail) if self.commanded.unheeding[row] else tail
+        """Return the text that follows a target: what holds for all of its motion."""
+        free = bool(self.commanded.freed[row]) and self.is_spline(row)
+        circle = self.via(row)[0] is not None and self.is_spline(row)
+        straight = circle and bool(self.targets.kind[k] == LIN)
+        unheeding = circle and not straight and bool(self.commanded.unheeding[row])
+        here = statement(self.source, int(self.layout.line[row])) if free or straight or unheeding else None
+        if not isinstance(here, Motion):
+            return self.text[slice(*self.layout.tail[row].tolist())]
+        return tail_text(self.source, here.tail, free=free, straight=straight, unheeding=unheeding)
 
     def is_spline(self, row: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
@@ -253,9 +266,58 @@ class TargetStatements:
         return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement(row, k))
 
 
+def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheeding: bool) -> str:
+    """Return what follows the target of a spline motion.
+
+    :param free: with ``$ORI_TYPE=#VAR``.
+    :param straight: for a line in place of a circle: without what only circles have.
+    :param unheeding: with A, B, C of the auxiliary point ignored.
+    """
+    text, given = source.text, [one for one in tail.given if isinstance(one, Assignment)]
+    begin = text[tail.start : given[0].start] if given else " WITH "
+    out: list[str] = []
+    behind = tail.start
+    for one in given:
+        between, behind = text[behind : one.start], one.stop
+        if straight and one.target.name in _OF_CIRCLES:
+            continue
+        value = text[one.value.start : one.stop]
+        if free and one.target.name == "$ORI_TYPE":
+            value = FREE
+        elif unheeding and one.target.name == "$CIRC_MODE" and one.target.field == _AUXILIARY:
+            value = "#IGNORE"
+        out += [between if out else begin, text[one.start : one.value.start] + value]
+    names = {(one.target.name, one.target.field) for one in given}
+    if free and ("$ORI_TYPE", None) not in names:
+        out[:1] = [begin, _FREE, *([",", begin[len(begin.rstrip()) :]] if out else [])]
+    if unheeding and ("$CIRC_MODE", _AUXILIARY) not in names:
+        out += [", " if out else begin, _UNHEEDED]
+    return "".join(out) + text[tail.behind : tail.stop]
+
+
 def _bits(name: str, value: int, text: str) -> dict[str, str]:
     """Return S or T as text in the notation of the input; nothing if it says the same."""
-    binary = _BINARY.fullmatch(text)
-    if binary:
+    binary = INTEGER_LITERAL.fullmatch(text)
+    if binary and binary[1]:
         return {} if int(binary[1], 2) == value else {name: f"'B{value:0{len(binary[1])}b}'"}
     return {} if text == str(value) else {name: str(value)}
+
+
+def runs(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
+    """Return the first and last of consecutive motions (n,), with only comments between."""
+    out: list[tuple[int, int]] = []
+    for row in rows.tolist():
+        if out and out[-1][1] == row - 1 and _adjoin(layout, row):
+            out[-1] = out[-1][0], row
+        else:
+            out.append((row, row))
+    return out
+
+
+def _adjoin(layout: Layout, row: int) -> bool:
+    """Return whether a motion follows the one before in the text, in the same round of a loop and the same routine."""
+    source, before, line = layout.course.source, int(layout.line[row - 1]), int(layout.line[row])
+    one, other = source.origin(before), source.origin(line)
+    if one.source is not other.source or other.line - one.line != line - before:
+        return False
+    return all(start == stop for start, stop in map(source.code_span, range(before + 1, line)))

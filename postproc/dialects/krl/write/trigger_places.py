@@ -1,6 +1,6 @@
-"""Where TRIGGER statements stand once inserted targets divide the motion that they refer to.
+"""Places of TRIGGER statements when inserted targets divide the motion that they refer to.
 
-A TRIGGER must stand before the piece on which it switches; ``PATH`` is then counted from the start or the end of that
+A TRIGGER must be before the piece on which it switches; ``PATH`` is then counted from the start or the end of that
 piece.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.language.triggers import Trigger
+from postproc.dialects.krl.language.motion_statements import Trigger
 from postproc.frames import MM_PER_M, Array
 
 _ROUNDING = 1e-6
@@ -19,7 +19,7 @@ _ROUNDING = 1e-6
 
 
 def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
-    """Return before which piece of its motion a TRIGGER must stand, and its offset there [m]; None if nowhere.
+    """Return before which piece of its motion a TRIGGER must be, and its offset there [m]; None if nowhere.
 
     :param ends: (n,) where the pieces of its motion end, as shares of it in (0, 1].
     :param speed: of the TCP [m/s].
@@ -45,7 +45,7 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
 class Placed(Struct, frozen=True, eq=False):
     """The TRIGGERs of one divided motion, and where its inserted targets go.
 
-    :param at: for each inserted target, the 1-based line before which it stands.
+    :param at: for each inserted target, the 1-based line before which it is.
     :param moved: for each piece, the TRIGGERs that are to be moved before it.
     :param paths: for TRIGGERs whose PATH changes, what it must say.
     :param lost: those that cannot be kept right.
@@ -60,7 +60,7 @@ class Placed(Struct, frozen=True, eq=False):
 def placed(given: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
     """Return where TRIGGERs and inserted targets of one motion go.
 
-    A TRIGGER stays on its line wherever the inserted targets can stand around it.
+    A TRIGGER stays on its line wherever the inserted targets can be around it.
 
     :param given: in order.
     :param line: 1-based line of the motion.

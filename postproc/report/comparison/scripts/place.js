@@ -1,5 +1,5 @@
 "use strict";
-// Details of the chosen pair of targets, and ways to go to others.
+// Details of the chosen pair of targets, and buttons to go to others.
 (() => {
   const view = document.getElementById("place-view");
   if (!view) return;
@@ -23,7 +23,7 @@
       ["Offset", `${fixed(at.offset[i], 4)} mm${at.rapid[i] ? " (rapid)" : ""}`],
       ["– X, Y, Z", `${list(i, ["oX", "oY", "oZ"], 4)} mm`],
       ["Turned by", `${fixed(at.turned[i], 4)}°`],
-      ["On the way there, largest", Number.isFinite(at.between[i]) ? `${fixed(at.between[i], 4)} mm` : "unknown"],
+      ["On the segment to it, largest", Number.isFinite(at.between[i]) ? `${fixed(at.between[i], 4)} mm` : "unknown"],
       ["Speeds", `${fixed(at.nominal_speed[i], 1)}, ${fixed(at.corrected_speed[i], 1)} mm/s`],
       ...(at.force ? [["Force", `${fixed(at.force[i], 1)} N`], ["Nominal cuts", `${fixed(at.nominal_cuts[i], 4)} mm`],
         ["Corrected cuts", `${fixed(at.corrected_cuts[i], 4)} mm`]] : []),
@@ -35,14 +35,15 @@
   view.append(details);
   document.getElementById("place-controls").innerHTML = `<button type="button" data-go="-1" aria-label="Previous place">◀</button>
     <button type="button" data-go="1" aria-label="Next place">▶</button><button type="button" data-go="worst">largest</button>
-    <label>line <input type="number" id="place-line" min="1" style="width:6em"></label>`;
+    <label>line <input type="number" id="place-line" min="1" style="width:6em"></label><output class="said" for="place-line"></output>`;
   for (const button of document.querySelectorAll("#place-controls [data-go]"))
     button.addEventListener("click", () => selection.choose(button.dataset.go === "worst" ? facts.worst : step(Number(button.dataset.go))));
   document.getElementById("place-line").addEventListener("change", (event) => {
-    const found = at.nominal_line.indexOf(Number(event.target.value));
-    event.target.setCustomValidity(found < 0 ? "No pair that is shown is on this line" : "");
-    event.target.reportValidity();
-    if (found >= 0) selection.choose(found);
+    const wanted = Number(event.target.value);
+    const off = (i) => Math.abs(at.nominal_line[i] - wanted);
+    const found = at.nominal_line.reduce((best, _, i) => (off(i) < off(best) ? i : best), 0);
+    document.querySelector("#place-controls output").textContent = off(found) ? `no pair shown on line ${wanted}: nearest is line ${at.nominal_line[found]}` : "";
+    selection.choose(found);
   });
   selection.subscribe((place) => {
     details.replaceChildren(...(place === null ? [] : rows(place).map(([name, text]) => {

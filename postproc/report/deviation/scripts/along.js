@@ -5,11 +5,13 @@
   if (!view) return;
   const { at, count, values } = places;
   const COLUMNS = 500;
+  const ROUNDING = 1e-4; // mm, of the numbers in the text: a deviation below it is noise
   const three = (prefix, names) => names.map((name, k) => ({ column: prefix + name, name, colour: ["before", "after", "force"][k] }));
   const one = (column, colour) => [{ column, name: "", colour }];
   const strips = {
     before: { title: `${values.before.title}, mm`, series: one("before", "before"), on: true, zero: true },
-    ...(places.compared && { after: { title: "Deviation after, at targets, mm (own scale)", series: one("after", "after"), on: true, zero: true } }),
+    ...(facts.worst.after !== undefined && { after: { title: "Deviation after, at targets, mm (own scale)", series: one("after", "after"),
+      on: at.after[facts.worst.after] >= ROUNDING, zero: true } }),
     ...(facts.bounded && { u95: { title: "Expected on the part (95 %), mm", series: one("u95", "ink"), on: true, zero: true } }),
     feed: { title: "Deviation, mm", label: "along, across, normal", series: three("b_", ["along", "across", "normal"]), on: true },
     xyz: { title: "Deviation, mm", label: "X, Y, Z", series: three("b", ["X", "Y", "Z"]), on: false },
@@ -33,7 +35,7 @@
     return low;
   }
 
-  // x, y and place of a column, thinned to the columns of pixels of what is in sight; gaps at rapid moves.
+  // x, y and place of a column, thinned to the columns of pixels in sight; gaps at rapid moves.
   function line(column) {
     const y = at[column];
     const along = at[over];
@@ -95,7 +97,7 @@
 
   const controls = document.getElementById("along-controls");
   controls.innerHTML = `<label>Over <select id="along-over"><option value="length">length</option><option value="time">time</option></select></label>
-    <span role="group" aria-label="What is shown along the path"><span>Show</span>${Object.entries(strips).map(([name, { title, label, on: ticked }]) =>
+    <span role="group" aria-label="Curves along the path"><span>Show</span>${Object.entries(strips).map(([name, { title, label, on: ticked }]) =>
       `<label><input type="checkbox" data-strip="${name}"${ticked ? " checked" : ""}>${label ?? title.split(",")[0]}</label>`).join("")}</span>`;
   document.getElementById("along-over").addEventListener("change", (event) => {
     over = event.target.value;
@@ -105,13 +107,14 @@
   for (const box of controls.querySelectorAll("[data-strip]"))
     box.addEventListener("change", () => { strips[box.dataset.strip].on = box.checked; draw(); });
 
+  view.addEventListener("pointerdown", () => view.focus({ preventScroll: true }), true); // the library would prevent it
   view.addEventListener("keydown", (event) => {
     const by = { ArrowLeft: -1, ArrowRight: 1, PageUp: -50, PageDown: 50 }[event.key];
     if (!by) return;
     event.preventDefault();
     selection.choose(places.step(selection.chosen, by * (event.shiftKey ? 10 : 1)));
   });
-  view.style.minHeight = `${tall()}px`; // what is not drawn yet has its room
+  view.style.minHeight = `${tall()}px`; // reserves the room until it is drawn
   stage.add(view, () => draw().then(() => {
     cursor.follow(view, () => (selection.place === null ? null : at[over][selection.place]));
     view.on("plotly_hover", ({ points: [point] }) => selection.point(point.customdata));

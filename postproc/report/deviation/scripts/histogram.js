@@ -1,11 +1,12 @@
 "use strict";
-// How many cutting targets deviate by how much; a line stands at the chosen place.
+// Histogram of the deviations at cutting targets; a line marks the chosen place.
 (() => {
   const view = document.getElementById("histogram-view");
   if (!view) return;
   const { at, count, values } = places;
-  const measures = Object.keys(facts.histograms);
-  const NARROW = 520; // pixels: below, one histogram stands below the other
+  const ROUNDING = 1e-4; // mm, of the numbers in the text: a deviation below it is noise
+  const measures = Object.keys(facts.histograms).filter((name) => name === "before" || at[name][facts.worst[name]] >= ROUNDING);
+  const NARROW = 520; // pixels: if narrower, one histogram is below the other
 
   function figure() {
     const wide = theme.printing || view.clientWidth >= NARROW || measures.length === 1;
@@ -20,7 +21,7 @@
       layout[`xaxis${suffix}`] = theme.axis({ domain: [(column + 0.07 * (column > 0)) / across, (column + 1) / across], anchor: `y${suffix}`,
         fixedrange: true, title: { text: `${values[name].title}, mm` }, nticks: 5, tickangle: 0 });
       layout[`yaxis${suffix}`] = theme.axis({ domain: [1 - (row + 1 - 0.2 * (row + 1 < down)) / down, 1 - row / down], anchor: `x${suffix}`,
-        fixedrange: true, title: column ? undefined : { text: "targets" } });
+        fixedrange: true, title: column ? undefined : { text: "number of targets" } });
       return { type: "bar", x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, xaxis: `x${suffix}`, yaxis: `y${suffix}`,
         customdata: counts.map((_, i) => [edges[i], edges[i + 1]]), marker: { color: theme.colour(name) },
         hovertemplate: "%{y} targets, %{customdata[0]:.4f} … %{customdata[1]:.4f} mm<extra></extra>" };

@@ -1,5 +1,5 @@
 "use strict";
-// Details of the chosen place, or of the one pointed at, and ways to go to others.
+// Details of the chosen place, or of the one pointed at, and buttons to go to others.
 (() => {
   const view = document.getElementById("place-view");
   const { at, values } = places;
@@ -41,15 +41,16 @@
   const controls = document.getElementById("place-controls");
   controls.innerHTML = `<button type="button" data-go="-1" aria-label="Previous place">◀</button><button type="button" data-go="1" aria-label="Next place">▶</button>
     <button type="button" data-go="worst">worst</button>
-    <label>line <input type="number" id="place-line" min="1" style="width:6em"></label>`;
+    <label>line <input type="number" id="place-line" min="1" style="width:6em"></label><output class="said" for="place-line"></output>`;
   for (const button of controls.querySelectorAll("[data-go]"))
     button.addEventListener("click", () => selection.choose(button.dataset.go === "worst" ? facts.worst.before
       : places.step(selection.chosen, Number(button.dataset.go))));
   document.getElementById("place-line").addEventListener("change", (event) => {
-    const found = places.ofLine(Number(event.target.value));
-    if (found === null) event.target.setCustomValidity("No target on this line");
-    else { event.target.setCustomValidity(""); selection.choose(found); }
-    event.target.reportValidity();
+    const wanted = Number(event.target.value);
+    const found = places.ofLine(wanted);
+    const line = at.source_line[found];
+    controls.querySelector("output").textContent = line === wanted ? "" : `no target on line ${wanted}: nearest is line ${line}`;
+    selection.choose(found);
   });
 
   selection.subscribe((place) => {

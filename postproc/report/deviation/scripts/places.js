@@ -1,5 +1,5 @@
 "use strict";
-// What is known of each place of the path, in words and units. `places.at` are the columns of numbers.
+// The values at each place of the path, with titles and units. `places.at` are the columns of numbers.
 const places = (() => {
   const at = columns.places;
   const count = at.before.length;
@@ -29,7 +29,7 @@ const places = (() => {
   const turned = (m, v) => m.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
   const moved = (m, v) => turned(m, v).map((value, r) => value + m[r][3]);
   const bases = facts.bases.map(matrix);
-  const inRoot = bases.length > 1; // several $BASE: what is drawn is drawn in the robot root
+  const inRoot = bases.length > 1; // several $BASE: all is drawn in the robot root
 
   // Vector of columns (prefix + X, Y, Z) in the axes in which the path is drawn.
   function vector(prefix, i) {
@@ -49,10 +49,14 @@ const places = (() => {
     return i;
   }
 
+  // The worst place of a line, or of the nearest line that has one.
   function ofLine(line) {
     let best = null;
-    for (let i = 0; i < count; i++)
-      if (at.source_line[i] === line && (best === null || at.before[i] > at.before[best])) best = i;
+    let off = Infinity;
+    for (let i = 0; i < count; i++) {
+      const distance = Math.abs(at.source_line[i] - line);
+      if (distance < off || (distance === off && at.before[i] > at.before[best])) [best, off] = [i, distance];
+    }
     return best;
   }
 

@@ -9,7 +9,7 @@
   const MOST = 8000;
   const dense = points > MOST; // overlays would hide the path
   const paths = {
-    b: { title: places.compared ? "tool without correction" : "tool as it stands", colour: "before" },
+    b: { title: places.compared ? "tool without correction" : "tool as programmed", colour: "before" },
     ...(places.compared && { a: { title: "tool with the program as written", colour: "after" } }),
     ...(places.compared && { c: { title: "commanded path", colour: "correction" } }),
   };
@@ -132,12 +132,17 @@
     for (const [prefix, path] of Object.entries(paths))
       out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
         visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour) } });
+    if (shown.robot)
+      out.push({ type: "mesh3d", meta: "beyond", ...robot.vertices(here()), ...robot.faces, color: "#e8853a", flatshading: false, hoverinfo: "skip",
+        lighting: { ambient: 0.55, diffuse: 0.6, specular: 0.15, roughness: 0.7 } });
     return out;
   }
 
-  // The arm at the place, the frames, the worst places and the place itself.
-  const arm = () => robot.points(selection.place ?? facts.worst.before);
-  const room = () => (shown.robot ? [Object.fromEntries(["x", "y", "z"].map((axis, r) => [axis, arm().map((point) => point[r])]))] : []);
+  const here = () => selection.place ?? facts.worst.before;
+  let [room, shape] = [null, -1];
+  const beyond = () => (shown.robot ? [room ??= robot.room()] : []);
+
+  // The frames, the worst places, the place itself; without the library the arm as lines.
   function frames() {
     const of = [{ m: frame, length: 0.12 * extent, name: "$BASE" }, ...(shown.robot ? [{ m: robot.root, length: 300, name: "robot" }] : [])];
     return of.flatMap(({ m, length, name }) => ["X", "Y", "Z"].flatMap((axis, c) => {
@@ -149,9 +154,12 @@
   function marks() {
     const out = frames();
     if (shown.robot) {
-      const joints = arm();
-      out.push({ line: joints, colour: theme.colour("soft"), width: 6 });
-      out.push(...joints.map((dot) => ({ dot, colour: theme.colour("ink"), size: 2 })));
+      const box = space.reach([drawn]);
+      for (let k = 0; k < 8; k++) for (let r = 0; r < 3; r++) if (!((k >> r) & 1)) {
+        const corner = (n) => [0, 1, 2].map((axis) => box[(n >> axis) & 1][axis]);
+        out.push({ line: [corner(k), corner(k | (1 << r))], colour: theme.colour("rule"), width: 1 });
+      }
+      if (!document.querySelector("#view3d-view .gl-container")) out.push({ line: robot.points(here()), colour: theme.colour("soft"), width: 6 });
     }
     for (const [name, place] of Object.entries(facts.worst))
       out.push({ dot: places.position(place), colour: theme.colour(name), size: 6, hollow: true });
@@ -160,8 +168,8 @@
   }
 
   const of = places.inRoot ? "root" : "$BASE";
-  const { draw, look } = space.add(view, {
-    unit: "mm", names: ["X", "Y", "Z"].map((axis) => `${axis} ${of}`), traces, room, marks,
+  const { draw, look, move } = space.add(view, {
+    unit: "mm", names: ["X", "Y", "Z"].map((axis) => `${axis} ${of}`), traces, beyond, marks,
     bar: () => ({ title: `${values[shown.colour].title}, ${values[shown.colour].unit}`, stops: theme.scales.rising, low: range[0], high: range[1] }),
     points: () => ({ ...runs.cut, joined: true }),
     keys: {
@@ -173,7 +181,7 @@
 
   // Controls.
   const controls = document.getElementById("view3d-controls");
-  const sides = { Oblique: camera.OBLIQUE.eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 } };
+  const sides = { Oblique: camera.OBLIQUE.eye, Top: { x: 0, y: -0.01, z: 2.2 }, Front: { x: 0, y: -2.2, z: 0 }, Right: { x: 2.2, y: 0, z: 0 }, Robot: null };
   const tick = (prefix) => `<label><input type="checkbox" data-path="${prefix}"${shown.paths[prefix] ? " checked" : ""}>
     <span style="color:var(--${paths[prefix].colour})">${paths[prefix].title}</span></label>`;
   controls.innerHTML = `
@@ -183,6 +191,9 @@
     <label>by <input type="range" id="view3d-enlarged" min="0" max="4" step="0.05" value="${Math.log10(shown.enlarged)}">
       <output id="view3d-factor">${shown.enlarged} ×</output></label>
     <label><input type="checkbox" id="view3d-robot"> robot</label>
+    <span role="group" aria-label="Simulation along the program"><button type="button" id="view3d-run" aria-label="Run along the program">▶</button>
+      <input type="range" id="view3d-time" min="0" max="1" step="0.0005" value="0" aria-label="Time along the program">
+      <output id="view3d-now"></output></span>
     <span role="group" aria-label="Where it is looked at from"><span>View</span>${Object.keys(sides).map((name) => `<button type="button">${name}</button>`).join("")}</span>`;
   document.getElementById("view3d-colour").addEventListener("change", (event) => {
     shown.colour = event.target.value;
@@ -198,10 +209,69 @@
     document.getElementById("view3d-factor").textContent = `${shown.enlarged} ×`;
     draw();
   });
-  document.getElementById("view3d-robot").addEventListener("change", (event) => {
-    shown.robot = event.target.checked;
+  const showRobot = (checked) => {
+    document.getElementById("view3d-robot").checked = shown.robot = checked;
     draw();
-  });
+  };
+  document.getElementById("view3d-robot").addEventListener("change", (event) => showRobot(event.target.checked));
+  // The whole robot in sight: the path is in the middle, and as small as that makes it.
+  function lookAtRobot() {
+    showRobot(true);
+    const [from, to] = space.reach([room]);
+    const far = Math.max((2.2 * Math.max(...to.map((value, r) => value - from[r]))) / extent, 1);
+    look({ to: Object.fromEntries(Object.entries(camera.OBLIQUE.eye).map(([axis, value]) => [axis, value * far])) });
+  }
   for (const button of controls.querySelectorAll("button"))
-    button.addEventListener("click", () => look({ to: sides[button.textContent] }));
+    if (button.textContent in sides)
+      button.addEventListener("click", () => { if (button.textContent === "Robot") lookAtRobot(); else look({ to: sides[button.textContent] }); });
+
+  // Along the program, like a simulation: the whole of it in half a minute, or in its own time if that is shorter.
+  const slider = document.getElementById("view3d-time");
+  const run = document.getElementById("view3d-run");
+  const last = at.time.at(-1) || 1;
+  const LONGEST = 30; // s
+  let running = null;
+  function placeAt(seconds) {
+    let [low, high] = [0, at.time.length - 1];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (at.time[middle] < seconds) low = middle + 1; else high = middle;
+    }
+    return low;
+  }
+  const stop = () => {
+    cancelAnimationFrame(running);
+    running = null;
+    run.textContent = "▶";
+  };
+  function start() {
+    const speed = Math.max(last / LONGEST, 1);
+    const from = selection.chosen === null || at.time[selection.chosen] >= last ? 0 : at.time[selection.chosen];
+    const began = performance.now();
+    run.textContent = "❚❚";
+    const frame = (now) => {
+      const seconds = from + ((now - began) / 1000) * speed;
+      selection.choose(placeAt(Math.min(seconds, last)));
+      if (seconds >= last) stop(); else running = requestAnimationFrame(frame);
+    };
+    running = requestAnimationFrame(frame);
+  }
+  run.addEventListener("click", () => { if (running === null) start(); else stop(); });
+  slider.addEventListener("input", () => {
+    if (running !== null) stop();
+    selection.choose(placeAt(slider.value * last));
+  });
+  let asked = false;
+  selection.subscribe((place) => {
+    if (place === null) return;
+    slider.value = at.time[place] / last;
+    document.getElementById("view3d-now").textContent = `${fixed(at.time[place], 1)} s, line ${at.source_line[place]}`;
+    if (!shown.robot || asked || place === shape) return;
+    asked = true;
+    requestAnimationFrame(() => {
+      asked = false;
+      shape = here();
+      move(2 + Object.keys(paths).length, robot.vertices(shape));
+    });
+  });
 })();

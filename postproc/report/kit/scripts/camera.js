@@ -1,5 +1,5 @@
 "use strict";
-// How a box in space is seen: in perspective from an eye outside of it, upright. The eye is told as the plot library does it:
+// How a box in space is seen: in perspective from an eye outside of it, upright. The eye is given as in the plot library:
 // counted from the middle of the box, in a unit in which the box is `size` across: as large as the picture has room for.
 const camera = (() => {
   const SLOPE = Math.tan(Math.PI / 8); // half of the angle of view
@@ -11,20 +11,20 @@ const camera = (() => {
   const unit = (a) => a.map((value) => value / Math.hypot(...a));
   const diagonal = ([low, high]) => Math.hypot(...high.map((value, r) => value - low[r]));
 
-  // The box [low, high] around what reaches over low … high: a bit larger, and what is flat gets some height.
+  // A box a little larger than [low, high]; a flat one gets some height.
   function box([low, high]) {
     const most = Math.max(...high.map((value, r) => value - low[r]), 1e-6);
     const room = high.map((value, r) => Math.max(0.03 * (value - low[r]), (0.1 * most - (value - low[r])) / 2));
     return [low.map((value, r) => value - room[r]), high.map((value, r) => value + room[r])];
   }
 
-  // How large a box is to be that it has room in a picture as it is seen at first, with numbers beside it.
-  const BESIDE = { left: 92, right: 76, top: 24, bottom: 52 }; // pixels
+  // Size of a box that fits a picture, seen at first, with its numbers around it.
+  const AROUND = { left: 92, right: 76, top: 24, bottom: 52 }; // pixels
   function size(box, width, height) {
     for (let tried = 4; tried > 0.5; tried *= 0.97) {
       const how = seen(OBLIQUE, box, tried, width, height);
       const corners = Array.from({ length: 8 }, (_, k) => projected(how, box[k & 1][0], box[(k >> 1) & 1][1], box[k >> 2][2]));
-      if (corners.every(([x, y, deep]) => deep > 0 && x > BESIDE.left && x < width - BESIDE.right && y > BESIDE.top && y < height - BESIDE.bottom))
+      if (corners.every(([x, y, deep]) => deep > 0 && x > AROUND.left && x < width - AROUND.right && y > AROUND.top && y < height - AROUND.bottom))
         return tried;
     }
     return 0.5;
@@ -33,7 +33,7 @@ const camera = (() => {
   // Lengths of a box in that unit.
   const lengths = (box, size) => box[1].map((value, r) => ((value - box[0][r]) * size) / diagonal(box));
 
-  // What shows points in a picture: three rows [x, y, z, 1] of what is divided by depth across and down, and of depth.
+  // Projection into a picture: three rows [x, y, z, 1] for across and down, both to be divided by depth, and for depth.
   function seen({ eye, center }, box, size, width, height) {
     const scale = size / diagonal(box);
     const from = vector(eye).map((value, r) => value + (scale * (box[0][r] + box[1][r])) / 2);

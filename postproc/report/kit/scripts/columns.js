@@ -5,16 +5,8 @@ const facts = JSON.parse(document.getElementById("page-facts").textContent);
 const columns = (() => {
   const kinds = { f4: Float32Array, i4: Int32Array, u1: Uint8Array };
 
-  function decoded(base64) {
-    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(base64); // not in every browser yet
-    const text = atob(base64);
-    const bytes = new Uint8Array(text.length);
-    for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
-    return bytes;
-  }
-
   function unpacked(described, base64) {
-    const bytes = decoded(base64);
+    const bytes = packed.bytes(base64);
     const length = Math.max(0, ...described.map((column) => column.count));
     const table = {};
     let at = 0;
@@ -32,7 +24,7 @@ const columns = (() => {
   return tables;
 })();
 
-// A number with fixed decimals; what is smaller than the text can say is told as that.
+// A number with fixed decimals; a value below the last decimal is shown as "<" that decimal.
 function fixed(value, decimals) {
   if (!Number.isFinite(value)) return "–";
   const least = 10 ** -decimals;

@@ -1,7 +1,7 @@
 "use strict";
 // An upright line over a plot at the place that is shown: it moves at once, where the library would draw the plot anew.
 const cursor = (() => {
-  // Has the line of a plot stand at x of an axis, or nowhere (null), as high as the axis or the whole plot.
+  // Puts the line of a plot at x of an axis, or hides it (null); as high as the axis or the whole plot.
   function put(plot, line, x, suffix) {
     const { _size: size, [`xaxis${suffix ?? ""}`]: xaxis, [`yaxis${suffix}`]: yaxis } = plot._fullLayout ?? {};
     if (!xaxis) return;

@@ -1,11 +1,11 @@
 "use strict";
-// What lies over a view in space as SVG: marks, the numbers along its box, the bar of its colours; and its picture on paper.
+// SVG over a view in space: marks, the numbers along its box, the bar of its colours; and its picture on paper.
 const over = (() => {
   const WIDE = 38; // pixels that a number takes
   const [NUMBERS, TITLES] = [14, 42]; // pixels off the box
   const { projected } = camera;
   const minus = (text) => text.replace("-", "−");
-  const told = (value) => minus(String(Number(value.toPrecision(6))));
+  const text = (value) => minus(String(Number(value.toPrecision(6))));
 
   // Numbers along three edges of the box that lie outside of the picture: the lowest ones, and the leftmost upright one.
   function numbers(how, step, unit, names) {
@@ -35,7 +35,7 @@ const over = (() => {
       if (inward > 0) away = away.map((value) => -value);
       const put = (value, text, off) => out.push({ text, at: corner.with(r, value), by: [away[0] * off, away[1] * off + 4],
         anchor: Math.abs(away[0]) < 0.3 ? "middle" : away[0] < 0 ? "end" : "start", soft: true });
-      for (let k = low; k <= high; k++) if (k % each === 0) put(k * step, told(k * step), NUMBERS);
+      for (let k = low; k <= high; k++) if (k % each === 0) put(k * step, text(k * step), NUMBERS);
       const title = `${names[r]}, ${unit}`;
       if (r < 2) put((box[0][r] + box[1][r]) / 2, title, TITLES);
       else out.push({ text: title, at: corner.with(2, box[1][2]), by: [0, -8], soft: true });
@@ -58,7 +58,7 @@ const over = (() => {
     return `<text${mark.soft ? "" : ' data-mark=""'} x="${number(x + right)}" y="${number(y + below)}" text-anchor="${mark.anchor ?? "middle"}" fill="${theme.colour(mark.soft ? "soft" : "ink")}">${mark.text}</text>`;
   }
 
-  // What the colours stand for, at the right of the picture.
+  // The colour bar, at the right of the picture.
   let count = 0;
   function colours({ width, height }, { title, stops, low, high }, id) {
     const [left, top, tall] = [width - 62, 30, Math.max(0.7 * height - 30, 60)];
@@ -69,7 +69,7 @@ const over = (() => {
       `<stop offset="${k / (stops.length - 1)}" stop-color="${colour}"/>`).join("")}</linearGradient>
       <g fill="${theme.colour("soft")}" class="colours"><text x="${width - 4}" y="16" text-anchor="end">${title}</text>
       <rect x="${left}" y="${top}" width="12" height="${tall}" fill="url(#${id})"/>${ticks.map((value) =>
-        `<text x="${left + 17}" y="${number(top + tall * (1 - (value - low) / (high - low)) + 4)}">${told(value)}</text>`).join("")}</g>`;
+        `<text x="${left + 17}" y="${number(top + tall * (1 - (value - low) / (high - low)) + 4)}">${text(value)}</text>`).join("")}</g>`;
   }
 
   // The sheet that lies over a view.
@@ -80,12 +80,12 @@ const over = (() => {
     view.append(element);
     return { element,
       draw(how, { step, unit, names, marks, bar }) {
-        const told = [...numbers(how, step, unit, names), ...marks];
-        element.innerHTML = (bar ? colours(how, bar, id) : "") + told.map((mark) => shape(how, mark)).join("");
+        const shapes = [...numbers(how, step, unit, names), ...marks];
+        element.innerHTML = (bar ? colours(how, bar, id) : "") + shapes.map((mark) => shape(how, mark)).join("");
       } };
   }
 
-  // A picture stands in for the canvas on paper: browsers do not print what the graphics card drew.
+  // A picture replaces the canvas on paper: browsers do not print the pictures of the graphics card.
   const pictures = new Map();
   function expose(view) {
     const canvas = view.querySelector(".gl-container canvas");

@@ -55,6 +55,7 @@ const plots = (() => {
     element.on("plotly_hover", ({ points: [{ customdata }] }) => { if (typeof customdata === "number") selection.point(customdata); });
     element.on("plotly_unhover", () => selection.point(null));
     element.on("plotly_click", ({ points: [{ customdata }] }) => { if (typeof customdata === "number") selection.choose(customdata); });
+    element.addEventListener("pointerdown", () => element.focus({ preventScroll: true }), true); // the library would prevent it
     element.addEventListener("keydown", (event) => {
       const by = { ArrowLeft: -1, ArrowRight: 1, PageUp: -50, PageDown: 50 }[event.key];
       if (!by) return;
@@ -93,11 +94,11 @@ const plots = (() => {
   }
 
   const [LINE, PAGE] = [15, 900]; // pixels
-  const NARROW = 14; // pixels for a letter of a name beside a plot
+  const NARROW = 14; // pixels for a letter of a name left of a plot
   function figure(plot, width) {
     const square = plot.traces.some(({ type }) => type === "matrix");
     const layout = theme.layout({ height: theme.printing ? Math.min(plot.height, PAGE) : plot.height, showlegend: plot.traces.filter(({ name }) => name).length > 1 });
-    const upright = plot.marks.filter(({ level }) => !level); // their texts stand in lines above the plot, the legend above them
+    const upright = plot.marks.filter(({ level }) => !level); // their texts are above the plot, the legend above them
     const wide = plot.traces.reduce((sum, { name }) => sum + (name ? 7 * name.length + 45 : 0), 0);
     layout.margin.t = LINE * (upright.length + layout.showlegend * 1.3 * Math.ceil(wide / width)) + 12;
     layout.legend = { orientation: "h", yref: "container", y: 1, yanchor: "top", x: 0 };
@@ -162,8 +163,8 @@ const plots = (() => {
     });
     const controls = Object.assign(document.createElement("div"), { className: "controls" });
     const names = () => {
-      const told = new Map(shown.map((i) => plot.traces[i]).filter(({ name }) => name).map(({ name, colour: of }) => [name, of]));
-      return told.size > 1 || plot.steps ? [...told].map(([name, of]) => `<span style="color:var(--${of})">━ ${name}</span>`).join("") : "";
+      const named = new Map(shown.map((i) => plot.traces[i]).filter(({ name }) => name).map(({ name, colour: of }) => [name, of]));
+      return named.size > 1 || plot.steps ? [...named].map(([name, of]) => `<span style="color:var(--${of})">━ ${name}</span>`).join("") : "";
     };
     const legend = Object.assign(document.createElement("span"), { className: "names", innerHTML: names() });
     controls.append(legend);

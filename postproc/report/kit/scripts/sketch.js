@@ -4,7 +4,7 @@
 const sketch = (() => {
   const { projected } = camera;
 
-  // Lines of the box on the three walls behind what is shown, `step` apart.
+  // Lines of the box on the three walls behind the lines, `step` apart.
   function walls(pen, how, step) {
     const { box } = how;
     pen.strokeStyle = theme.colour("rule");

@@ -1,8 +1,8 @@
 "use strict";
-// Views in space. The library draws lines and surfaces; marks, names and numbers are drawn over them, and what is under
+// Views in space. The library draws lines and surfaces; marks, names and numbers are drawn over them, and the place under
 // the pointer is found here: both are exact at once, where the library would have to draw its picture anew.
 const space = (() => {
-  const NEAR = 10; // pixels from what is pointed at
+  const NEAR = 10; // pixels from the pointer
   const PAPER = 0.75; // height of a view on paper, of its width
   const LINES = 6; // of the box around, along its longest side
   const { projected } = camera;
@@ -69,14 +69,14 @@ const space = (() => {
   // Distance of the lines of a box.
   const spacing = ([low, high]) => round(Math.max(...high.map((value, r) => value - low[r]), 1e-9) / LINES);
 
-  // What the library is told of the box: lines, and no text of its own.
-  function scene(box, size, step, from) {
+  // The box as the library draws it: lines, without text.
+  function scene(box, size, step, from, grid) {
     const [x, y, z] = camera.lengths(box, size);
     const axis = (r) => {
       const first = Math.ceil(box[0][r] / step);
       const tickvals = Array.from({ length: Math.max(Math.floor(box[1][r] / step) - first + 1, 0) }, (_, k) => (first + k) * step);
       return theme.axis({ title: { text: " " }, backgroundcolor: "rgba(0,0,0,0)", showspikes: false, automargin: undefined,
-        range: [box[0][r], box[1][r]], tickmode: "array", tickvals, ticktext: tickvals.map(() => ""), showticklabels: false });
+        showgrid: grid, range: [box[0][r], box[1][r]], tickmode: "array", tickvals, ticktext: tickvals.map(() => ""), showticklabels: false });
     };
     return { aspectmode: "manual", aspectratio: { x, y, z }, uirevision: 1, dragmode: "turntable", camera: from,
       xaxis: axis(0), yaxis: axis(1), zaxis: axis(2) };
@@ -96,28 +96,43 @@ const space = (() => {
     return [low, high];
   }
 
-  // A view in space in an element. Told are:
+  // A view in space in an element, from:
   // unit, names of the axes
   // traces    () → what the library draws
   // room      () → further lines { x, y, z } that the box has room for
-  // marks     () → what is drawn over it, see over.js
+  // beyond    () → room { x, y, z } for traces with meta "beyond": the box does not grow for them, the rest keeps its size
+  // marks     () → shapes drawn over it, see over.js
   // bar       () → { title, stops, low, high } of the colours, or null
   // points    () → { x, y, z, place, joined }: what can be pointed at, and the place that each is; or nothing
   // keys      what further keys do
-  function add(view, { unit, names = ["X", "Y", "Z"], traces, room = () => [], marks = () => [], bar = () => null, points = null, keys = {} }) {
+  function add(view, { unit, names = ["X", "Y", "Z"], traces, room = () => [], beyond = () => [], marks = () => [], bar = () => null, points = null, keys = {} }) {
     const canvas = Object.assign(document.createElement("canvas"), { className: "sketch" });
     const picture = over.sheet(view);
     let from = camera.OBLIQUE; // where it is seen from, as long as the library has drawn nothing
     let started = false; // to be drawn by the library
     let drawn = false;
     let [content, box, size, step] = [[], null, 1, 1];
+    let [outer, outerSize, offset] = [null, 1, [0, 0, 0]]; // what the library draws in, and where the middle of the box is in it
+    const middle = ([low, high]) => low.map((value, r) => (value + high[r]) / 2);
+    const shifted = ({ eye, up, center }, sign) => {
+      const by = ({ x, y, z }) => ({ x: x + sign * offset[0], y: y + sign * offset[1], z: z + sign * offset[2] });
+      return { eye: by(eye), up, center: by(center) };
+    };
 
     function prepare() {
       content = traces().filter(({ visible }) => visible !== false);
-      box = camera.box(reach([...content, ...room()]));
+      box = camera.box(reach([...content.filter(({ meta }) => meta !== "beyond"), ...room()]));
       const wide = theme.width(view);
       size = camera.size(box, wide, theme.printing ? PAPER * wide : view.clientHeight);
       step = spacing(box);
+      const more = beyond();
+      if (more.length) {
+        const [low, high] = reach(more);
+        outer = [low.map((value, r) => Math.min(value, box[0][r])), high.map((value, r) => Math.max(value, box[1][r]))];
+      } else outer = box;
+      const scale = camera.lengths(box, size).reduce((most, value, r) => Math.max(most, value / (box[1][r] - box[0][r])), 0);
+      outerSize = scale * Math.hypot(...outer[1].map((value, r) => value - outer[0][r]));
+      offset = middle(box).map((value, r) => scale * (value - middle(outer)[r]));
     }
     const how = () => (drawn ? shownBy(view, box) : box && camera.seen(from, box, size, view.clientWidth, view.clientHeight));
     function mark() {
@@ -132,7 +147,7 @@ const space = (() => {
       mark();
     }
 
-    // After each picture of the library the marks are drawn anew; its second picture, to find what is pointed at, is not
+    // After each picture of the library the marks are drawn anew; its second picture, which finds the point under the pointer, is not
     // needed and is left out.
     function follow() {
       const plot = view._fullLayout?.scene?._scene?.glplot;
@@ -154,18 +169,21 @@ const space = (() => {
       };
     }
     function draw() {
+      const before = offset.join();
+      if (drawn) from = shifted(view._fullLayout.scene.camera, -1);
       prepare();
       Plotly.react(view, traces(), theme.layout({ margin: { l: 0, r: 0, t: 0, b: 0 }, hovermode: false, uirevision: 1,
         height: theme.printing ? PAPER * theme.width(view) : undefined,
-        scene: scene(box, size, step, from) }), theme.config);
+        scene: scene(outer, outerSize, step, shifted(from, 1), outer === box) }), theme.config);
+      if (drawn && before !== offset.join()) Plotly.relayout(view, { "scene.camera": shifted(from, 1) });
       follow();
       if (theme.printing) over.expose(view);
       mark();
     }
     const again = () => { if (started) draw(); else outline(); };
     function look(how) {
-      from = camera.moved(drawn ? view._fullLayout.scene.camera : from, how);
-      if (drawn) Plotly.relayout(view, { "scene.camera": from }); else outline();
+      from = camera.moved(drawn ? shifted(view._fullLayout.scene.camera, -1) : from, how);
+      if (drawn) Plotly.relayout(view, { "scene.camera": shifted(from, 1) }); else outline();
     }
 
     function at({ clientX, clientY }) {
@@ -193,6 +211,7 @@ const space = (() => {
         if (place !== null) selection.choose(place);
       }, true);
     }
+    view.addEventListener("pointerdown", () => view.focus({ preventScroll: true }), true); // the library would prevent it
     view.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const other = keys[event.key.toLowerCase()];
@@ -225,7 +244,13 @@ const space = (() => {
       else if (content.some(({ type }) => type === "mesh3d"))
         view.append("This browser cannot draw surfaces in space. The tables show the same numbers.");
     });
-    return { draw: again, look };
+    // Moves the points of one trace.
+    function move(trace, { x, y, z }) {
+      if (!drawn) return;
+      Plotly.restyle(view, { x: [x], y: [y], z: [z] }, [trace]);
+      follow();
+    }
+    return { draw: again, look, move };
   }
   return { add, reach, round };
 })();

@@ -1,7 +1,7 @@
 "use strict";
 // When views are drawn: by the library, as soon as it is there, the first of the page first, then those in sight, then the
 // others; on paper all. All of it is heavy: it waits for a moment in which nothing is pointed at, pressed or scrolled, so that
-// what is asked of the page meanwhile is done at once.
+// requests to the page meanwhile are done at once.
 const stage = (() => {
   const waiting = new Map(); // element → what draws it
   const seen = new Set();
@@ -27,7 +27,7 @@ const stage = (() => {
     watch.unobserve(element);
     draw();
   }
-  // One at a time: what is clicked meanwhile is heard.
+  // One at a time: clicks in between are handled.
   function next(first) {
     const all = [...waiting.keys()].sort((one, other) => (follows(one, other) ? -1 : 1));
     const sight = first ? all[0] : all.find((element) => seen.has(element));
@@ -40,14 +40,17 @@ const stage = (() => {
     if (theme.printing) rest(); else calm(() => next(true), 50);
   }
 
-  // The library is a text of the page, made a script of its own: it is read while the page can be used already.
-  function load() {
-    const { textContent } = document.getElementById("library");
+  // The library is in the page, deflated. It becomes a script of its own: it is read while the page can be used already.
+  async function load() {
+    const text = await packed.inflated(document.getElementById("library").textContent);
     const script = Object.assign(document.createElement("script"), {
-      src: URL.createObjectURL(new Blob([textContent], { type: "text/javascript" })), onload: begin,
-      onerror: () => { document.head.append(Object.assign(document.createElement("script"), { textContent })); begin(); },
+      src: URL.createObjectURL(new Blob([text], { type: "text/javascript" })), onload: begin,
+      onerror: () => {
+        document.head.append(Object.assign(document.createElement("script"), { textContent: new TextDecoder().decode(text) }));
+        begin();
+      },
     });
-    painted(() => calm(() => document.head.append(script), 250));
+    document.head.append(script);
   }
 
   return {
@@ -57,7 +60,7 @@ const stage = (() => {
       element.classList.add("waiting"); // which says so; a sketch takes it away
       watch.observe(element);
     },
-    load,
+    load() { painted(() => calm(load, 250)); },
     get empty() { return waiting.size === 0; },
   };
 })();

@@ -1,22 +1,22 @@
 "use strict";
-// Colours of the style sheet for what the plot library draws, and a way to hear that they have changed.
+// Colours of the style sheet for what the plot library draws, and a signal that they have changed.
 const theme = (() => {
   const PAPER = 660; // width of a plot on paper, pixels: A4 and Letter with usual margins
   const width = (element) => (printing ? PAPER : element.clientWidth);
-  const heard = [];
+  const listeners = [];
   const light = document.styleSheets[0].cssRules[0].style; // the first rule of the style sheet
   let printing = false;
   const colour = (name) => (printing ? light : getComputedStyle(document.documentElement)).getPropertyValue(`--${name}`).trim();
-  const tell = () => heard.forEach((redraw) => redraw());
+  const notify = () => listeners.forEach((redraw) => redraw());
   const print = (begins) => () => {
     printing = begins;
-    tell();
+    notify();
   };
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", tell);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", notify);
   addEventListener("beforeprint", print(true));
   addEventListener("afterprint", print(false));
 
-  // Colours of values, from the lowest to the highest, told apart by colour-blind eyes too: cividis, and orange to blue.
+  // Colours of values, from the lowest to the highest, distinct for colour-blind eyes too: cividis, and orange to blue.
   const scales = {
     rising: ["#00204c", "#053571", "#404d6b", "#606370", "#7c7b77", "#9b9477", "#bcae6e", "#dfca5d", "#ffe945"],
     about: ["#b35806", "#f7f7f7", "#053061"],
@@ -43,5 +43,5 @@ const theme = (() => {
   });
   const config = { responsive: true, displaylogo: false, displayModeBar: false,
     plotGlPixelRatio: Math.min(devicePixelRatio, 2) };
-  return { get printing() { return printing; }, colour, width, scales, scale, shade, axis, layout, config, onChange: (redraw) => heard.push(redraw) };
+  return { get printing() { return printing; }, colour, width, scales, scale, shade, axis, layout, config, onChange: (redraw) => listeners.push(redraw) };
 })();

@@ -1,0 +1,56 @@
+"""`postproc watch`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+import click
+
+from postproc.cli.convert import conversion_options, of_files
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@conversion_options
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
+@click.option(
+    "--serve", is_flag=True, help="Show the overview of the output folder in a browser, on this machine only."
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=8350, show_default=True, help="Port of --serve.")
+@click.pass_context
+def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int, **more: Any) -> None:
+    """Convert programs as they arrive in FOLDER, until Ctrl-C.
+
+    A program is converted when it has not changed for a second. Programs that have been converted before are left as
+    they are, also after a restart. Subfolders are not watched. Network drives may be watched. With --serve,
+    http://127.0.0.1:8350 shows the overview, which reloads itself; other machines cannot open it.
+
+    \b
+    Examples:
+      postproc watch parts --cell cell.toml
+      postproc watch parts --cell cell.toml -o corrected --process process.toml --jobs 2 --serve
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.cli.outcomes import print_outcome, say
+    from postproc.jobs import Settings
+    from postproc.jobs.watching import watch as watched
+
+    more.pop("as_json")
+    options = of_files(more)
+    output = options.pop("output", None) or folder / "corrected"
+    stop = Event()
+    if serve:
+        from postproc.cli.serving import server
+
+        there = server(output, port)
+        Thread(target=there.serve_forever, daemon=True).start()
+        click.echo(f"overview: http://127.0.0.1:{there.server_address[1]}")
+    click.echo(f"watching {folder}; results: {output}. Ctrl-C ends it.")
+    settings = Settings(mode="convert", **more)
+    try:
+        for outcome, job in watched(folder, output, settings, options, workers=jobs, say=say, stop=stop):
+            print_outcome(outcome, job)
+    except KeyboardInterrupt:
+        click.echo("ended.")
+        ctx.exit(130)

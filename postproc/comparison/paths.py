@@ -1,0 +1,307 @@
+"""The paths of the two programs that are compared, and the way from one pair of targets to the next.
+
+A place on a program's path is its arc length from the start of the program [m], or (motion, t) as in `toolpath`. Points
+that both programs share are in the robot root where that is at E1 = 0, here called the cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import forces, kinematics, toolpath
+from postproc.chunks import in_chunks
+from postproc.comparison.pairing import Track
+from postproc.errors import ProgramError
+from postproc.forces import ForceSource, PathForces
+from postproc.frames import Array, norm, twist_between
+from postproc.kinematics import JointPath, UnreachableError
+from postproc.program import CIRC, PTP, Bools, Ints, Program
+from postproc.toolpath import Segments
+from postproc.under_load import RobotInCell
+
+SAME_FRAME = 1e-6
+"""Frames that differ by less [m, rad] are the same."""
+_PLACES, _CLOSER, _REFINED = 33, 6, 9
+"""The nearest place of a path is sought among this many, then so often between the neighbours of the best, among as
+many as the last number says."""
+_SAMPLES, _ROUNDS = 9, 4
+"""Search for the largest distance of two arcs: places per round, and rounds between the neighbours of the best."""
+_NOTHING = 1e-12
+_STILL, _PER_RADIAN, _LEAST = 1e-9, 1e-3, 1e-4
+"""A motion shorter than the first [m] does not move the tip: it counts so much arc length for the angle by which it
+turns the tool [m/rad], and at least the last [m], because the force may change along it."""
+
+
+class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
+    """A program of M motions in the cell of a robot.
+
+    :param place: the robot in its cell.
+    :param path: the geometry of its motions.
+    :param size: (M,) length of the motions [m]; of one that does not move the tip, a length of its own (`_STILL`).
+    :param along: (M + 1,) arc length at which each motion begins, and that of the end: the sum of these sizes [m].
+    :param rows: (n,) motions with a Cartesian target.
+    :param joints: (M, 6) joint angles at the ends of the motions [rad].
+    :param branch: (M,) branch of the inverse kinematics of each.
+    """
+
+    program: Program
+    place: RobotInCell
+    path: Segments
+    size: Array
+    along: Array
+    rows: Ints
+    joints: Array
+    branch: Ints
+
+    @classmethod
+    def of(cls, program: Program, place: RobotInCell) -> PlacedProgram:
+        """Return a program in its cell.
+
+        :raises ProgramError: a target is out of reach.
+        """
+        m = program.motions
+        path = toolpath.segments(program, place.start_flange)
+        still = (m.kind != PTP) & (path.length < _STILL)
+        size = np.where(still, np.maximum(_PER_RADIAN * path.turn, _LEAST), path.length)
+        along = np.append(0.0, np.cumsum(size))
+        ends = _ends(program, place)
+        return cls(program, place, path, size, along, np.flatnonzero(np.isnan(m.joints[:, 0])), ends.q, ends.branch)
+
+    def track(self, offset: Array | float = 0.0) -> Track:
+        """Return the Cartesian targets in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
+        m, rows = self.program.motions, self.rows
+        pose = m.target[rows]
+        step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin[rows]), self.path.length[rows])
+        pose[:, :3, 3] += offset
+        position = toolpath.pose_in_root(self.program, rows, pose, None)[:, :3, 3]
+        return Track(position, step, m.kind[rows] == PTP, self.continued[rows])
+
+    @cached_property
+    def continued(self) -> Bools:
+        """(M,) True for motions whose end is no corner: the next motion continues the same line or arc."""
+        return np.append(toolpath.continues(self.program, self.path)[1:], False)
+
+    def at(self, length: Array) -> tuple[Ints, Array]:
+        """Return the places (motion, t), each (n,), at arc lengths (n,) [m]; t > 0."""
+        motion = np.clip(np.searchsorted(self.along, length) - 1, 0, len(self.along) - 2)
+        size = np.maximum(self.size[motion], _NOTHING)
+        return motion, np.clip((length - self.along[motion]) / size, 1e-9, 1.0)
+
+    def points(self, length: Array) -> Array:
+        """Return the nominal positions (n, 3) at arc lengths (n,), in the cell [m]."""
+        motion, t = self.at(length)
+        return in_cell(self.program, motion, toolpath.positions(self.program, self.path, motion, t))
+
+    def forces(self, source: ForceSource | None) -> PathForces:
+        """Return the forces along the program: from a source, else from its comments."""
+        return forces.along(self.program, self.path, source, self.place.spindle, self.place.ramp)
+
+    def wrench(self, load: PathForces, motion: Ints, t: Array | float = 1.0) -> Array:
+        """Return the wrenches (n, 6) at places (motion, t), root axes [N, N·m]."""
+        share = np.broadcast_to(np.asarray(t, dtype=float), motion.shape)
+        wrench = load.at(toolpath.at(self.program, self.path, motion, share))
+        return toolpath.wrench_in_root(self.program, motion, wrench)
+
+    def carried(self, motion: Ints, t: Array | float = 1.0) -> Array:
+        """Return how far E1 has carried the robot (n, 3) at places (motion, t) [m]."""
+        carriage = self.program.carriage
+        return np.zeros((len(motion), 3)) if carriage is None else carriage.offset(motion, t)
+
+    def joints_at(self, motion: Ints, t: Array) -> Array:
+        """Return the joint angles (n, 6) at places (motion, t) [rad]; NaN out of reach."""
+        pose = toolpath.at(self.program, self.path, motion, t).pose
+        flange = toolpath.flange_from_tcp(self.program, motion, pose, t)
+        return kinematics.on_branch(self.place.robot, flange, self.branch[motion])
+
+
+def in_cell(program: Program, motion: Ints, point: Array) -> Array:
+    """Return points (n, 3) in the cell of points in the `$BASE` of motions (n,) [m]."""
+    base = toolpath.base_of(program, motion)
+    return np.asarray(np.einsum("...ij,...j->...i", base[..., :3, :3], point) + base[..., :3, 3])
+
+
+def file_and_line(program: Program, row: int) -> tuple[str, int]:
+    """Return the path of the file of a motion, and its line."""
+    file, line = program.places(np.array([row])).of(0)
+    return str(Path(program.documents[0].folder) / file), line
+
+
+def _ends(program: Program, place: RobotInCell) -> JointPath:
+    """Return the joint angles at the ends of the motions."""
+    count = len(program.motions)
+    try:
+        return place.follow(program, np.arange(count), np.ones(count), program.motions.target)
+    except UnreachableError as cause:
+        file, line = file_and_line(program, cause.rows[0])
+        problem = "out of reach (on the branch of [start] joints)"
+        raise ProgramError(problem, file=file, line=line) from None
+
+
+def nearest(points: Callable[[Array], Array], wanted: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+    """Return the nearest place of a path to each of n points, and its distance [m].
+
+    :param points: returns positions (n, k, 3) of the path at arc lengths (n, k).
+    :param wanted: (n, 3) the points.
+    :param begin: (n,) arc length from which places count, `end` (n,) to which [m].
+    """
+    rows = np.arange(len(wanted))
+    low, high, count = begin, end, _PLACES
+    for _ in range(1 + _CLOSER):
+        tried = low[:, None] + (high - low)[:, None] * np.linspace(1e-9, 1.0, count)
+        apart = norm((points(tried) - wanted[:, None]).reshape(-1, 3)).reshape(tried.shape)
+        best = np.argmin(apart, axis=1)
+        low, high = tried[rows, np.maximum(best - 1, 0)], tried[rows, np.minimum(best + 1, count - 1)]
+        place, distance = tried[rows, best], apart[rows, best]
+        count = _REFINED
+    return place, distance
+
+
+class Chain(Struct, frozen=True, eq=False):
+    """The motions of a program from its first to its last pair. Pair k is at u = k; between, u is by arc length.
+
+    :param program: the program; `path` its geometry.
+    :param row: (m,) its motions, in order.
+    :param begin: (m,) u at which each begins, `end` (m,) at which it ends.
+    """
+
+    program: Program
+    path: Segments
+    row: Ints
+    begin: Array
+    end: Array
+
+    @classmethod
+    def of(cls, side: PlacedProgram, paired: Ints) -> Chain:
+        """Return the chain of the motions that end at pairs (P,), and of those between."""
+        row = np.arange(paired[0] + 1, paired[-1] + 1)
+        pair = np.searchsorted(paired, row)
+        before = side.along[paired[pair - 1] + 1]
+        whole = side.along[paired[pair] + 1] - before
+        ordinal = (row - paired[pair - 1]) / (paired[pair] - paired[pair - 1])
+        share = np.where(whole > _NOTHING, (side.along[row + 1] - before) / np.maximum(whole, _NOTHING), ordinal)
+        end = np.where(row == paired[pair], pair, np.minimum(pair - 1 + share, pair))
+        return cls(side.program, side.path, row, np.concatenate([[0.0], end[:-1]]), end)
+
+    def at(self, u: Array) -> tuple[Ints, Array]:
+        """Return the places (motion, t), each (n,), at u (n,), 0 < u <= P − 1."""
+        index = np.minimum(np.searchsorted(self.end, u), len(self.end) - 1)
+        width = np.maximum(self.end[index] - self.begin[index], _NOTHING)
+        return self.row[index], np.clip((u - self.begin[index]) / width, 1e-9, 1.0)
+
+    def any(self, wanted: Bools) -> Bools:
+        """Return for each pair (P,) whether one of the motions (M,) between it and the pair before is wanted."""
+        out = np.zeros(int(self.end[-1]) + 1, dtype=bool)
+        out[np.ceil(self.end[wanted[self.row]] - _NOTHING).astype(np.int64)] = True
+        return out
+
+
+class Curves(Struct, frozen=True, eq=False):
+    """Both paths between pairs, at the same u. Pieces of splines are replaced by their chords; PTP is unknown.
+
+    :param one: of the nominal program, `other` of the second one.
+    """
+
+    one: Chain
+    other: Chain
+
+    @classmethod
+    def of(cls, one: PlacedProgram, other: PlacedProgram, pair: Ints) -> Curves | None:
+        """Return the curves between pairs (P, 2); None for fewer than two."""
+        return cls(Chain.of(one, pair[:, 0]), Chain.of(other, pair[:, 1])) if len(pair) > 1 else None
+
+    def at(self, u: Array) -> tuple[Array, Array]:
+        """Return where both programs command the nominal tool (n, 3) at u (n,), nominal `$BASE` [m]."""
+        motion, t = self.one.at(u)
+        mine = toolpath.positions(self.one.program, self.one.path, motion, t)
+        return mine, self._second(*self.other.at(u), motion)
+
+    def second_in_cell(self, u: Array) -> Array:
+        """Return where the second program commands the nominal tool (n, 3) at u (n,), in the cell [m]."""
+        motion = self.one.at(u)[0]
+        return in_cell(self.one.program, motion, self._second(*self.other.at(u), motion))
+
+    def _second(self, row: Ints, share: Array, motion: Ints) -> Array:
+        """Return where the second program sends the tool of nominal motions (n,), at its places (row, share)."""
+        nominal, second = self.one.program, self.other.program
+        if self._same_tool:
+            point = toolpath.positions(second, self.other.path, row, share)
+            return toolpath.points_in_base(nominal, motion, in_cell(second, row, point), None)
+        pose = toolpath.at(second, self.other.path, row, share).pose
+        return tool_of_nominal(nominal, motion, second, row, pose)[:, :3, 3]
+
+    def apart(self) -> Array:
+        """Return the largest distance of the paths, at the same u, on the way to each pair (P,) [m].
+
+        NaN for the first pair, and where a PTP is between.
+        """
+        out = np.full(int(self.one.end[-1]) + 1, np.nan)
+        knots = np.unique(np.concatenate([[0.0], self.one.end, self.other.end]))
+        knots = knots[np.diff(knots, prepend=-1.0) > _NOTHING]
+        begin, end = knots[:-1], knots[1:]
+        pair = np.ceil(end - _NOTHING).astype(np.int64)
+        unknown = self.one.any(self.one.program.motions.kind == PTP) | self.other.any(self._kind == PTP)
+        largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
+        curved = np.flatnonzero(~unknown[pair] & self._curved(end))
+        if len(curved):
+            largest[curved] = np.maximum(largest[curved], in_chunks(self._largest, begin[curved], end[curved])[0])
+        np.fmax.at(out, pair, largest)
+        out[unknown] = np.nan
+        return out
+
+    def parts(self, angle: float) -> Ints:
+        """Return the number of chords (P,) to draw the way to each pair with, one per `angle` of an arc [rad]."""
+        out = np.ones(int(self.one.end[-1]) + 1, dtype=np.int64)
+        for chain in (self.one, self.other):
+            arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
+            turned = np.zeros(len(out))
+            pair = np.ceil(chain.end[arc] - _NOTHING).astype(np.int64)
+            np.add.at(turned, pair, chain.program.motions.sweep[chain.row[arc]])
+            out = np.maximum(out, np.ceil(turned / angle).astype(np.int64))
+        return out
+
+    @property
+    def _kind(self) -> Ints:
+        return self.other.program.motions.kind
+
+    @property
+    def _same_tool(self) -> bool:
+        tools = (self.one.program.tools, self.other.program.tools)
+        return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
+
+    def _curved(self, u: Array) -> Bools:
+        """Return where (n,) the distance may be largest between the ends of a piece: not for two straight lines."""
+        if not self._same_tool:
+            return np.ones(len(u), dtype=bool)
+        motion, row = self.one.at(u)[0], self.other.at(u)[0]
+        return np.asarray((self.one.program.motions.kind[motion] == CIRC) | (self._kind[row] == CIRC))
+
+    def _distance(self, u: Array) -> Array:
+        one, other = self.at(u)
+        return norm(other - one)
+
+    def _largest(self, begin: Array, end: Array) -> tuple[Array]:
+        """Return the largest distances (n,) between u = begin (n,) and end (n,), where both paths are smooth."""
+        best = np.zeros(len(begin))
+        for _ in range(_ROUNDS):
+            u = begin[:, None] + np.linspace(1e-9, 1.0, _SAMPLES) * (end - begin)[:, None]
+            distance = self._distance(u.ravel()).reshape(u.shape)
+            place = distance.argmax(axis=1)
+            row = np.arange(len(u))
+            best = np.maximum(best, distance[row, place])
+            begin, end = u[row, np.maximum(place - 1, 0)], u[row, np.minimum(place + 1, _SAMPLES - 1)]
+        return (best,)
+
+
+def tool_of_nominal(nominal: Program, motion: Ints, second: Program, row: Ints, pose: Array) -> Array:
+    """Return the poses (n, 4, 4) of the nominal tool, nominal `$BASE`, where a second program sends its own.
+
+    :param motion: (n,) motions of the nominal program, `row` (n,) those of the second.
+    :param pose: (n, 4, 4) of the second program's tool, in its `$BASE`.
+    """
+    flange = toolpath.flange_from_tcp(second, row, pose, None)
+    return toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion), None)

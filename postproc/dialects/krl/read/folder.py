@@ -1,0 +1,327 @@
+"""The folders of a program: their files, the routines in them by name, and the files that a program needs to run.
+
+A controller knows a module as a whole: a name that is nowhere stops it, even in a routine that is not called. Files of
+the controller's own (``$config.dat``), submit programs, and the folders that the cell names, which belong to the
+controller too, are not copied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cache, cached_property, lru_cache
+from pathlib import Path, PurePath
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc.dialects.krl.language import scan
+from postproc.dialects.krl.language.names import PURE, RESERVED, STANDARD
+from postproc.dialects.krl.language.routines import Module, Routine, routines
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.read import plain_lines
+from postproc.dialects.text import decode
+from postproc.errors import ProgramError, together
+from postproc.program import Document, Needed
+
+_LARGEST = 20_000_000
+"""Bytes of the largest file that is searched."""
+_OF_THE_CONTROLLER = PURE | STANDARD | RESERVED | {"BAS"}
+
+
+class FolderFiles:
+    """The `.src`, `.dat` and `.sub` files of some folders; the first folder that has one counts.
+
+    :param documents: files that count instead of those of the same name in the folders.
+    """
+
+    def __init__(self, folders: Sequence[Path], documents: Sequence[Document] = ()) -> None:
+        self._folders = folders
+        self._given = {document.name.upper(): document for document in documents}
+
+    @cached_property
+    def paths(self) -> dict[str, Path]:
+        """The files by name, upper case."""
+        found: dict[str, Path] = {}
+        for path in _listed(self._folders):
+            found.setdefault(path.name.upper(), path)
+        for name, document in self._given.items():
+            found.setdefault(name, Path(document.folder) / document.name)
+        return found
+
+    @cached_property
+    def _public(self) -> dict[str, Path]:
+        """The `.src` files by the names, upper case, of their GLOBAL routines: all of them are read for it."""
+        found: dict[str, Path] = {}
+        for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
+            for name in self.declared(path, scan.global_routines):
+                found.setdefault(name, path)
+        return found
+
+    def called(self, code: str) -> set[Path]:
+        """Return the `.src` files that code without comments may call."""
+        paths = {name: self.paths.get(f"{name}.SRC") for name in scan.called(code) - _OF_THE_CONTROLLER}
+        found = {self._public.get(name) if path is None else path for name, path in paths.items()}
+        return {path for path in found if path is not None}
+
+    def reached(self, code: str) -> Iterator[str]:
+        """Yield code, and that of the files that it calls, one through the other."""
+        waiting, done = [code], set[Path]()
+        while waiting:
+            code = scan.without_comments(waiting.pop())
+            yield code
+            new = sorted(self.called(code) - done)
+            done.update(new)
+            for path in new:
+                with suppress(ProgramError):  # what calls it says so
+                    waiting.append(self.source(path).text)
+
+    def source(self, path: Path) -> Source:
+        """Return the text of a file.
+
+        :raises ProgramError: it cannot be read.
+        """
+        given = self._given.get(path.name.upper())
+        if given is not None:
+            return Source.of(given, 2)
+        try:
+            return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), 2)
+        except OSError as cause:
+            raise ProgramError(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+
+    def declared(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
+        """Return the names that a function of `language.scan` finds in a file; none where it cannot be read."""
+        given = self._given.get(path.name.upper())
+        if given is not None:
+            return find(given.text)
+        try:
+            stat = path.stat()
+        except OSError:
+            return frozenset()
+        return _names_in(path, find, stat.st_mtime_ns, stat.st_size) if stat.st_size <= _LARGEST else frozenset()
+
+
+def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path]]:
+    """Return the files with motions that each of some programs of one folder may call, one through the other.
+
+    :param search: folders in which they are looked for after that of the programs.
+    """
+    files = FolderFiles([paths[0].parent, *search])
+
+    @cache
+    def called(path: Path) -> tuple[bool, set[Path]]:
+        try:
+            code = scan.without_comments(decode(path.name, path.read_bytes()).text)
+        except (OSError, ProgramError):  # what calls it says so
+            return False, set()
+        return scan.moves(code), files.called(code)
+
+    found: dict[Path, set[Path]] = {}
+    for path in paths:
+        reached: set[Path] = set()
+        new = called(path)[1]
+        while new:
+            reached |= new
+            new = set().union(*(called(other)[1] for other in new)) - reached
+        found[path] = {other for other in reached if called(other)[0]}
+    return found
+
+
+def _listed(folders: Sequence[Path]) -> Iterator[Path]:
+    for folder in folders:
+        try:
+            yield from sorted(path for path in folder.iterdir() if path.suffix.upper() in (".SRC", ".DAT", ".SUB"))
+        except OSError:
+            continue
+
+
+def calls_in(path: Path) -> set[str]:
+    """Return the names, upper case, that a file on the disk calls; none where it cannot be read."""
+    try:
+        text = path.read_bytes().decode("latin-1") if path.stat().st_size <= _LARGEST else ""
+    except OSError:
+        return set()
+    return scan.called(scan.without_comments(text))
+
+
+@lru_cache(maxsize=4096)
+def _names_in(path: Path, find: Callable[[str], frozenset[str]], modified: int, size: int) -> frozenset[str]:
+    del modified, size  # a file that changes is read again
+    try:
+        return find(path.read_bytes().decode("latin-1"))
+    except OSError:
+        return frozenset()
+
+
+class Library:
+    """Finds the routines that a program calls.
+
+    :param files: searched in addition to the program.
+    :ivar faults: name of a routine → why its file cannot be read.
+    """
+
+    def __init__(self, program: Module, files: FolderFiles) -> None:
+        self.program, self.files = program, files
+        self.faults: dict[str, str] = {}
+        self._modules: dict[Path, Module | None] = {}
+        self._found: dict[str, tuple[Module, Routine] | None] = {}
+
+    def find(self, name: str, caller: Module) -> tuple[Module, Routine] | None:
+        """Return a routine and its module, as seen from the module that calls it; None if it is nowhere."""
+        own = caller.routines.get(name)
+        if own is not None:
+            return caller, own
+        if name not in self._found:
+            self._found[name] = self._search(name)
+        return self._found[name]
+
+    def submit(self) -> Iterator[Module]:
+        """Yield the submit programs (`.sub`), which run concurrently with the program."""
+        for file, path in self.files.paths.items():
+            if file.endswith(".SUB") and (module := self._module(path)) is not None:
+                yield module
+
+    def found(self) -> Iterator[tuple[Module, Routine]]:
+        """Yield the routines of other files that were looked for and found."""
+        yield from (found for found in self._found.values() if found is not None)
+
+    def read(self) -> Iterator[Module]:
+        """Yield the files that were read."""
+        yield from (module for module in self._modules.values() if module is not None)
+
+    def programs(self) -> frozenset[str]:
+        """Return the names of the programs of all folders, upper case."""
+        return frozenset(path.stem.upper() for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
+
+    def names(self) -> frozenset[str]:
+        """Return the names of the programs and GLOBAL routines of all folders, upper case."""
+        paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
+        return self.programs().union(*(self.files.declared(path, scan.global_routines) for path in paths))
+
+    def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
+        """Return which programs that were not read name routines, by the file of these."""
+        read = {module.source.document.name.upper() for module in (self.program, *self.read())}
+        unread = [path for file, path in self.files.paths.items() if not file.endswith(".DAT") and file not in read]
+        called = {path: calls_in(path) for path in unread}
+        found: dict[str, tuple[str, ...]] = {}
+        for routine in sorted(routines, key=lambda routine: routine.first):
+            file = routine.source.document.name
+            users = {path.name for path, names in called.items() if routine.name in names}
+            found[file] = tuple(sorted({*found.get(file, ()), *users}))
+        return found
+
+    def _search(self, name: str) -> tuple[Module, Routine] | None:
+        program = self.program.routines.get(name)
+        if program is not None and (program.public or name == self.program.name):
+            return self.program, program
+        path = self.files.paths.get(f"{name}.SRC")
+        if path is not None:
+            module = self._module(path, name)
+            routine = module.main(name) if module is not None else None
+            if module is not None and routine is not None:
+                return module, routine
+        for file, path in self.files.paths.items():
+            if file.endswith(".SRC") and name in self.files.declared(path, scan.global_routines):
+                module = self._module(path, name)
+                if module is not None and name in module.routines:
+                    return module, module.routines[name]
+        return None
+
+    def _module(self, path: Path, name: str = "") -> Module | None:
+        if path not in self._modules:
+            self._modules[path] = None
+            try:
+                source = self.files.source(path)
+                self._modules[path] = module_of(source, self._data(path))
+            except ProgramError as cause:
+                self.faults[name] = str(cause)
+        return self._modules[path]
+
+    def _data(self, path: Path) -> Source | None:
+        data = self.files.paths.get(f"{path.stem.upper()}.DAT")
+        if data is None or data.parent != path.parent:
+            return None
+        try:
+            return self.files.source(data)
+        except ProgramError:
+            return None  # its variables have no values then
+
+
+def module_of(source: Source, data: Source | None = None) -> Module:
+    """Return the routines of a file.
+
+    :raises ProgramError: a DEF has no END, or a motion is outside of DEF … END.
+    """
+    plain = np.concatenate([rows.line for rows in plain_lines.scan(source)])
+    others = np.ones(len(source.starts), dtype=np.bool_)
+    others[plain - 1] = False
+    found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain.tolist())
+    if faults:
+        raise together(faults)
+    return Module(source, found, data)
+
+
+def needed(
+    documents: Sequence[Document], code: Sequence[str], files: FolderFiles, moving: Collection[str]
+) -> tuple[Needed, ...]:
+    """Return the files that a program needs from its folder, sorted by name.
+
+    :param documents: its files, with those that are written with it; the main one first.
+    :param code: all code of its `.src` files that may name other files.
+    :param moving: names, upper case, of files with routines that it calls and that move the robot.
+    """
+    folder = Path(documents[0].folder)
+    known = {document.name.upper() for document in documents}
+    siblings = {
+        name: path
+        for name, path in files.paths.items()
+        if path.parent == folder and name not in known and name[0] != "$" and not name.endswith(".SUB")
+    }
+    if not documents[0].folder or not siblings:
+        return ()
+    links = _Links(siblings, files)
+    data = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
+    found = set().union(*map(links.of_code, code), *map(links.of_data, data))
+    new = sorted(found)
+    while new:
+        name = new.pop()
+        with suppress(ProgramError):  # it is needed all the same
+            text = files.source(siblings[name]).text
+            more = (links.of_data(text) if name.endswith(".DAT") else links.of_code(text)) - found
+            found |= more
+            new += sorted(more)
+    return tuple(Needed(str(siblings[name]), moves=name in moving) for name in sorted(found))
+
+
+def code_of(source: Source, lines: Iterable[int]) -> str:
+    """Return some lines of a file."""
+    return "\n".join(source.text[source.starts[line - 1] : source.stops[line - 1]] for line in lines)
+
+
+class _Links:
+    """Says which files a text names."""
+
+    def __init__(self, siblings: dict[str, Path], files: FolderFiles) -> None:
+        self.siblings, self.files = siblings, files
+        self.variables: dict[str, set[str]] = {}
+        for name, path in siblings.items():
+            for own in files.declared(path, scan.global_variables) if name.endswith(".DAT") else ():
+                self.variables.setdefault(own, set()).add(name)
+
+    def of_code(self, text: str) -> set[str]:
+        """Return the names of the files that code names, and of those that belong to them."""
+        code = scan.without_comments(text)
+        stems = {path.stem.upper() for path in self.files.called(code)}
+        if self.variables:
+            used = {name.upper() for name in NAME.findall(code)} & self.variables.keys()
+            stems |= {PurePath(file).stem for name in used for file in self.variables[name]}
+        return set(self._files(stems))
+
+    def of_data(self, text: str) -> set[str]:
+        """Return the names of the files from which a data list takes variables, and of those that belong to them."""
+        return set(self._files(scan.imported(text)))
+
+    def _files(self, stems: Collection[str]) -> Iterator[str]:
+        for stem in stems:
+            yield from (name for name in (f"{stem}.SRC", f"{stem}.DAT") if name in self.siblings)

@@ -1,0 +1,110 @@
+"""The least number of statements that loops and calls run: too many are refused before they are followed.
+
+Counted are statements that run whatever conditions say, with bounds of FOR that are numbers. Nothing is executed, and
+each routine and each control structure is counted once, so that a tree of calls takes no longer than its text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from postproc.dialects.krl.language.expressions import calls
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.structures import Block, Node
+from postproc.dialects.krl.language.tree import Assignment, CallStatement, For, Goto, Return
+from postproc.dialects.krl.language.values import Call, Number
+from postproc.dialects.krl.read.run import Run
+from postproc.errors import ProgramError
+
+ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO", "HALT"})
+_DEEPEST = 25
+"""Calls in calls that are counted; deeper ones are not followed."""
+
+
+class LeastStatements:
+    """Counts statements of a program.
+
+    :param run: the program as far as it has run: its files and what its routines may write.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self._routines: dict[Routine, int] = {}
+        self._rounds: dict[Block, int] = {}
+        self._open: list[Routine] = []
+
+    def of_call(self, module: Module, routine: Routine) -> int:
+        """Return how many statements a call runs at least."""
+        if routine in self._open or len(self._open) > _DEEPEST:
+            return 0
+        if routine not in self._routines:
+            self._open.append(routine)
+            try:
+                self._routines[routine] = self._of_nodes(routine.source, self.run.nodes(routine), module)
+            except ProgramError:
+                self._routines[routine] = 0
+            self._open.pop()
+        return self._routines[routine]
+
+    def of_round(self, source: Source, block: Block, module: Module) -> int:
+        """Return how many statements one round of a loop runs at least, its own line included."""
+        if block not in self._rounds:
+            self._rounds[block] = 1 + self._of_nodes(source, block.parts[0].nodes, module)
+        return self._rounds[block]
+
+    def writes(self, source: Source, block: Block, name: str, module: Module) -> bool:
+        """Return whether statements of a loop may write its counter."""
+        for line in list(block.lines())[1:]:
+            here = statement(source, line)
+            if isinstance(here, Assignment) and here.target.name == name:
+                return True
+            if isinstance(here, For) and here.name == name:
+                return True
+            for call in calls(here.values):
+                found = self.run.library.find(call.name, module)
+                given = source.text[call.start : call.stop].upper()
+                if name in given or found is None:
+                    return True
+                if any(written.endswith(name) for written in self.run.analysis.of(*found).writes):
+                    return True
+        return False
+
+    def _of_nodes(self, source: Source, nodes: Sequence[Node], module: Module) -> int:
+        """Return how many run for certain: those before the first that may leave the loop or the routine."""
+        least = 0
+        for node in nodes:
+            words = {statement(source, line).word for line in node.lines()} if isinstance(node, Block) else set()
+            if not words.isdisjoint(ENDS_LOOPS - {"EXIT"}):
+                break
+            if isinstance(node, Block):
+                least += self._of_block(source, node, module, left="EXIT" in words)
+                continue
+            here = statement(source, node)
+            if isinstance(here, Return | Goto) or here.word in ENDS_LOOPS:
+                break
+            called = self._called(source, node)
+            found = None if called is None else self.run.library.find(called.name, module)
+            least += 1 if found is None else 1 + self.of_call(*found)
+        return least
+
+    def _of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
+        if block.word == "IF" and len(block.parts) > 1:
+            return min(self._of_nodes(source, part.nodes, module) for part in block.parts)
+        here = statement(source, block.first)
+        if not isinstance(here, For) or here.bounds is None or left or self.writes(source, block, here.name, module):
+            return 0
+        first, last, step = here.bounds
+        numbers = [value.value for value in (first, last, step or Number(1.0, 0, 0, True)) if isinstance(value, Number)]
+        if len(numbers) < 3 or not numbers[2]:
+            return 0
+        rounds = max(0, int((numbers[1] - numbers[0]) // numbers[2]) + 1)
+        return rounds * self.of_round(source, block, module) if rounds else 0
+
+    def _called(self, source: Source, line: int) -> Call | None:
+        """Return the call of a statement that runs for certain."""
+        here = statement(source, line)
+        if isinstance(here, CallStatement):
+            return here.call
+        return here.value if isinstance(here, Assignment) and isinstance(here.value, Call) else None

@@ -1,0 +1,75 @@
+"""Whether statements use a value left in a variable by the previous iteration of a loop or the previous run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from postproc.dialects.krl.language.expressions import calls
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.structures import Block, Node
+from postproc.dialects.krl.language.tokens import words_in
+from postproc.dialects.krl.language.tree import Assignment, For, Statement
+from postproc.dialects.krl.language.values import Aggregate
+from postproc.dialects.krl.read.known import Known, Unknown, Unread
+from postproc.dialects.krl.read.run import Run
+
+Values = tuple[dict[str, Known | Unread], dict[str, Unknown]]
+
+
+def carried_over(run: Run, source: Source, block: Block, before: Values) -> list[str]:
+    """Return the variables that one iteration of a loop changes and the next iteration may use.
+
+    :param before: their values when it began, see `Variables.as_now`.
+    """
+    statements = Uses(run, source, block.parts[0].nodes)
+    names: list[str] = sorted(run.variables.differing(before))
+    return [name for name in names if statements.uses(name) and not statements.only_counts(name)]
+
+
+class Uses:
+    """The variables that some statements use.
+
+    :param nodes: statements that all run, in order, except those inside control structures.
+    """
+
+    def __init__(self, run: Run, source: Source, nodes: Sequence[Node]) -> None:
+        self.run, self.source = run, source
+        self._certain = {node if isinstance(node, int) else node.first for node in nodes}
+        lines = [line for node in nodes for line in ([node] if isinstance(node, int) else node.lines())]
+        self._words = {line: _words(source, line) for line in lines}
+
+    def uses(self, name: str) -> bool:
+        """Return whether they may use the value that a variable has before them: they do not set it first."""
+        for line, words in self._words.items():
+            here = statement(self.source, line)
+            if self._called(here, name) or "GOTO" in words or "RETURN" in words:
+                return True
+            if name in words:
+                return not (line in self._certain and words.count(name) == 1 and _sets(here, name))
+        return False
+
+    def only_counts(self, name: str) -> bool:
+        """Return whether a variable is used only in assignments to itself."""
+        found = ((statement(self.source, line), name in words) for line, words in self._words.items())
+        return not any(
+            self._called(here, name) or (own and not (isinstance(here, Assignment) and here.target.name == name))
+            for here, own in found
+        )
+
+    def _called(self, here: Statement, name: str) -> bool:
+        """Return whether the code of a routine that a statement calls contains a variable."""
+        found = (self.run.library.find(call.name, self.run.level.module) for call in calls(here.values))
+        return any(name in self.run.analysis.names(*each) for each in found if each is not None)
+
+
+def _sets(here: Statement, name: str) -> bool:
+    """Return whether a statement gives a whole variable a value: of an aggregate, components may be missing."""
+    target = here.counter if isinstance(here, For) else None
+    if isinstance(here, Assignment) and not isinstance(here.value, Aggregate):
+        target = here.target
+    return target is not None and target.name == name and target.indices is None and target.field is None
+
+
+def _words(source: Source, line: int) -> list[str]:
+    return [word.upper() for word, _ in words_in(source.text, *source.code_span(line))]

@@ -1,0 +1,157 @@
+"""Edits of a text: pieces replaced, lines inserted; what does not change stays to the byte."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from postproc.decimals import Bytes, fixed
+from postproc.dialects.krl.language.source import Source
+from postproc.frames import Array
+from postproc.program import Ints, distinct
+
+_CHUNK = 1 << 21
+
+
+class Replacements(Struct, eq=False):
+    """Pieces of a text to be replaced, in any order; they must not overlap.
+
+    Insertions at one place stay in the order in which they were added.
+    """
+
+    _starts: list[Ints] = []
+    _stops: list[Ints] = []
+    _lengths: list[Ints] = []
+    _numbers: list[Bytes] = []
+    _single: list[tuple[int, int, str]] = []
+
+    def add(self, start: int, stop: int, text: str) -> None:
+        """Replace ``text[start:stop]`` by another text; ``start == stop`` inserts."""
+        self._single.append((start, stop, text))
+
+    def add_numbers(self, starts: Ints, stops: Ints, values: Array, decimals: Ints) -> None:
+        """Replace n pieces by numbers in fixed-point notation.
+
+        :param starts: (n,) offsets; `stops` (n,) those behind.
+        :param values: (n,) numbers.
+        :param decimals: (n,) decimals of each.
+        """
+        for places in distinct(decimals).tolist():
+            rows = np.flatnonzero(decimals == places)
+            digits = fixed(values[rows], places)
+            used = digits != 0
+            self._starts.append(starts[rows])
+            self._stops.append(stops[rows])
+            self._lengths.append(used.sum(axis=1))
+            self._numbers.append(digits[used])
+
+    def __bool__(self) -> bool:
+        return bool(self._single or self._starts)
+
+    def moved(self, offsets: Ints) -> Ints:
+        """Return where offsets (n,) of the text are after all replacements; text inserted there follows them."""
+        starts, grown = [], []
+        for begin, stop, length in zip(self._starts, self._stops, self._lengths, strict=True):
+            starts.append(begin)
+            grown.append(length - (stop - begin))
+        starts.append(np.array([start for start, _, _ in self._single], dtype=np.int64))
+        grown.append(np.array([len(piece) - stop + start for start, stop, piece in self._single], dtype=np.int64))
+        start = np.concatenate(starts)
+        order = np.argsort(start, kind="stable")
+        total = np.append(0, np.cumsum(np.concatenate(grown)[order]))
+        return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
+
+    def applied(self, text: str) -> str:
+        """Return the text with all pieces replaced."""
+        if not self:
+            return text
+        new = "".join(piece for _, _, piece in self._single)
+        ascii_only = text.isascii() and new.isascii()
+        starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int64)])
+        stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int64)])
+        lengths = [*self._lengths, np.array([len(piece) for _, _, piece in self._single], dtype=np.int64)]
+        length = np.concatenate(lengths)
+        order = np.lexsort((stops, starts))
+        pool = np.concatenate([_codes(text, ascii_only), *self._numbers, _codes(new, ascii_only)])
+        begin = len(text) + np.cumsum(length) - length
+        return _joined(pool, len(text), starts[order], stops[order], begin[order], length[order], ascii_only)
+
+
+def _codes(text: str, ascii_only: bool) -> NDArray[np.uint8] | NDArray[np.uint32]:
+    if ascii_only:
+        return np.frombuffer(text.encode("ascii"), dtype=np.uint8)
+    return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
+
+
+def _joined(
+    pool: NDArray[np.uint8] | NDArray[np.uint32],
+    size: int,
+    starts: Ints,
+    stops: Ints,
+    begin: Ints,
+    length: Ints,
+    ascii_only: bool,
+) -> str:
+    """Join what remains of the first `size` codes of the pool with the pieces that follow them."""
+    first = np.empty(2 * len(starts) + 1, dtype=np.int64)
+    count = np.empty_like(first)
+    first[0::2] = np.concatenate([[0], stops])
+    count[0::2] = np.concatenate([starts, [size]]) - first[0::2]
+    first[1::2], count[1::2] = begin, length
+    parts = []
+    total = np.cumsum(count)
+    segment = 0
+    while segment < len(first):
+        done = total[segment - 1] if segment else 0
+        last = max(int(np.searchsorted(total, done + _CHUNK, side="right")), segment + 1)
+        here = slice(segment, last)
+        offset = np.repeat(first[here] - (total[here] - count[here]), count[here])
+        codes = pool[offset + np.arange(done, total[last - 1])]
+        parts.append(codes.tobytes().decode("ascii" if ascii_only else "utf-32-le"))
+        segment = last
+    return "".join(parts)
+
+
+class InsertedLines(Struct, eq=False):
+    """Collects lines that come in, in order, and lines that go. Line numbers are 1-based and those of the input."""
+
+    source: Source
+    replacements: Replacements
+    _at: list[int] = []
+    _target: list[int] = []
+    _removed: list[int] = []
+
+    def add(self, at: int, text: str, target: int = -1) -> None:
+        """Put a text with its line end before a line, behind what was put there already.
+
+        :param target: row of the target on it; −1 if there is none.
+        """
+        offset = int(self.source.starts[at - 1])
+        self.replacements.add(offset, offset, text)
+        self._at.append(at)
+        self._target.append(target)
+
+    def behind(self, line: int, text: str) -> None:
+        """Put a text without line end on a line of its own behind a line, before what is put before the next."""
+        stop = int(self.source.stops[line - 1])
+        self.replacements.add(stop, stop, self.source.text[stop : self.source.starts[line]] + text)
+        self._at.append(line + 1)
+        self._target.append(-1)
+
+    def move(self, line: int, at: int, text: str) -> None:
+        """Take a line away and put a text, in its place, before another."""
+        self.replacements.add(int(self.source.starts[line - 1]), int(self.source.starts[line]), "")
+        self._removed.append(line)
+        self.add(at, text)
+
+    def numbers(self, line: Ints) -> Ints:
+        """Return the lines of targets (K,) in the written text: of those added, and of those that were on a `line`."""
+        at, target = np.array(self._at, dtype=np.int64), np.array(self._target, dtype=np.int64)
+        order = np.argsort(at, kind="stable")
+        at, target = at[order], target[order]
+        removed = np.sort(np.array(self._removed, dtype=np.int64))
+        out = line + np.searchsorted(at, line, side="right") - np.searchsorted(removed, line)
+        own = np.flatnonzero(target >= 0)
+        out[target[own]] = at[own] + own - np.searchsorted(removed, at[own])
+        return np.asarray(out)

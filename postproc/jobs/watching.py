@@ -1,0 +1,253 @@
+"""`postproc watch`: programs of a folder are converted as they arrive or change.
+
+The folder is scanned: what a scan finds is what counts, so that nothing is lost if a notification is, as on network
+drives. The library watchfiles, where it is installed, only shortens the time to the next scan. A program is converted
+once it has not changed for `QUIET` and can be opened. What has been converted is in a file of the output folder, with
+the sums of the contents; after a crash the reports there say it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import msgspec
+
+from postproc import files, provenance
+from postproc.dialects import registry
+from postproc.errors import InputError, PostprocError
+from postproc.jobs.programs import Job, find_jobs
+from postproc.jobs.runs import convert_all
+from postproc.jobs.settings import FAILED, Outcome, Settings
+
+QUIET = 1.0
+"""Time for which a file must not have changed [s]."""
+SCAN = 0.5
+"""Time between two scans [s]."""
+STATE = ".postproc-watch.json"
+_SOURCE = re.compile(rb"POSTPROC \d+ .*\bsource=([0-9a-f]{64})")
+_HEAD = 4000
+"""Number of bytes of a written program that are searched for where it comes from."""
+
+Signature = tuple[tuple[str, int, int], ...]
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """A program that has been converted, or could not be: sum of its contents, and exit code."""
+
+    sum: str
+    code: int
+
+
+def watch(
+    folder: Path,
+    output: Path,
+    settings: Settings,
+    options: Mapping[str, Any],
+    *,
+    workers: int = 1,
+    say: Callable[[str], None] = lambda _: None,
+    stop: Event | None = None,
+) -> Iterator[tuple[Outcome, Job]]:
+    """Convert programs of a folder as they arrive or change, until `stop` is set; yield each outcome.
+
+    :param output: folder to write into.
+    :param options: further arguments of `find_jobs`: dialect, forces, to.
+    :param workers: local processes.
+    :param say: is called with what the user should know: a folder that is gone, a locked file.
+    :raises InputError: the folder is not there at the beginning.
+    :raises PostprocError: the cell or the robot is unusable.
+    """
+    if not folder.is_dir():
+        raise InputError("no such folder", file=str(folder), advice="Give the folder into which programs are written.")
+    watcher = _Watcher(folder, output, settings, options, workers, say)
+    stop = Event() if stop is None else stop
+    pause = _pause(folder, stop)
+    while not stop.is_set():
+        ready = watcher.scan(time.monotonic())
+        if ready:
+            yield from watcher.convert(ready)
+        pause()
+
+
+def _pause(folder: Path, stop: Event) -> Callable[[], object]:
+    """Return a function that waits until something may have changed in a folder, for `SCAN` at most."""
+    try:
+        from watchfiles import watch as notified
+    except ImportError:
+        return lambda: stop.wait(SCAN)
+
+    def wait() -> None:
+        begun = time.monotonic()
+        try:
+            options = {"yield_on_timeout": True, "recursive": False, "rust_timeout": int(1e3 * SCAN), "debounce": 200}
+            next(notified(folder, stop_event=stop, raise_interrupt=True, **options), None)
+        except (OSError, RuntimeError):  # the folder is gone, or the system has no notifications left
+            stop.wait(SCAN)
+        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - begun)))
+
+    return wait
+
+
+class _Watcher:
+    """What is known of the programs of a folder."""
+
+    def __init__(
+        self,
+        folder: Path,
+        output: Path,
+        settings: Settings,
+        options: Mapping[str, Any],
+        workers: int,
+        say: Callable[[str], None],
+    ) -> None:
+        self.folder, self.output, self.settings, self.options = folder, output, settings, options
+        self.workers, self.say = workers, say
+        self.seen: dict[Path, tuple[Signature, float]] = {}
+        self.finished: dict[Path, Signature] = {}
+        self.entries = self._known()
+        self.told: set[str] = set()
+
+    def scan(self, now: float) -> list[Path]:
+        """Return the programs that are new or have changed, and are quiet and readable.
+
+        :param now: monotonic time [s].
+        """
+        try:
+            found = {path: self._signature(path) for path in self._programs()}
+        except OSError:
+            self._tell(f"{self.folder} cannot be read at present. Waiting for it.")
+            return []
+        self.told.discard(f"{self.folder} cannot be read at present. Waiting for it.")
+        for gone in self.seen.keys() - found.keys():
+            self.seen.pop(gone)
+            self.finished.pop(gone, None)
+        ready = []
+        for path, signature in sorted(found.items()):
+            if signature is None or self.finished.get(path) == signature:
+                continue
+            before, since = self.seen.get(path, (None, now))
+            if before != signature:
+                self.seen[path] = (signature, now)
+            elif now - since >= QUIET and self._is_new(path, signature):
+                ready.append(path)
+        return ready
+
+    def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
+        """Convert programs, and record each as soon as it is in its place."""
+        before = {path: (self.seen[path][0], self._sum(path)) for path in ready}
+        try:
+            jobs = self._jobs(ready)
+            yield from self._converted(jobs, before)
+        except PostprocError as cause:
+            if len(ready) == 1:
+                failed = Outcome(str(ready[0]), FAILED, message=str(cause))
+                self._record(ready[0], FAILED, *before[ready[0]])
+                yield failed, Job(ready[0], "", self.output)
+                return
+            for path in ready:
+                if self.finished.get(path) != before[path][0]:
+                    yield from self.convert([path])
+        for path in ready:  # called by others, and converted with them
+            if self.finished.get(path) != before[path][0]:
+                self._record(path, 0, *before[path])
+
+    def _converted(
+        self, jobs: Sequence[Job], before: Mapping[Path, tuple[Signature, str | None]]
+    ) -> Iterator[tuple[Outcome, Job]]:
+        by_name = {str(job.program): job for job in jobs}
+        for outcome in convert_all(jobs, self.settings, workers=self.workers, waiting=self.say):
+            job = by_name[outcome.program]
+            if job.program in before:
+                self._record(job.program, outcome.code, *before[job.program])
+            yield outcome, job
+
+    def _jobs(self, ready: Sequence[Path]) -> list[Job]:
+        """Return the jobs of programs; of one that others call, those of its callers."""
+        options = {"output": self.output, **self.options}
+        try:
+            every = find_jobs([str(self.folder)], **options)
+        except PostprocError:  # one of the others cannot be read yet
+            return find_jobs([str(path) for path in ready], **options)
+        chosen = set(ready)
+        for job in every:
+            if job.program in chosen:
+                chosen |= set(job.callers)
+        return [job for job in every if job.program in chosen and not job.callers]
+
+    def _programs(self) -> list[Path]:
+        known = registry.extensions()
+        return [
+            path
+            for path in self.folder.iterdir()
+            if path.suffix.lower() in known and not path.name.startswith((".", "~")) and path.is_file()
+        ]
+
+    def _reads(self, path: Path) -> list[Path]:
+        """Return the files that belong to a program: it, those read with it, its forces."""
+        beside = registry.of_file(path).companions(path) if self.options.get("dialect") is None else []
+        forces = self.options.get("forces")
+        if forces is not None and forces.is_dir():
+            beside += [one for end in (".csv", ".forces.csv") if (one := forces / f"{path.stem}{end}").is_file()]
+        return [path, *beside]
+
+    def _signature(self, path: Path) -> Signature | None:
+        """Return names, sizes and times of the files of a program; None if one is not there any more."""
+        try:
+            return tuple((one.name, (status := one.stat()).st_size, status.st_mtime_ns) for one in self._reads(path))
+        except FileNotFoundError:
+            return None
+
+    def _sum(self, path: Path) -> str | None:
+        """Return the sum of the files of a program; None if one cannot be opened at present."""
+        try:
+            return provenance.digest(one.read_bytes() for one in self._reads(path))
+        except OSError:
+            self._tell(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
+            return None
+
+    def _is_new(self, path: Path, signature: Signature) -> bool:
+        """Return whether the contents of a program differ from those that were converted."""
+        total = self._sum(path)
+        if total is None:
+            return False
+        entry = self.entries.get(path.name)
+        if (entry is None or entry.sum != total) and not self._has_report(path):
+            return True
+        self.finished[path] = signature
+        return False
+
+    def _has_report(self, path: Path) -> bool:
+        """Return whether a report in the output folder is that of the program as it is."""
+        try:
+            content = json.loads((self.output / f"{path.stem}.report.json").read_bytes())
+            source = provenance.digest(one.read_bytes() for one in self._reads(path) if one.suffix.lower() != ".csv")
+            written = [self.output / entry["name"] for entry in content["files"]]
+            marks = (_SOURCE.search(one.read_bytes()[:_HEAD]) for one in written if one.suffix in (".src", ".mod"))
+            return content["program"] == path.name and source in {mark[1].decode() for mark in marks if mark}
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
+
+    def _record(self, path: Path, code: int, signature: Signature, total: str | None) -> None:
+        """Record that a program has been converted, or could not be."""
+        self.finished[path] = signature
+        if total is not None:
+            self.entries[path.name] = Entry(total, code)
+            files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
+
+    def _known(self) -> dict[str, Entry]:
+        try:
+            return msgspec.json.decode((self.output / STATE).read_bytes(), type=dict[str, Entry])
+        except (OSError, msgspec.MsgspecError):
+            return {}
+
+    def _tell(self, sentence: str) -> None:
+        """Say something once."""
+        if sentence not in self.told:
+            self.told.add(sentence)
+            self.say(sentence)

@@ -1,0 +1,349 @@
+"""Cutting coefficients with covariance, identified from measured mean forces or spindle power; and test cuts for them.
+
+Mean forces of a flat tool are linear in the six coefficients of the linear edge-force model (Altintas, "Manufacturing
+Automation", 2nd ed., 2012, Eq. (2.31)), and so is the mean power in Ktc and Kte: weighted least squares gives them with
+their covariance. One feed per tooth cannot separate the edge from the cut; several feeds in a slot determine all six.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import files
+from postproc.errors import ForceError
+from postproc.frames import Array
+from postproc.machining.material import MaterialTable, six_numbers
+from postproc.machining.process import Process, ToolTable
+from postproc.program import Bools, Ints
+
+NAMES = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
+"""Coefficients in the order of arrays: N/mm² of the cut, N/mm of the edge."""
+KEYS = ("Ktc_N_per_mm2", "Krc_N_per_mm2", "Kac_N_per_mm2", "Kte_N_per_mm", "Kre_N_per_mm", "Kae_N_per_mm")
+_MODES = ("slot", "up", "down")
+_REQUIRED = ("mode", "ap_mm", "rpm", "feed_mm_per_min")
+_EMPTY = ("ae_mm", "Fx", "Fy", "Fz", "sigma_N", "power_W")
+_RANK = 1e-6
+"""Singular value, as a share of the largest, below which a combination of coefficients is not excited."""
+_LEAST_RANGE = 1.3
+"""Ratio of largest to smallest feed per tooth below which edge and cutting coefficients cannot be separated."""
+_LEAST_SIGMA = 2.0
+"""Minimum standard deviation [%] of forces from identified coefficients."""
+
+
+class CutReadings(Struct, frozen=True, eq=False):
+    """Measured cuts. mm, N, W.
+
+    :param mode: (n,) "slot", "up" or "down".
+    :param depth: (n,) axial depth; width: (n,) radial width; rpm: (n,); feed: (n,) [mm/min].
+    :param force: (n, 3) mean force on the tool, FEED axes; NaN = not measured.
+    :param power: (n,) mean power of the cut; NaN = not measured.
+    :param sigma: (n,) standard deviation of one force [N]; NaN = unknown.
+    :param line: (n,) line of the file.
+    """
+
+    mode: list[str]
+    depth: Array
+    width: Array
+    rpm: Array
+    feed: Array
+    force: Array
+    power: Array
+    sigma: Array
+    line: Array
+
+
+class IdentifiedMaterial(Struct, frozen=True, eq=False):
+    """Cutting coefficients from readings.
+
+    :param value: (6,) in the order of `NAMES`; half: (6,) half widths of the 95 % intervals.
+    :param covariance: (6, 6).
+    :param identified: (6,) False for values taken from the process because no reading depends on them.
+    :param predictor: (m, 6) and measured: (m,) linear equations of the readings, sigma: (m,) their standard deviations.
+    :param reading: (m,) row of the reading, component: (m,) 0…2 for Fx…Fz, 3 for the power.
+    :param residual: RMS of the residuals of the forces [N].
+    :param left_out: RMS error of the forces at each feed per tooth, by coefficients from the other feeds, as a share
+        of their RMS; NaN where too few feeds are left.
+    :param sigma_percent: standard deviation of forces computed with these coefficients.
+    :param warnings: limits of the coefficients, for the user.
+    """
+
+    value: Array
+    half: Array
+    covariance: Array
+    identified: Bools
+    predictor: Array
+    measured: Array
+    sigma: Array
+    reading: Ints
+    component: Ints
+    residual: float
+    left_out: float
+    sigma_percent: float
+    warnings: tuple[str, ...]
+
+
+def read(path: Path) -> CutReadings:
+    """Read measured cuts: mode, ap_mm, ae_mm, rpm, feed_mm_per_min, Fx, Fy, Fz, sigma_N, power_W.
+
+    :raises ForceError: a column is missing or unknown, a mode is unknown, a value is out of range.
+    """
+    numbers, texts, line = files.read_csv(path, _REQUIRED, _EMPTY, ForceError, ("mode",), _EMPTY)
+    count = len(line)
+    if count == 0:
+        raise ForceError("no readings", file=str(path))
+    column = {name: numbers.get(name, np.full(count, np.nan)) for name in (*_REQUIRED[1:], *_EMPTY)}
+    for k, mode in enumerate(texts["mode"]):
+        problem = advice = None
+        if mode not in _MODES:
+            problem, advice = f"unknown mode {mode!r}", "Modes are slot, up and down."
+        elif mode != "slot" and not column["ae_mm"][k] > 0.0:
+            problem, advice = f"mode {mode} without ae_mm", "Give the radial width of cut."
+        elif min(column[name][k] for name in ("ap_mm", "rpm", "feed_mm_per_min")) <= 0.0:
+            problem = "ap_mm, rpm and feed_mm_per_min must be larger than 0"
+        elif column["sigma_N"][k] <= 0.0:
+            problem = "sigma_N must be larger than 0"
+        if problem is not None:
+            raise ForceError(problem, file=str(path), line=int(line[k]), advice=advice)
+    force = np.stack([column[name] for name in ("Fx", "Fy", "Fz")], axis=-1)
+    return CutReadings(
+        texts["mode"], column["ap_mm"], column["ae_mm"], column["rpm"], column["feed_mm_per_min"],
+        force, column["power_W"], column["sigma_N"], line,
+    )  # fmt: skip
+
+
+def tool_of(process: Process, number: int | None) -> tuple[str, ToolTable]:
+    """Return key and entry of the tool used in the measurement.
+
+    :raises ForceError: the process has no such tool, or several and none is named, or it is not flat.
+    """
+    found = process.tool(number)
+    if found is None:
+        known = ", ".join(process.tools) or "none"
+        raise ForceError("the measured tool is not given", file=process.path, advice=f"Give --tool; found: {known}.")
+    if found[1].shape != "flat":
+        advice = "Measure with a flat tool: only there is the mean force linear in the six coefficients."
+        raise ForceError(f"[tools.{found[0]}] is a {found[1].shape} tool", file=process.path, advice=advice)
+    return found
+
+
+def equations(readings: CutReadings, tool: ToolTable) -> Array:
+    """Return the derivatives of Fx, Fy, Fz [N] and the power [W] of readings by the coefficients: (n, 4, 6)."""
+    radius, teeth = 0.5 * tool.diameter_mm, tool.flutes
+    swept = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
+    arc = np.arccos(1.0 - swept / radius)
+    down = np.array(readings.mode) == "down"
+    begin, end = np.where(down, np.pi - arc, 0.0), np.where(down, np.pi, arc)
+    chip = readings.feed / (readings.rpm * teeth)
+    out = np.zeros((len(chip), 4, 6))
+    per_mm = teeth * readings.depth / (2.0 * np.pi)
+    for phi, sign in ((end, 1.0), (begin, -1.0)):
+        cos2, turned = np.cos(2.0 * phi), 2.0 * phi - np.sin(2.0 * phi)
+        sine, cosine = np.sin(phi), np.cos(phi)
+        cut, edge = sign * per_mm * chip, sign * per_mm
+        out[:, 0, 0] += cut * cos2 / 4.0
+        out[:, 0, 1] -= cut * turned / 4.0
+        out[:, 0, 3] -= edge * sine
+        out[:, 0, 4] += edge * cosine
+        out[:, 1, 0] += cut * turned / 4.0
+        out[:, 1, 1] += cut * cos2 / 4.0
+        out[:, 1, 3] -= edge * cosine
+        out[:, 1, 4] -= edge * sine
+        out[:, 2, 2] -= cut * cosine
+        out[:, 2, 5] += edge * phi
+        watts = radius * 1e-3 * readings.rpm * (2.0 * np.pi / 60.0)
+        out[:, 3, 0] -= cut * cosine * watts
+        out[:, 3, 3] += edge * phi * watts
+    if tool.spindle == "M4":
+        out[:, 1] *= -1.0
+    return out
+
+
+def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None, file: str) -> IdentifiedMaterial:
+    """Identify the coefficients by weighted least squares.
+
+    :param prior: material of the process: the values of coefficients that no reading depends on.
+    :param file: of the readings, for messages.
+    :raises ForceError: the readings cannot separate coefficients, or there are too few; the message names which.
+    """
+    whole = equations(readings, tool)
+    values = np.concatenate([readings.force, readings.power[:, None]], axis=1)
+    reading, component = (np.asarray(one, dtype=np.int64) for one in np.nonzero(np.isfinite(values)))
+    predictor, measured = whole[reading, component], values[reading, component]
+    known = bool(np.isfinite(readings.sigma).all())
+    sigma = np.where(np.isfinite(readings.sigma), readings.sigma, 1.0)[reading]
+    watt = np.linalg.norm(whole[:, 3, [0, 3]], axis=1) / np.maximum(np.linalg.norm(whole[:, 1, [0, 3]], axis=1), 1e-12)
+    sigma = np.where(component == 3, sigma * watt[reading], sigma)
+    if not len(measured):
+        raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")
+    found = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
+    _check_separable(readings, tool, predictor, sigma, found, file)
+    fixed, fixed_sigma, warnings = _not_measured(prior, found, file)
+    rest = measured - predictor @ fixed
+    freedom = len(measured) - int(found.sum())
+    if freedom < 1:
+        advice = "Measure at more feeds: five in a slot determine all six."
+        raise ForceError(f"{len(measured)} readings for {int(found.sum())} coefficients", file=file, advice=advice)
+    value, spread = _fit(predictor[:, found], rest, sigma)
+    off = predictor[:, found] @ value - rest
+    scale = float(np.sum((off / sigma) ** 2)) / freedom
+    from scipy.special import stdtrit
+
+    factor = 1.96
+    if not known or scale > 1.0:
+        spread = spread * scale
+        factor = float(stdtrit(freedom, 0.975))
+    if known and scale > 2.0:
+        warnings.append(
+            f"the readings scatter {np.sqrt(scale):.1f} times as much as sigma_N says: the intervals are wider by that"
+        )
+    estimate, covariance = fixed.copy(), np.diag(fixed_sigma**2)
+    estimate[found] = value
+    covariance[np.ix_(found, found)] = spread * (factor / 1.96) ** 2
+    half = 1.96 * np.sqrt(np.diag(covariance))
+    forces = component < 3
+    residual = float(np.sqrt(np.mean(off[forces] ** 2))) if forces.any() else float("nan")
+    variance = np.einsum("mi,ij,mj->m", predictor, covariance, predictor) + off**2
+    size = float(np.sqrt(np.sum((measured / sigma) ** 2)))
+    percent = 100.0 * float(np.sqrt(np.sum(variance / sigma**2))) / size
+    for k in np.flatnonzero(found & (half > 0.5 * np.abs(estimate))).tolist():
+        warnings.append(
+            f"{NAMES[k]} is known to ±{half[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
+        )
+    chip = readings.feed / (readings.rpm * tool.flutes)
+    return IdentifiedMaterial(
+        value=estimate,
+        half=half,
+        covariance=covariance,
+        identified=found,
+        predictor=predictor,
+        measured=measured,
+        sigma=sigma,
+        reading=reading,
+        component=component,
+        residual=residual,
+        left_out=_left_out(predictor[:, found], rest, measured, sigma, np.round(chip[reading], 6)),
+        sigma_percent=max(_LEAST_SIGMA, percent),
+        warnings=tuple(warnings),
+    )
+
+
+def _fit(predictor: Array, measured: Array, sigma: Array) -> tuple[Array, Array]:
+    """Return the weighted least-squares estimate (k,) and its covariance (k, k)."""
+    weighted = predictor / sigma[:, None]
+    scale = np.linalg.norm(weighted, axis=0)
+    value = np.linalg.lstsq(weighted / scale, measured / sigma, rcond=None)[0] / scale
+    return value, np.linalg.inv((weighted / scale).T @ (weighted / scale)) / np.outer(scale, scale)
+
+
+def _left_out(predictor: Array, rest: Array, measured: Array, sigma: Array, chip: Array) -> float:
+    """Return the RMS error at each feed per tooth, predicted by the others, as a share of the RMS reading."""
+    total = 0.0
+    for each in np.unique(chip):
+        own = chip == each
+        weighted = predictor[~own] / sigma[~own, None]
+        if not own.all() and np.linalg.matrix_rank(weighted / np.linalg.norm(predictor, axis=0)) == predictor.shape[1]:
+            value, _ = _fit(predictor[~own], rest[~own], sigma[~own])
+            total += float(np.sum(((predictor[own] @ value - rest[own]) / sigma[own]) ** 2))
+        else:
+            return float("nan")
+    return float(np.sqrt(total / np.sum((measured / sigma) ** 2)))
+
+
+def _check_separable(
+    readings: CutReadings, tool: ToolTable, predictor: Array, sigma: Array, found: Bools, file: str
+) -> None:
+    """Refuse readings that do not excite a combination of coefficients.
+
+    :raises ForceError: a combination is not identifiable; the message names the coefficients.
+    """
+    chip = readings.feed / (readings.rpm * tool.flutes)
+    names = [name for name, there in zip(NAMES, found, strict=True) if there]
+    if chip.max() < _LEAST_RANGE * chip.min():
+        raise ForceError(
+            f"one feed per tooth ({chip.mean():.3g} mm): edge and cut ({', '.join(names)}) cannot be separated",
+            file=file,
+            advice="Measure at several feeds, the largest at least twice the smallest; `--propose` writes test cuts.",
+        )
+    weighted = predictor[:, found] / sigma[:, None]
+    weighted = weighted / np.linalg.norm(weighted, axis=0)
+    _, size, axes = np.linalg.svd(weighted, full_matrices=True)
+    size = np.append(size, np.zeros(len(axes) - len(size)))
+    open_ = np.abs(axes[size < _RANK * size[0]]).max(axis=0, initial=0.0) > 1e-3
+    if open_.any():
+        which = ", ".join(name for name, one in zip(names, open_, strict=True) if one)
+        advice = "Measure Fx and Fy, at several feeds; `--propose` writes test cuts."
+        raise ForceError(f"these readings do not separate {which}", file=file, advice=advice)
+
+
+def _not_measured(prior: MaterialTable | None, found: Bools, file: str) -> tuple[Array, Array, list[str]]:
+    """Return values (6,) of coefficients that no reading depends on, their standard deviations (6,), and warnings.
+
+    :raises ForceError: the process has no linear material that could supply them.
+    """
+    value, sigma = np.zeros(6), np.zeros(6)
+    if found.all():
+        return value, sigma, []
+    which = ", ".join(name for name, there in zip(NAMES, found, strict=True) if not there)
+    six = None if prior is None else six_numbers(prior, file)
+    if six is None:
+        advice = "Measure it, or give [material] of the process by name or six numbers: they are taken from there."
+        raise ForceError(f"no reading depends on {which}", file=file, advice=advice)
+    value[~found] = six[0][~found]
+    sigma[~found] = np.abs(six[0][~found]) * six[1]
+    warning = f"no reading depends on {which}: taken from [material] of the process, ±{196 * six[1]:.0f} %"
+    return value, sigma, [warning]
+
+
+def as_toml(found: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
+    """Return the `[material]` file of identified coefficients.
+
+    :param name: of the file of readings.
+    """
+    table: dict[str, object] = {key: float(f"{v:.6g}") for key, v in zip(KEYS, found.value, strict=True)}
+    table["sigma_percent"] = round(found.sigma_percent, 2)
+    table["source"] = f"identified from {name}: {len(set(found.reading.tolist()))} cuts with a flat tool of " + (
+        f"{tool.diameter_mm:g} mm, {tool.flutes} teeth"
+    )
+    if np.isfinite(found.residual):
+        table["residual_N"] = float(f"{found.residual:.4g}")
+    table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, found.half, strict=True)}
+    table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in found.covariance]
+    comment = 'Cutting coefficients, identified by `postproc identify forces`. In process.toml: [material] file = "…".'
+    return files.sealed(files.toml({"material": table}, comment))
+
+
+def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]:
+    """Return test cuts as G-code, and the CSV file to fill in: five feeds in a slot.
+
+    Slots along X, next to each other, in the box of the stock, or from X0 Y0 Z0.
+    """
+    feeds, depth = proposed_feeds(tool)
+    rpm = tool.rpm or float(np.floor(min(12_000.0, 150_000.0 / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
+    box = process.stock.box
+    left, low, top = (0.0, 0.0, 0.0) if box is None else (box.X[0], box.Y[0], box.Z[1])
+    length = 60.0 if box is None else min(60.0 + tool.diameter_mm, box.X[1] - box.X[0] + 1.2 * tool.diameter_mm)
+    lines = [
+        "(Test cuts for `postproc identify forces`: five feeds in a slot. Measure the mean force of each, after entry)",
+        "G21 G90 G17 G94", f"T{key if key.isdecimal() else 1} M6", f"S{rpm:g} {tool.spindle}", f"G0 Z{top + 20:g}",
+    ]  # fmt: skip
+    rows = ["mode,ap_mm,ae_mm,rpm,feed_mm_per_min,Fx,Fy,Fz,sigma_N"]
+    for k, chip in enumerate(feeds.tolist()):
+        feed = chip * rpm * tool.flutes
+        y = low + (1.5 * k + 1.0) * tool.diameter_mm
+        lines += [
+            f"(slot {k + 1}: {chip:.3f} mm per tooth)", f"G0 X{left - tool.diameter_mm:.3f} Y{y:.3f}",
+            f"G0 Z{top + 2:.3f}", f"G1 Z{top - depth:.3f} F1000",
+            f"X{left - tool.diameter_mm + length:.3f} F{feed:.1f}", f"G0 Z{top + 20:g}",
+        ]  # fmt: skip
+        rows.append(f"slot,{depth:g},,{rpm:g},{feed:.1f},,,,")
+    lines += ["M5", "M30", ""]
+    return "\n".join(lines).encode(), "\n".join([*rows, ""]).encode()
+
+
+def proposed_feeds(tool: ToolTable) -> tuple[Array, float]:
+    """Return five feeds per tooth (5,) and the depth of test cuts [mm]."""
+    largest = min(0.125, 0.01 * tool.diameter_mm)
+    return largest * np.array([0.2, 0.4, 0.6, 0.8, 1.0]), float(f"{min(3.0, 0.2 * tool.diameter_mm):.2g}")

@@ -1,0 +1,201 @@
+"""Operations of a program: the runs of motions that CAM made as one step, with their names and tools.
+
+An operation begins at a tool change, at another `$TOOL` or `$BASE`, or at a comment on a line of its own. Its name is
+the comment: with a tool change the last one before it (Fusion, Mastercam, SolidCAM), else the first one after it
+(CamBam, FreeCAD). A program that says ``begin operation: NAME`` (FreeCAD) names all of its operations that way.
+Comments about files, dates, tools, machines and single moves are not names. In a program with very many comments only
+those at retracts count, or none.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.program import FORCE_COMMENT, Event, Ints, Program
+
+_BEGIN = re.compile(r"\s*(?:begin|start)\s+operation\s*[:=]\s*(.*)", re.IGNORECASE)
+_END = re.compile(r"\s*(?:finish|end)\s+operation\s*[:=]\s*(.*)", re.IGNORECASE)
+_STRONG = re.compile(r"\s*(?:operation|toolpath|op)\s*(?:\d+\s*)?[:=]", re.IGNORECASE)
+_PREFIX = re.compile(r"\A\s*(?:(?:operation|toolpath|op)\s*(?:\d+\s*)?[:=]\s*-?|[-=*]+)\s*", re.IGNORECASE)
+_NO_NAME = re.compile(
+    r"(?:T\s*\d+\b|tools?\b|dia|end ?mill\b.*:|exported|post|output|generated|created|made\s|using\b|programm?\b|this\b"
+    r"|date|time|machin(?:e|ing time)|material|vendor|model\b|descri|units?\b|files?\b|cam\b|version|author|stock"
+    r"|total|estimated|cutting|target\b|set\b|origin|home|safe|spindle|coolant|feed|rapid|lead|ramp|retract|plunge"
+    r"|helix\b|layer|level|pass\b|compensat|begin\b|end\b|toolpaths\b|min\b|max\b|mm\b|inch|metric|millimet"
+    r"|[XYZ]\s*[-=:]|notes?\b|warning|uncomment|change\b|load\b|wcs\b|G5\d|N\d+\b|absolute|incremental|header"
+    r"|footer|disable|select|cancel|sign\b|for mach|move to|job\b|all\b|rpm\b|pycam|software|project\b|#)"
+    r"|[\d.\s\-/:]*$|.*\b\d{1,2}:\d\d\b|.*\b\d{4}-\d\d-\d\d|.*\b\d{1,2}[./]\d{1,2}[./]\d{4}|.*=|.*www\.",
+    re.IGNORECASE,
+)
+"""Comments that are no names: tools, headers of files, dates, assignments, and remarks on single moves."""
+_ALONE = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
+_MOST = 60
+"""More operations than this are remarks on single moves."""
+
+
+Names = Literal["all", "retracts", "none"]
+
+
+class Operation(Struct, frozen=True):
+    """A run of motions of a program.
+
+    :param name: its comment; without one the tool (``"T3"``), or a number (``"operation 2"``).
+    :param tool: number of the last tool change before it; of KRL, row of `$TOOL` from 1; 0 = unknown.
+    :param first: row of its first motion, `last` of its last one.
+    :param line: 1-based line of the main file with its comment or tool change; 1 at the start of the program.
+    """
+
+    name: str
+    tool: int
+    first: int
+    last: int
+    line: int
+
+
+def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operation, ...]:
+    """Return the operations of a program in the order of execution; together they contain every motion.
+
+    Runs without a cutting motion (approaches, tool changes) belong to the operation that follows.
+
+    :param at_retracts: leave out comments between two cutting motions, unless a blank line precedes them.
+    """
+    found: tuple[Operation, ...] = ()
+    choices: tuple[Names, ...] = ("retracts",) if at_retracts else ("all", "retracts", "none")
+    for names in choices:
+        found = tuple(_joined(program, list(_starts(program, names))))
+        if len(found) <= _MOST:
+            break
+    return found
+
+
+def of_motions(found: tuple[Operation, ...], motion: Ints) -> Ints:
+    """Return the place in `found` of the operation of each motion (n,)."""
+    return np.asarray(np.searchsorted([each.first for each in found], motion, side="right") - 1)
+
+
+def title(comment: str) -> str:
+    """Return the name of an operation in a comment, without the words around it, blanks made one.
+
+    >>> title("begin operation:  Contour  2"), title("Toolpath:- Profile 1"), title("2D Pocket1")
+    ('Contour 2', 'Profile 1', '2D Pocket1')
+    """
+    explicit = _BEGIN.match(comment)
+    text = explicit[1] if explicit else _PREFIX.sub("", comment, count=1)
+    name = " ".join(text.split()).strip("-=* ")
+    return name if re.search(r"[^\W\d]", name) else " ".join(comment.split())
+
+
+def ended(comment: str) -> str | None:
+    """Return the name in ``finish operation: NAME``, None for every other comment."""
+    match = _END.match(comment)
+    return None if match is None else " ".join(match[1].split())
+
+
+def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int]]:
+    """Yield row of the first motion, name (empty: none), tool and line where operations may begin.
+
+    :param names: which comments name operations.
+    """
+    m = program.motions
+    marks = [event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(m)]
+    explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
+    changes = any(event.kind == "tool_change" for event in marks)
+    lines = program.documents[0].text.splitlines() if program.documents else []
+    found: dict[int, tuple[str, int]] = {0: ("", 1)}
+    frames = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
+    found.update({row: ("", int(m.line[row])) for row in frames.tolist()})
+    tool, tools = 0, {0: 0}
+    for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
+        here = list(group)
+        change = next((k for k, event in enumerate(here) if event.kind == "tool_change"), None)
+        for event in here:
+            if event.kind == "tool_change":
+                tool = int(event.value)
+                tools[row] = tool
+        named = None
+        if names != "none":
+            spots = here if explicit else _on_own_lines(here, lines)
+            if names == "retracts" and not explicit and not _at_retract(program, row, spots, change, lines):
+                spots = []
+            named = _named(spots, change, first=row == 0, explicit=explicit)
+        if named is not None:
+            found[row] = (title(named.text), named.line)
+        elif change is not None:
+            found[row] = ("", here[change].line)
+    number = np.array(list(tools.values()))[np.searchsorted(list(tools), sorted(found), side="right") - 1]
+    for (row, (name, line)), own in zip(sorted(found.items()), number.tolist(), strict=True):
+        yield row, name, own if changes else int(m.tool[row]) + 1 if program.keeps_text else 0, line
+
+
+def _on_own_lines(here: list[Event], lines: list[str]) -> list[Event]:
+    """Return the events without comments that follow code on their line."""
+    return [
+        event
+        for event in here
+        if event.kind == "tool_change"
+        or not 0 < event.line <= len(lines)
+        or event.text not in lines[event.line - 1]
+        or _ALONE.match(lines[event.line - 1])
+    ]
+
+
+def _at_retract(program: Program, row: int, here: list[Event], change: int | None, lines: list[str]) -> bool:
+    """Whether the events before motion `row` are between two cuts, or follow a blank line."""
+    rapid = program.motions.rapid
+    if row == 0 or change is not None or rapid[row] or rapid[row - 1]:
+        return True
+    return any(2 <= event.line <= len(lines) and not lines[event.line - 2].strip() for event in here)
+
+
+def _named(here: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
+    """Return the comment that names the operation, None if there is none."""
+    if explicit:
+        return next((event for event in reversed(here) if event.kind == "comment" and _BEGIN.match(event.text)), None)
+    before: list[Event] = []
+    after: list[Event] = []
+    seen = False
+    for event in here:
+        if event.kind == "tool_change":
+            seen = True
+        elif _STRONG.match(event.text):
+            return event
+        elif event.text.strip() and not _NO_NAME.match(title(event.text)) and not FORCE_COMMENT.match(event.text):
+            (after if seen else before).append(event)
+    if change is not None:
+        return before[-1] if before else (after[0] if after else None)
+    return None if not before else before[-1] if first else before[0]
+
+
+def _joined(program: Program, starts: list[tuple[int, str, int, int]]) -> Iterator[Operation]:
+    """Yield operations: starts without a cut join the next one, and runs with one name and tool are one."""
+    cuts = np.concatenate([[0], np.cumsum(~program.motions.rapid)])
+    total = len(program.motions)
+    ends = [start[0] for start in starts[1:]] + [total]
+    kept: list[tuple[int, str, int, int]] = []
+    begin, name, tool_before, waits = 0, "", -1, False
+    for (row, given, tool, line), end in zip(starts, ends, strict=True):
+        if tool != tool_before:
+            # between a comment and its tool change there may be a move to home
+            name, tool_before = name if waits else "", tool
+        name = given or name  # a change of frames goes on with the operation
+        waits = waits or bool(given)
+        if cuts[end] == cuts[row] and end < total:
+            continue
+        waits = False
+        kept.append((begin, name, tool, line))
+        begin = end
+    if not kept:
+        return
+    runs = [kept[0]]
+    for each in kept[1:]:
+        if each[1:3] != runs[-1][1:3]:
+            runs.append(each)
+    ends = [*(each[0] for each in runs[1:]), total]
+    for number, ((first, name, tool, line), end) in enumerate(zip(runs, ends, strict=True), start=1):
+        yield Operation(name or (f"T{tool}" if tool else f"operation {number}"), tool, first, end - 1, line)

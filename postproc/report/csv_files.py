@@ -1,0 +1,131 @@
+"""`targets.csv` and `forces.csv`: the targets of a written program, and the forces along its lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from postproc.chunks import chunks
+from postproc.correction import Result
+from postproc.decimals import Bytes, Number, rows_of_csv
+from postproc.dialects import registry
+from postproc.forces import Knots
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
+from postproc.program import FORCE_FRAMES, PTP, WRENCH, Bools, Ints
+from postproc.robot import JOINTS
+
+_XYZABC = ("X", "Y", "Z", "A", "B", "C")
+TARGET_COLUMNS = (
+    "output_line", "source_line", "t", "rapid",
+    *_XYZABC, *(f"{name}_cmd" for name in _XYZABC),
+    *WRENCH,
+    "dX", "dY", "dZ", "before_mm", "after_mm", "u95_mm",
+    *JOINTS,
+)  # fmt: skip
+"""Columns of the file, in order."""
+CARRIAGE = "E1"
+"""A further column if the robot is on a linear axis: the position of that axis [mm]."""
+
+_NOMINAL = (6, 6, 6, 6, 6, 6)
+_WRENCH_DECIMALS = (3, 3, 3, 4, 4, 4)
+_LENGTH, _ANGLE, _PLACE = 6, 5, 9
+
+
+def targets_csv(result: Result) -> Iterator[bytes]:
+    """Yield the file in pieces of some thousand rows.
+
+    Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
+    """
+    m = result.program.motions
+    places = registry.by_name(result.program.dialect).command_decimals
+    carriage = result.program.carriage
+    yield (",".join(TARGET_COLUMNS if carriage is None else (*TARGET_COLUMNS, CARRIAGE)) + "\n").encode()
+    for part in chunks(len(result)):
+        motion = result.motion[part]
+        yield _rows(
+            (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
+            (result.nominal[part], result.printed[part], places, result.wrench[part]),
+            (result.deflection[part], norm(result.deviation_before[part]), norm(result.deviation_after[part])),
+            None if result.bound is None else result.bound[part],
+            result.q[part],
+            None if carriage is None else carriage.at(motion, result.t[part]),
+        )
+
+
+def _rows(
+    origin: tuple[Ints, Ints, Array, Bools],
+    command: tuple[Array, Array, tuple[int, ...], Array],
+    deviation: tuple[Array, Array, Array],
+    bound: Array | None,
+    q: Array,
+    carriage: Array | None,
+) -> bytes:
+    (output_line, source_line, t, rapid), (nominal, printed, places, wrench) = origin, command
+    deflection, *distances = deviation
+    columns: list[Number | Bytes] = [
+        Number.of(output_line.astype(float), 0),
+        Number.of(source_line.astype(float), 0),
+        Number.of(t, _PLACE),
+        Number.of(rapid.astype(float), 0),
+        *_block(xyzabc_from_pose(nominal), _NOMINAL),
+        *_block(printed, places),
+        *_block(wrench, _WRENCH_DECIMALS),
+        *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
+        *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
+        np.empty((len(t), 0), dtype=np.uint8) if bound is None else Number.of(bound * MM_PER_M, _LENGTH),
+        *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),
+        *([] if carriage is None else [Number.of(carriage * MM_PER_M, _LENGTH)]),
+    ]
+    return rows_of_csv(columns)
+
+
+def _block(values: Array, places: tuple[int, ...]) -> list[Number]:
+    return [Number.of(values[:, index], count) for index, count in enumerate(places)]
+
+
+FORCE_COLUMNS = ("line", "line_end", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "frame")
+"""Columns of the file, in order, where the force is one for each line; t follows where it is not, then sigmas."""
+_SIGMAS = ("sFx", "sFy", "sFz", "sMx", "sMy", "sMz")
+_DECIMALS = np.array([3, 3, 3, 4, 4, 4])
+_PLACE = 9
+
+
+def forces_csv(result: Result) -> bytes | None:
+    """Return the file: read with the written program, it gives each piece the force that it was corrected for.
+
+    Neighbouring lines with the same force share a row. None where the program needs no such file.
+    """
+    if result.carried is None:
+        return None
+    knots = result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
+    halves = [half for wrench in (knots.wrench, knots.sigma) for half in np.split(wrench, 2, axis=1)]
+    values = np.hstack([np.round(half, places) for half, places in zip(halves, _DECIMALS[[0, 3, 0, 3]], strict=True)])
+    first, last = _shared(knots, values)
+    line = result.output_line[knots.motion].astype(float)
+    names = np.array([list(name.ljust(4).encode()) for name in FORCE_FRAMES], dtype=np.uint8)
+    columns: list[Number | Bytes] = [Number.of(line[rows], 0) for rows in (first, last)]
+    columns += [Number.of(values[first, index], int(places)) for index, places in enumerate(_DECIMALS)]
+    columns.append(np.where(names == ord(" "), 0, names).astype(np.uint8)[knots.frame[first]])
+    header = list(FORCE_COLUMNS)
+    if not knots.ramped.all():
+        header.append("t")
+        columns.append(Number.of(np.where(knots.ramped[first], np.nan, knots.t[first]), _PLACE))
+    for index, name in enumerate(_SIGMAS):
+        if values[:, 6 + index].any():
+            header.append(name)
+            columns.append(Number.of(values[first, 6 + index], int(_DECIMALS[index])))
+    return (",".join(header) + "\n").encode() + rows_of_csv(columns)
+
+
+def _shared(knots: Knots, values: Array) -> tuple[Ints, Ints]:
+    """Return the first and the last knot of each row of the file.
+
+    Neighbouring targets share one if each has but one knot, and these are the same.
+    """
+    same_target = np.diff(knots.motion) == 0
+    several = np.append(same_target, False) | np.append(False, same_target)
+    differs = (np.diff(values, axis=0) != 0.0).any(axis=1) | (np.diff(knots.frame) != 0)
+    differs |= (np.diff(knots.ramped) != 0) | (np.diff(knots.motion) != 1) | several[1:] | several[:-1]
+    first = np.flatnonzero(np.append(True, differs)[: len(knots)])
+    return first, np.append(first[1:], len(knots))[: len(first)] - 1

@@ -1,0 +1,419 @@
+"""Data of the page of a program: what its sections show and its scripts read."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from postproc import kinematics
+from postproc.correction import Result
+from postproc.errors import Issue
+from postproc.forces.feed import across
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, largest, norm, xyzabc_from_pose
+from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
+from postproc.report.kit import Columns
+from postproc.report.path import Operation, drawn_path, operations
+from postproc.report.summary import Summary, Verdict, nothing_to_correct, summary, verdict
+from postproc.robot import JOINTS
+
+if TYPE_CHECKING:
+    from postproc.machining import ProcessForces
+    from postproc.report.surface import Surface
+
+_BINS = 60
+_STOCK_CELLS = 40_000
+"""Cells of the remaining stock that a page shows; larger maps are made coarser."""
+_SHARP = np.cos(np.radians(40.0))
+"""Facets that meet at a larger angle have an edge between them in the picture."""
+_WORST = 12
+"""Lines of the program with the largest values that are listed, for each measure."""
+_GOUGES = 40
+
+
+class Histogram(msgspec.Struct, frozen=True):
+    """Numbers of cutting targets by deviation: counts between edges [mm]."""
+
+    edges: list[float]
+    counts: list[int]
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """Data that the scripts of the page read in addition to the columns. Lengths mm, angles degrees.
+
+    :param mode: see `postproc.correction.Mode`.
+    :param frame: of the path drawn: "$BASE", or "robot root" where the program has several.
+    :param tolerance_mm: stated, or None.
+    :param worst: places of the largest deviation before and after.
+    :param lower: limits of the joints, `upper` too [deg].
+    :param bases: each `$BASE` in the root, tools each `$TOOL` in the flange: 4×4 by rows [mm].
+    :param placement: of each joint on the link before it, 4×4 by rows [mm]; `axis` about which it turns; `flange`.
+    :param histograms: by column name.
+    :param reversals: place and joint of the largest changes of direction of a torque.
+    """
+
+    mode: str
+    frame: str
+    tolerance_mm: float | None
+    bounded: bool
+    worst: dict[str, int]
+    lower: list[float]
+    upper: list[float]
+    bases: list[list[float]]
+    tools: list[list[float]]
+    placement: list[list[float]]
+    axis: list[list[float]]
+    flange: list[float]
+    histograms: dict[str, Histogram]
+    reversals: list[tuple[int, str]]
+
+
+class Deviation(Struct, frozen=True, dict=True):
+    """A result, and what the sections of its page show of it.
+
+    :param result: of one program.
+    :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    :param surface: of the part, or None.
+    :param process: what a process made of the program, where the forces are from one.
+    :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
+    :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
+    """
+
+    result: Result
+    tolerance: float | None
+    surface: Surface | None = None
+    process: ProcessForces | None = None
+    part_tolerance: float | None = None
+    stem: str = ""
+
+    @cached_property
+    def content(self) -> Summary:
+        """Content of `report.json`."""
+        return summary(self.result, self.tolerance, self.part_tolerance, self.surface)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The verdict on it."""
+        return verdict(self.result, self.content)
+
+    @cached_property
+    def nothing(self) -> str | None:
+        """A sentence where there is nothing to correct, or None."""
+        return nothing_to_correct(self.content)
+
+    @property
+    def compared(self) -> bool:
+        """True if there is a program as written, to be compared with the one as programmed."""
+        return self.result.mode != "predict"
+
+    @cached_property
+    def places(self) -> Places:
+        """The places that the page shows; only where there are targets."""
+        return places(self.result, self._named())
+
+    @cached_property
+    def operations(self) -> list[Operation]:
+        """The operations of the program."""
+        return operations(self.result)
+
+    @cached_property
+    def worst_rows(self) -> Ints:
+        """Rows of the worst place of each of the worst lines (before, after, bound), the largest before first."""
+        result = self.result
+        measures = [result.before, *([result.after] if self.compared else [])]
+        measures += [] if result.bound is None else [result.bound]
+        rows = distinct(np.concatenate([_worst(each, result.rapid, result.source_line) for each in measures]))
+        return rows[np.argsort(-result.before[rows], kind="stable")]
+
+    @cached_property
+    def gouges(self) -> Ints:
+        """Facets that are gouged by more than the tolerance: the deepest of each line, the deepest first."""
+        surface, tolerance = self.surface, self.tolerance
+        if surface is None or tolerance is None:
+            return np.zeros(0, dtype=np.int64)
+        off = surface.after if self.compared else surface.before
+        deep = np.flatnonzero(off < -tolerance)
+        order = deep[np.argsort(off[deep], kind="stable")]
+        _, first = np.unique(self.result.source_line[surface.row[order]], return_index=True)
+        return order[np.sort(first)[:_GOUGES]]
+
+    def row_of(self, issue: Issue) -> int | None:
+        """Return the row of the first target on the line of an issue, or None."""
+        rows = np.flatnonzero(self.result.source_line == issue.source_line)
+        return int(rows[0]) if len(rows) else None
+
+    def _named(self) -> Ints:
+        """Return the rows that tables of the page lead to: thinning must keep them."""
+        result = self.result
+        rows = [self.worst_rows, np.array([each.first for each in self.operations], dtype=np.int64)]
+        rows.append(
+            np.array([row for issue in result.issues if (row := self.row_of(issue)) is not None], dtype=np.int64)
+        )
+        if self.surface is not None:
+            rows += [self.surface.row[self.gouges], self.surface.programmed_row[self.surface.programmed_row >= 0][:1]]
+        if result.reversals is not None:
+            rows.append(result.reversals.row[result.largest_reversals])
+        return np.concatenate(rows)
+
+    def stock(self) -> dict[str, Columns]:
+        """Return the remaining stock: vertices with their depth below its top, faces, edges [mm]."""
+        if self.process is None:
+            return {}
+        points, faces = self.process.mesh(_STOCK_CELLS)
+        height = points @ self.process.map_in_base[:3, 2]
+        depth = height.max(initial=-np.inf) - height
+        edge = _sharp_edges(points, faces)
+        named = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "depth": depth}
+        return {
+            "stock_points": Columns.of({name: values * MM_PER_M for name, values in named.items()}),
+            "stock_faces": Columns.of(dict(zip("ijk", faces.T, strict=True))),
+            "stock_edges": Columns.of({"begin": edge[:, 0], "end": edge[:, 1]}),
+        }
+
+    def columns(self) -> dict[str, Columns]:
+        """Return the numbers of the page."""
+        out = {"places": self.places.columns, "drawn": self.places.drawn}
+        out |= self.stock()
+        if self.surface is not None:
+            corners = self.surface.corners.reshape(-1, 3) * MM_PER_M
+            out["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))
+            last = len(self.places.row) - 1
+            row = np.where(self.surface.row < 0, self.surface.programmed_row, self.surface.row)
+            place = np.minimum(np.searchsorted(self.places.row, row), last)
+            bound = np.full(len(place), np.nan) if self.surface.bound is None else self.surface.bound
+            values = {"before": self.surface.before, "after": self.surface.after, "u95": bound}
+            values["programmed"] = self.surface.programmed
+            facets = {name: value * MM_PER_M for name, value in values.items()}
+            out["facets"] = Columns.of({**facets, "place": np.where(row < 0, -1, place)})
+        return out
+
+    def facts(self) -> Facts:
+        """Return the data that scripts read."""
+        result = self.result
+        nominal, program = result.robot.nominal, result.program
+        measures = {"before": result.before, "after": result.after} if self.compared else {"before": result.before}
+        cutting = ~result.rapid
+        worst = {
+            name: self.places.of(int(np.argmax(np.where(cutting, values, -1.0)))) for name, values in measures.items()
+        }
+        return Facts(
+            mode=result.mode,
+            frame="$BASE" if len(program.bases) == 1 else "robot root",
+            tolerance_mm=self.content["tolerance_mm"],
+            bounded=result.bound is not None,
+            worst=worst,
+            lower=(result.robot.lower * DEG_PER_RAD).tolist(),
+            upper=(result.robot.upper * DEG_PER_RAD).tolist(),
+            bases=[_in_mm(base) for base in program.bases],
+            tools=[_in_mm(tool) for tool in program.tools],
+            placement=[_in_mm(joint) for joint in nominal.placement],
+            axis=nominal.axis.tolist(),
+            flange=_in_mm(nominal.flange),
+            reversals=self.reversals(),
+            histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
+        )
+
+    def reversals(self) -> list[tuple[int, str]]:
+        """Return place and joint of the reversals that are listed."""
+        turned = self.result.reversals
+        if turned is None:
+            return []
+        listed = self.result.largest_reversals.tolist()
+        return [(self.places.of(int(turned.row[each])), JOINTS[turned.joint[each]]) for each in listed]
+
+
+def _worst(measure: Array, rapid: Bools, line: Ints) -> Ints:
+    """Return the rows of the largest value of each of the lines with the largest ones."""
+    value = np.where(rapid, -1.0, np.nan_to_num(measure, nan=np.inf))
+    count = min(len(value), 400 * _WORST)
+    largest_rows = np.argpartition(-value, count - 1)[:count]
+    order = largest_rows[np.argsort(-value[largest_rows], kind="stable")]
+    _, first = np.unique(line[order], return_index=True)
+    return np.asarray(order[np.sort(first)[:_WORST]])
+
+
+def _sharp_edges(points: Array, faces: Ints) -> Ints:
+    """Return the edges (E, 2) of a closed mesh at which it bends sharply, as rows of its vertices."""
+    normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    normal /= np.maximum(norm(normal), 1e-300)[:, None]
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    one, other = order[:-1], order[1:]
+    shared = (edges[one] == edges[other]).all(axis=1)
+    one, other = one[shared], other[shared]
+    count = len(faces)
+    bent = np.einsum("ei,ei->e", normal[one % count], normal[other % count]) < _SHARP
+    return np.asarray(edges[one[bent]])
+
+
+def _histogram(values: Array) -> Histogram:
+    top = float(values.max(initial=0.0)) or 1.0
+    counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
+    return Histogram(edges.tolist(), counts.tolist())
+
+
+def _in_mm(pose: Array) -> list[float]:
+    scaled = pose.copy()
+    scaled[:3, 3] *= MM_PER_M
+    return [float(value) for value in scaled.ravel()]
+
+
+MOST = 40_000
+"""Places that a page holds at most, besides those that its tables name: of more, runs keep their first and worst."""
+_MOST_POINTS = 80_000
+_SINGULAR_AT = 1_000
+"""Places at which the Jacobian is decomposed at most; between them its smallest singular value is interpolated."""
+
+
+class Places(Struct, frozen=True, eq=False):
+    """The places of a page. Row i of `columns` is place i.
+
+    :param row: (P,) row of the result that each place is.
+    :param travelled: (K,) length of the path up to each target of the result [m].
+    :param seconds: (K,) time up to there, without accelerations [s].
+    :param columns: the values at each place; millimetres, degrees, newtons.
+    :param drawn: points of the nominal path for the view in space: X, Y, Z [mm] and the place that each leads to.
+    """
+
+    row: Ints
+    travelled: Array
+    seconds: Array
+    columns: Columns
+    drawn: Columns
+
+    def of(self, row: int) -> int:
+        """Return the place that is this row of the result, or the first one after it."""
+        return min(int(np.searchsorted(self.row, row)), len(self.row) - 1)
+
+
+def correction(result: Result) -> Array:
+    """Return commanded minus nominal positions (K, 3) [m], `$BASE`, as printed."""
+    return np.asarray(result.printed[:, :3] / MM_PER_M - result.nominal[:, :3, 3])
+
+
+def kept(result: Result, named: Ints) -> Ints:
+    """Return the rows (P,) that a page shows, in order.
+
+    Of each run of targets these are the first, and the largest deviation before and after, correction, force and bound.
+
+    :param named: rows that tables lead to; they are kept.
+    """
+    count = len(result)
+    if count <= MOST:
+        return np.arange(count)
+    measures = [result.before, result.after, norm(correction(result)), norm(result.wrench[:, :3])]
+    if result.bound is not None:
+        measures.append(result.bound)
+    runs = MOST // (len(measures) + 1)
+    begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
+    run = np.repeat(np.arange(len(begin)), np.diff(begin, append=count))
+    rows = [begin, np.array([count - 1]), named]
+    for measure in measures:
+        value = np.nan_to_num(measure, nan=np.inf)
+        largest = np.maximum.reduceat(value, begin)
+        at = np.flatnonzero(value == largest[run])
+        rows.append(at[np.concatenate([[True], np.diff(run[at]) != 0])])
+    return distinct(np.concatenate(rows))
+
+
+def places(result: Result, named: Ints) -> Places:
+    """Return the places of a result that has some.
+
+    :param named: rows that tables of the page lead to.
+    """
+    m, motion = result.program.motions, result.motion
+    position, leads_to = drawn_path(result)
+    step = np.zeros(len(leads_to))
+    step[1:] = norm(np.diff(position, axis=0))
+    last = np.flatnonzero(np.diff(leads_to, append=len(result)))
+    travelled = np.cumsum(step)[last]
+    seconds = np.cumsum(_durations(result, np.diff(travelled, prepend=0.0)))
+    row = kept(result, named)
+    moved, at = correction(result)[row] * MM_PER_M, xyzabc_from_pose(result.nominal[row])
+    axes = _feed_axes(result, row)
+    columns: dict[str, Array | Ints | Bools] = {
+        "source_line": result.source_line[row],
+        "output_line": result.output_line[row],
+        "base": m.base[motion[row]],
+        "tool": m.tool[motion[row]],
+        "t": result.t[row],
+        "length": travelled[row] * MM_PER_M,
+        "time": seconds[row],
+        "speed": m.feed[motion[row]] * MM_PER_M,
+        "before": norm(result.deviation_before[row]) * MM_PER_M,
+        "after": norm(result.deviation_after[row]) * MM_PER_M,
+        "u95": (np.full(len(row), np.nan) if result.bound is None else result.bound[row]) * MM_PER_M,
+        "correction": norm(moved),
+        "force": norm(result.wrench[row, :3]),
+        "singular": _singular_values(result, row),
+        "rapid": result.rapid[row],
+    }
+    for name, values in (("X", at), ("cX", moved), ("F", result.wrench[row]), ("q", result.q[row] * DEG_PER_RAD)):
+        for index in range(values.shape[1]):
+            columns[_NAMES[name][index]] = values[:, index]
+    for name, vector in (("b", result.deviation_before[row]), ("a", result.deviation_after[row])):
+        along = np.einsum("nij,ni->nj", axes, vector)
+        for index, axis in enumerate("XYZ"):
+            columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
+        for index, axis in enumerate(("along", "across", "normal")):
+            columns[f"{name}_{axis}"] = along[:, index] * MM_PER_M
+    return Places(row, travelled, seconds, Columns.of(columns), _drawn(result, position, leads_to, row))
+
+
+_NAMES = {
+    "X": ("X", "Y", "Z", "A", "B", "C"),
+    "cX": ("cX", "cY", "cZ"),
+    "F": WRENCH,
+    "q": JOINTS,
+}
+
+
+def _drawn(result: Result, position: Array, leads_to: Ints, row: Ints) -> Columns:
+    """Return the points of the nominal path, each with the place that it leads to."""
+    show = np.isin(leads_to, row)
+    if np.count_nonzero(show) > _MOST_POINTS:
+        show = np.zeros(len(leads_to), dtype=bool)
+        show[np.flatnonzero(np.diff(leads_to, append=len(result)))[row]] = True
+    point = position[show] * MM_PER_M
+    return Columns.of(
+        {"x": point[:, 0], "y": point[:, 1], "z": point[:, 2], "place": np.searchsorted(row, leads_to[show])}
+    )
+
+
+def _durations(result: Result, length: Array) -> Array:
+    """Return seconds (K,) that each target takes: at the feed, or with the slowest joint at its full speed."""
+    feed = result.program.motions.feed[result.motion]
+    turned = np.zeros((len(result), 6))
+    turned[1:] = np.abs(np.diff(result.q, axis=0))
+    joints = largest(turned / result.robot.speed)
+    fed = (result.program.motions.kind[result.motion] != PTP) & (feed > 0.0)
+    return np.where(fed, length / np.where(fed, feed, 1.0), joints)
+
+
+def _feed_axes(result: Result, row: Ints) -> Array:
+    """Return the axes (P, 3, 3) along, across and normal to the feed as columns in `$BASE`; NaN along the spindle."""
+    m, end = result.program.motions, result.nominal[:, :3, 3]
+    motion, before = result.motion[row], np.maximum(row - 1, 0)
+    travel = end[row] - end[before]
+    arcs = np.flatnonzero(m.kind[motion] == CIRC)
+    spoke = end[row[arcs]] - m.centre[motion[arcs]]
+    turning = np.cross(m.normal[motion[arcs]], spoke)
+    rise = np.einsum("ni,ni->n", travel[arcs], m.normal[motion[arcs]])[:, None] * m.normal[motion[arcs]]
+    same = (result.motion[before[arcs]] == motion[arcs]) & (row[arcs] > 0)
+    turned = m.sweep[motion[arcs]] * (result.t[row[arcs]] - np.where(same, result.t[before[arcs]], 0.0))
+    travel[arcs] = turning + rise / np.where(turned > 0.0, turned, 1.0)[:, None]
+    axes, meant = across(result.nominal[row, :3, :3], travel, result.axis)
+    meant &= m.base[motion] == m.base[result.motion[before]]
+    axes[~meant] = np.nan
+    return axes
+
+
+def _singular_values(result: Result, row: Ints) -> Array:
+    """Return the smallest singular value (P,) of the tool's Jacobian, metres and radians per radian."""
+    some = distinct(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
+    tool = result.program.tools[result.program.motions.tool[result.motion[row[some]]]]
+    values = kinematics.singular_values(result.robot, result.q[row[some]], tool)
+    return np.interp(np.arange(len(row)), some, values)

@@ -1,0 +1,527 @@
+"""Sections of the page of a program."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
+from postproc.program import Ints
+from postproc.report.deviation.data import Deviation, correction
+from postproc.report.formatting import estimate, millimetres, rounded
+from postproc.report.kit import (
+    Axis,
+    Cell,
+    Curve,
+    Facts,
+    Kind,
+    Note,
+    Notes,
+    Part,
+    Plot,
+    Row,
+    Section,
+    Table,
+    Tile,
+    Tiles,
+    Verdict,
+    View,
+)
+from postproc.report.kit.parts import Colour
+from postproc.report.summary import CUT_MM, LEFT_MM, NARROW_DEG, WORDS, OnSurface
+from postproc.report.text import number, percent, times
+from postproc.robot import JOINTS, WITH_LINKS
+
+if TYPE_CHECKING:
+    from postproc.machining.sweep import Cuts
+
+
+def verdict(data: Deviation) -> Section:
+    """Return the verdict with its reasons and assumptions."""
+    judged = data.verdict
+    word = WORDS[data.compared, judged.state]
+    first, *others = judged.reasons
+    parts: list[Part] = [Verdict(judged.state, word, _sentence(first))]
+    if others:
+        kind: Kind = "error" if judged.state == "failed" else ""
+        title = "Holds" if judged.state == "ok" else "And"
+        parts.append(Notes(tuple(Note(_sentence(text), kind) for text in others), title, marked=True))
+    if judged.holds and judged.state != "ok":
+        parts.append(Notes(tuple(Note(_sentence(text)) for text in judged.holds), "What holds", marked=True))
+    parts.append(Notes(tuple(Note(_sentence(text)) for text in judged.assumes), "Under these assumptions", marked=True))
+    return Section("verdict", "Verdict", tuple(parts))
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")
+
+
+_MEASURES: tuple[tuple[str, Literal["max_mm", "rms_mm", "mean_mm", "p95_mm"]], ...] = (
+    ("Maximum", "max_mm"),
+    ("RMS", "rms_mm"),
+    ("Mean", "mean_mm"),
+    ("95th percentile", "p95_mm"),
+)
+
+
+def numbers(data: Deviation) -> Section | None:
+    """Return deviations before and after, the expected error, and the improvement."""
+    content = data.content
+    if not content["targets"]:
+        return None
+    if data.nothing is not None:
+        return Section("numbers", "Deviation of the tool tip", (Notes((Note(data.nothing, "good"),)),))
+    before, after, bound = content["before"], content["after"], content["u95"]
+    u95 = None if bound is None else bound["max_mm"]
+    rms = estimate(before["rms_mm"], u95)
+    tiles = [Tile("As programmed, largest", estimate(before["max_mm"], u95), "mm", f"RMS {rms} mm")]
+    if data.compared:
+        note = f"RMS {estimate(after['rms_mm'], u95)} mm; a statement about the model, not about the part"
+        tiles.append(Tile("What the model leaves, largest", estimate(after["max_mm"], u95), "mm", note))
+    if bound is None:
+        note = "the robot model states no uncertainty: identify the robot from measurements"
+        tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
+    else:
+        note = f"95 % bound, RMS {rounded(bound['rms_mm'])} mm; {bound['basis']}"
+        tiles.append(Tile("Expected error on the part, up to", rounded(bound["max_mm"]), "mm", note))
+    parts: list[Part] = [Tiles(tuple(tiles)), _table(data)]
+    share = content["compensated_percent"]
+    if content["mode"] == "convert" and share is not None:
+        parts.append(Notes((Note(f"Compensated {percent(share)} of the predicted deviation (RMS)."),)))
+    return Section("numbers", "Deviation of the tool tip, mm", tuple(parts))
+
+
+def _table(data: Deviation) -> Table:
+    content = data.content
+    u95 = None if content["u95"] is None else content["u95"]["max_mm"]
+    if not data.compared:
+        rows = tuple(Row((label, estimate(content["before"][key], u95))) for label, key in _MEASURES)
+        return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
+    rows = tuple(
+        Row((label, estimate(before, u95), estimate(after, u95), times(before, after)))
+        for label, before, after in ((label, content["before"][key], content["after"][key]) for label, key in _MEASURES)
+    )
+    head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
+    return Table(head, rows, "Deviation before and after compensation", note=_ROUNDING)
+
+
+_ROUNDING = "At cutting targets, as the model predicts it. “To rounding”: what remains is the rounding of the text."
+
+
+_VIEW_LABEL = (
+    "The nominal path in space, coloured by a value. Drag or use the arrow keys to turn it, the wheel or + and − to "
+    "come nearer; a click or N and P choose a place, W the worst one. The table of the worst places says the same in "
+    "numbers."
+)
+
+
+def view3d(data: Deviation) -> Section | None:
+    """Return the view."""
+    if not len(data.result) or data.nothing is not None:
+        return None
+    note = (
+        "Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place, W: the "
+        "worst. Grey: rapid moves. The overlay is enlarged; the path itself is not."
+    )
+    return Section("view3d", "The path in space", (View("view3d", _VIEW_LABEL, note),))
+
+
+def surface(data: Deviation) -> Section | None:
+    """Return the surface with the largest deviations along its normal, and the gouges beyond the tolerance."""
+    surface = data.surface
+    if surface is None or not len(data.result):
+        return None
+    touched, found = surface.touched, data.content["surface"]
+    if not surface.reached.any():
+        text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
+        return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
+    after = surface.after if data.compared else surface.before
+    words = "with the program as written" if data.compared else "as programmed"
+    tiles = [_programmed(found, data)]
+    if touched.any():
+        tiles += [
+            _depth("Gouged before, at most", -surface.before[touched].min(), _DEFLECTION),
+            _depth("Left before, at most", surface.before[touched].max(), _DEFLECTION),
+        ]
+        if data.compared:
+            tiles.append(_depth("Gouged after, at most", -after[touched].min(), "as the model predicts it"))
+            tiles.append(_depth("Left after, at most", after[touched].max()))
+        if surface.bound is not None:
+            tiles.append(Tile("Expected error (95 %), up to", rounded(surface.bound[touched].max() * MM_PER_M), "mm"))
+    share = found["reached_percent"]
+    tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))
+    label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"
+    note = "Below 0 the tool gouges, above it leaves material. Grey: no tool reaches it. Before and after are "
+    view = View("surface", label, f"{note}deviations from the programmed path.")
+    parts: list[Part] = [Tiles(tuple(tiles)), view, *_gouges(data, after, words)]
+    return Section("surface", "Surface of the part", tuple(parts))
+
+
+_DEFLECTION = "from the programmed path"
+
+
+def _programmed(found: OnSurface, data: Deviation) -> Tile:
+    """Return what the programmed path itself does to the mesh."""
+    label, cut, left = "Programmed path cuts into the part", found["cut_into_mm"], found["left_mm"]
+    least = data.content["part"]["tolerance_mm"] or data.content["tolerance_mm"] or CUT_MM
+    if cut > least:
+        note = f"line {found['source_line']}: is the mesh in place, and the finished part?"
+        return Tile(label, rounded(cut), "mm", note, "warning")
+    if left is not None and left > max(least, LEFT_MM):
+        return Tile("Programmed path leaves", rounded(left), "mm", "on half of what the tools touch", "warning")
+    return Tile(label, "nowhere", "", f"by more than {least:g} mm")
+
+
+def _depth(label: str, value: float, note: str = "") -> Tile:
+    """Return the largest depth [m] below the surface, or height above it; negative: there is none."""
+    if value <= 0.0:
+        return Tile(label, "nothing", "", note)
+    return Tile(label, millimetres(float(value) * MM_PER_M), "mm", note)
+
+
+def _gouges(data: Deviation, after: np.ndarray, words: str) -> list[Part]:
+    """Return the lines that gouge by more than the tolerance, the deepest place of each."""
+    surface, tolerance = data.surface, data.tolerance
+    if surface is None or tolerance is None:
+        return []
+    if not len(data.gouges):
+        text = f"The deflection makes no gouge deeper than {tolerance * MM_PER_M:g} mm {words}."
+        return [Notes((Note(text, ""),))]
+    centre = surface.corners.mean(axis=1) * MM_PER_M
+    rows = []
+    for facet in data.gouges.tolist():
+        row = int(surface.row[facet])
+        cells = [str(data.result.source_line[row]), f"{-after[facet] * MM_PER_M:.4f}"]
+        cells += [f"{value:.2f}" for value in centre[facet]]
+        rows.append(Row(tuple(cells), data.places.of(row), int(data.result.source_line[row])))
+    head = ("Source line", "Depth, mm", "X, mm", "Y, mm", "Z, mm")
+    note = f"Deeper than {tolerance * MM_PER_M:g} mm {words}, by deflection; the deepest place of each line."
+    return [Table(head, tuple(rows), "Gouges beyond the tolerance", sortable=True, note=note)]
+
+
+_ALONG_LABEL = (
+    "Plots over the length of the path or over time: deviation before and after, its parts along axes and feed, force, "
+    "correction, margins, speed. Left and right arrow keys move the chosen place; the same numbers are in targets.csv."
+)
+
+
+def along(data: Deviation) -> Section | None:
+    """Return the view of the plots."""
+    if not len(data.result) or data.nothing is not None:
+        return None
+    note = (
+        "Gaps are rapid moves; dotted: a joint changes the direction of its torque. Drag to look closer, double click "
+        "to see all again; left and right arrow keys step. Along, across, normal: along the feed, square to feed and "
+        "spindle, along the spindle. Time is without accelerations."
+    )
+    return Section("along", "Along the path", (View("along", _ALONG_LABEL, note),))
+
+
+_SHOWN = 600
+_CM3_PER_MIN = 1e6 * 60.0
+_CM3 = 1e6
+
+
+def cut(data: Deviation) -> Section | None:
+    """Return plots of the engagement over the length of the path, and a view of the remaining stock."""
+    found = data.process
+    if found is None or not len(data.result) or not len(found.cuts.t):
+        return None
+    run, rows, motion, t = _contact(found.cuts)
+    place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
+    place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
+    x = np.interp(motion + t, data.result.motion + data.result.t, data.places.travelled) * MM_PER_M
+    cuts = found.cuts
+    drawn: tuple[tuple[str, str, tuple[tuple[str, Array, float], ...]], ...] = (
+        (
+            "Depth and width of cut",
+            "mm",
+            (("depth", cuts.depth[rows], MM_PER_M), ("width", cuts.width[rows], MM_PER_M)),
+        ),
+        (
+            "Angles of engagement",
+            "°",
+            (("entry", cuts.enter[rows], DEG_PER_RAD), ("exit", cuts.leave[rows], DEG_PER_RAD)),
+        ),
+        ("Removal rate", "cm³/min", (("removal rate", cuts.rate[rows], _CM3_PER_MIN),)),
+        ("Power", "W", (("power", cuts.power[rows], 1.0),)),
+    )
+    plots: list[Part] = []
+    for label, unit, curves in drawn:
+        traces = []
+        colours: tuple[Colour, ...] = ("before", "after")
+        for (name, values, factor), colour in zip(curves, colours, strict=False):
+            y = values * factor
+            kept = _kept(y, run)
+            gaps = np.flatnonzero(np.diff(run[kept])) + 1  # no line where nothing is cut
+            along, value = (np.insert(each[kept].astype(float), gaps, np.nan).tolist() for each in (x, y))
+            traces.append(
+                Curve(along, value, name, colour, places=np.insert(place[kept], gaps, place[kept][gaps]).tolist())
+            )
+        plots.append(
+            Plot(
+                label=f"{label}, {unit}, along the path. Left and right arrow keys step.",
+                traces=[*traces],
+                x=Axis(title="length of the path, mm"),
+                y=Axis(title=f"{label.lower()}, {unit}"),
+                height=220,
+            )
+        )
+    tiles = Tiles(
+        (
+            Tile("Depth of cut, up to", f"{np.nanmax(cuts.depth) * MM_PER_M:.2f}", "mm"),
+            Tile("Width of cut, up to", f"{np.nanmax(cuts.width) * MM_PER_M:.2f}", "mm"),
+            Tile("Removed, up to", f"{np.nanmax(cuts.rate) * _CM3_PER_MIN:.1f}", "cm³/min"),
+            Tile("Removed in all", f"{found.removed * _CM3:.1f}", "cm³", f"left {found.stock.volume() * _CM3:.1f} cm³"),
+        )
+    )
+    label = "The remaining stock, coloured by depth below its top; turned by mouse, touch and arrow keys"
+    note = f"The remaining stock in $BASE, coloured by depth below its top. The file is {data.stem}stock.glb."
+    return Section("cut", "The cut", (tiles, *plots, View("stock", label, note)))
+
+
+def _contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
+    """Return the stations in contact with the stock.
+
+    Where the engagement is the same along a motion, the process has one station: it is shown at both ends.
+
+    :returns: run of stations without a gap that each belongs to, its row of `cuts`, its motion and its place there.
+    """
+    order = np.lexsort((cuts.t, cuts.motion))
+    _, place, count = np.unique(cuts.motion[order], return_inverse=True, return_counts=True)
+    rows = np.repeat(order, np.where(count[place] == 1, 2, 1))
+    alone = np.repeat(count[place] == 1, np.where(count[place] == 1, 2, 1))
+    second = np.append(False, rows[1:] == rows[:-1])
+    motion = cuts.motion[rows]
+    t = np.where(alone, np.where(second, 1.0, 0.0), cuts.t[rows])
+    contact = cuts.rate[rows] > 0.0
+    parted = np.append(0, (np.diff(motion) > 1) | ~contact[1:] | ~contact[:-1])
+    run = np.cumsum(parted)
+    return run[contact], rows[contact], motion[contact], t[contact]
+
+
+def _kept(values: Array, run: Ints) -> Ints:
+    """Return which of many values are drawn: of every few the smallest and the largest, and the ends of each run."""
+    each = -(-2 * len(values) // _SHOWN)
+    if each <= 2:
+        return np.arange(len(values))
+    known = np.nan_to_num(values)
+    padded = np.append(known, np.full(-len(known) % each, known[-1])).reshape(-1, each)
+    first = np.arange(len(padded)) * each
+    ends = np.flatnonzero(np.diff(run, prepend=-1, append=-1))
+    rows = np.concatenate([first + padded.argmin(axis=1), first + padded.argmax(axis=1), ends, ends - 1])
+    rows = np.unique(np.clip(rows, 0, len(values) - 1))
+    return rows if len(rows) <= 10 * _SHOWN else rows[:: -(-len(rows) // (10 * _SHOWN))]
+
+
+def histogram(data: Deviation) -> Section | None:
+    """Return the view of the histogram; `facts.histograms` has its numbers, over all cutting targets."""
+    if not len(data.result) or data.nothing is not None:
+        return None
+    label = "Histogram of the deviation at cutting targets, before and after; a click on a bar chooses its worst place."
+    note = "All cutting targets, each with its own scale. A click on a bar chooses the worst place in it."
+    return Section("histogram", "Distribution of the deviation", (View("histogram", label, note),))
+
+
+def operations(data: Deviation) -> Section | None:
+    """Return a table of the operations."""
+    if not data.operations:
+        return None
+    rows = []
+    for place, operation in enumerate(data.operations, 1):
+        u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
+        cells = [
+            operation.name or f"operation {place}",
+            f"T{operation.tool}" if operation.tool else "-",
+            str(operation.line),
+            str(operation.cutting),
+            f"{operation.force:.0f}",
+            estimate(operation.before.largest * MM_PER_M, u95),
+        ]
+        if data.compared:
+            cells.append(estimate(operation.after.largest * MM_PER_M, u95))
+        if u95 is not None:
+            cells.append(rounded(u95))
+        rows.append(Row(tuple(cells), data.places.of(operation.first), operation.line))
+    head = [
+        "Operation",
+        "Tool",
+        "First line",
+        "Cutting targets",
+        "Force, N",
+        "Before, mm" if data.compared else "Predicted, mm",
+    ]
+    head += ["After, mm"] if data.compared else []
+    head += ["On the part (95 %), mm"] if data.result.bound is not None else []
+    table = Table(
+        tuple(head),
+        tuple(rows),
+        "Operations and tools, largest values",
+        texts=(1,),
+        sortable=True,
+        note="Largest values.",
+    )
+    return Section("operations", "Operations and tools", (table,))
+
+
+def worst(data: Deviation) -> Section | None:
+    """Return a table of the worst place of each of the worst lines, before and after."""
+    result = data.result
+    if not len(result) or data.nothing is not None:
+        return None
+    measures = [result.before] + ([result.after] if data.compared else [])
+    rows = data.worst_rows
+    force, moved = norm(result.wrench[rows, :3]), norm(correction(result)[rows]) * MM_PER_M
+    head = ["Source line", "Output line", "On the move", "Before, mm" if data.compared else "Predicted, mm"]
+    head += ["After, mm"] if data.compared else []
+    head += [] if result.bound is None else ["On the part (95 %), mm"]
+    head += ["Force, N"] + (["Correction, mm"] if data.compared else [])
+    out = []
+    for index, row in enumerate(rows.tolist()):
+        cells = [str(result.source_line[row]), str(result.output_line[row]), f"{result.t[row]:.3f}"]
+        u95 = None if result.bound is None else float(result.bound[row]) * MM_PER_M
+        cells += [estimate(float(measure[row]) * MM_PER_M, u95) for measure in measures]
+        cells += [] if u95 is None else [rounded(u95)]
+        cells += [f"{force[index]:.0f}"] + ([estimate(float(moved[index]), u95)] if data.compared else [])
+        out.append(Row(tuple(cells), data.places.of(row), int(result.source_line[row])))
+    table = Table(tuple(head), tuple(out), "The worst places, one for each line of the program", sortable=True)
+    return Section("worst", "Worst places", (table,))
+
+
+def reversals(data: Deviation) -> Section | None:
+    """Return a table of the largest reversals; only a note where the model states no lost motion."""
+    found = data.content["reversals"]
+    if not found:
+        return None
+    if not any(entry["lost_motion_mm"] for entry in found):
+        joints = ", ".join(sorted({entry["joint"] for entry in found}))
+        text = (
+            f"The torque of {joints} changes its direction while the tool cuts. The tool steps there by the lost "
+            "motion of these gears. The robot model states none; plots along the path mark the places."
+        )
+        return Section("reversals", "Reversals", (Notes((Note(text),)),))
+    rows = tuple(
+        Row((entry["joint"], str(entry["source_line"]), rounded(entry["lost_motion_mm"])), place, entry["source_line"])
+        for entry, (place, _) in zip(found, data.reversals(), strict=True)
+    )
+    note = (
+        "The step is corrected as the model has it; where exactly the gear turns over is not known and counts in u95."
+    )
+    table = Table(
+        ("Joint", "Source line", "Step of the tool, mm"), rows, "Largest steps by lost motion", sortable=True, note=note
+    )
+    return Section("reversals", "Reversals", (table,))
+
+
+_HELD = {None: ("held but for approximation", "warning"), True: ("held", "good"), False: ("exceeded", "error")}
+
+
+def limits(data: Deviation) -> Section | None:
+    """Return tolerance and limits, with the margins of the path."""
+    content = data.content
+    if not content["targets"]:
+        return None
+    between = content["between_max_mm"]
+    rows: list[tuple[str, Cell | str]] = [
+        ("Deviation between targets too, at most", f"{'-' if between is None else millimetres(between)} mm")
+    ]
+    if content["tolerance_mm"] is not None:
+        text, kind = _HELD[content["tolerance_held"]]
+        rows.append(("Tolerance", Cell(f"{content['tolerance_mm']:g} mm: {text}", kind)))  # type: ignore[arg-type]
+    blending = content["blending"]
+    if blending["source_line"] is not None:
+        where = f"{number(blending['max_mm'], 3)} mm, line {blending['source_line']}"
+        rows.append((f"{blending['by'][:1].upper()}{blending['by'][1:]} rounds corners by up to", where))
+    if content["mode"] == "convert":
+        rows.append(("Largest correction", f"{number(content['max_correction_mm'], 3)} mm"))
+    if content["tool_deflection"] is not None:
+        share = f"{number(content['tool_deflection']['max_mm'], 3)} mm"
+        rows.append(("Deflection of holder, spindle and tool, up to", share))
+    rows.append(("Largest force", f"{content['max_force_N']:.0f} N"))
+    limits = content["limits"]
+    rows.append(("Smallest joint margin", f"{number(limits['min_joint_margin_deg'], 1)}°"))
+    rows.append(("Smallest singular value of the Jacobian", f"{number(limits['min_singular_value'], 3)} m/rad"))
+    return Section("limits", "Tolerance and limits", (Facts(tuple(rows)),), "half")
+
+
+def joints(data: Deviation) -> Section | None:
+    """Return a table of the joints."""
+    result = data.result
+    if not len(result):
+        return None
+    rows = []
+    for index, name in enumerate(JOINTS):
+        angle, margin = result.q[:, index] * DEG_PER_RAD, float(result.joint_margin[index]) * DEG_PER_RAD
+        text = number(margin if np.isfinite(margin) else None, 1)
+        limits = (f"{limit * DEG_PER_RAD:z.0f}" for limit in (result.robot.lower[index], result.robot.upper[index]))
+        near = Cell(text, "warning" if margin < NARROW_DEG else "")
+        rows.append(Row((name, f"{angle.min():z.1f}", f"{angle.max():z.1f}", " … ".join(limits), near)))
+    head = ("Joint", "From, °", "To, °", "Limits, °", "Margin, °")
+    return Section("joints", "Joints", (Table(head, tuple(rows), "Range of the joints and their margins"),), "half")
+
+
+def model(data: Deviation) -> Section:
+    """Return the values of the model with their sources, assumed ones flagged."""
+    robot = data.result.robot
+    rows = tuple(
+        Row((entry.name, entry.value, Cell("assumed", "warning") if entry.assumed else "stated", entry.source))
+        for entry in robot.sources
+    )
+    table = Table(("Value", "", "", "Source"), rows, "Values of the robot model and their sources", texts=(1, 2, 3))
+    parts: list[Part] = [Notes((Note(robot.title or robot.name),)), table, Notes((Note(f"{WITH_LINKS}."),))]
+    if robot.covariance is None:
+        text = (
+            "The model states no covariance of its parameters: identify the robot to learn what to expect on the part."
+        )
+        parts.append(Notes((Note(text, "warning"),)))
+    else:
+        names = ", ".join(parameter.symbol for parameter in robot.covariance.parameters)
+        parts.append(
+            Notes((Note(f"The expected error on the part counts the uncertainty of {names}: {robot.basis}."),))
+        )
+    return Section("model", "Robot model", tuple(parts))
+
+
+_MOST_LINES = 2000
+_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
+
+
+def issues(data: Deviation) -> Section:
+    """Return a table of the issues."""
+    issues = data.result.issues
+    if not issues:
+        return Section("issues", "Issues", (Notes((Note("None besides those of the verdict.", "soft"),)),))
+    rows = tuple(
+        Row(
+            (
+                Cell(issue.level, _KINDS[issue.level]),
+                issue.message,
+                Cell(_ranges(issue), sort=issue.source_line),
+                str(issue.count),
+            ),
+            None if (row := data.row_of(issue)) is None else data.places.of(row),
+            issue.source_line,
+        )
+        for issue in issues
+    )
+    return Section("issues", "Issues", (Table(("Level", "What", "Lines", "Places"), rows, "Issues", texts=(1, 2)),))
+
+
+def _ranges(issue: Issue) -> str:
+    """Return all lines of an issue, runs of them as ranges; of very many the first."""
+    if not issue.lines:
+        return "-" if issue.source_line is None else str(issue.source_line)
+    runs = [[line for _, line in run] for _, run in groupby(enumerate(issue.lines), lambda entry: entry[1] - entry[0])]
+    texts = [str(run[0]) if len(run) == 1 else f"{run[0]}–{run[-1]}" for run in runs[:_MOST_LINES]]
+    return ", ".join(texts) + (f" and {len(runs) - _MOST_LINES} more" if len(runs) > _MOST_LINES else "")
+
+
+def place(data: Deviation) -> Section | None:
+    """Return the view of the details; it stays in sight next to the other sections."""
+    if not len(data.result):
+        return None
+    label = "Details of the chosen place: lines, pose, joints, force, deviation, correction"
+    return Section("place", "Place", (View("place", label),), "side")

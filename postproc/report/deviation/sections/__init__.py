@@ -1,1 +1,0 @@
-"""Sections of the page of a program: each module has one, `section(told) -> Section | None`."""

@@ -1,0 +1,124 @@
+"""Numbers and tables as text: millimetres with as many digits as their uncertainty leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Literal, Protocol
+
+State = Literal["ok", "warning", "failed"]
+"""State of a verdict."""
+ROUNDING_MM = 1e-4
+"""Deviation at a target by the rounding of written numbers (X, Y, Z to 1e-4 mm): factors below it mean nothing."""
+_PLACES = 9
+
+
+def millimetres(value: float) -> str:
+    """Return a distance in mm as text, with tenths of a micrometre.
+
+    >>> millimetres(8.28), millimetres(0.0), millimetres(0.00008)
+    ('8.2800', '0.0000', '<0.0001')
+    """
+    return "<0.0001" if 0.0 < value < ROUNDING_MM else f"{value:.4f}"
+
+
+def rounded(value_mm: float) -> str:
+    """Return a bound or an estimate in mm as text, with two significant digits, down to 0.0001 mm.
+
+    >>> rounded(0.2752), rounded(0.01234), rounded(12.7), rounded(0.0), rounded(0.0002), rounded(0.00002)
+    ('0.28', '0.012', '13', '0', '0.0002', '<0.0001')
+    """
+    if value_mm == 0.0:
+        return "0"
+    return "<0.0001" if value_mm < ROUNDING_MM else f"{float(f'{value_mm:.2g}'):.{min(places(value_mm), 4)}f}"
+
+
+def places(value_mm: float) -> int:
+    """Return how many decimals show two significant digits.
+
+    >>> places(0.2752), places(0.0999), places(3.0), places(25.0)
+    (2, 2, 1, 0)
+    """
+    if not (value_mm > 0.0 and math.isfinite(value_mm)):
+        return 2
+    return max(0, 1 - math.floor(math.log10(float(f"{value_mm:.2g}"))))
+
+
+def estimate(value_mm: float, u95_mm: float | None) -> str:
+    """Return a predicted distance in mm as text: as many decimals as the two digits of its uncertainty have.
+
+    Two significant digits if the uncertainty is unknown, or the value is below the last decimal.
+
+    >>> estimate(0.5218, 0.2752), estimate(0.5218, 0.0093), estimate(1.0687, None), estimate(0.0042, 0.28)
+    ('0.52', '0.5218', '1.1', '0.0042')
+    >>> estimate(0.00008, 0.28), estimate(0.0, None)
+    ('<0.0001', '0')
+    """
+    if u95_mm is None or u95_mm < ROUNDING_MM or value_mm < 10.0 ** -places(u95_mm):
+        return rounded(value_mm)
+    return f"{value_mm:.{places(u95_mm)}f}"
+
+
+def above(value_mm: float, limit_mm: float) -> str:
+    """Return a number that is more than a limit as text, with two digits or as many as it takes to see it.
+
+    >>> above(0.0493, 0.01), above(0.0104, 0.01)
+    ('0.049', '0.0104')
+    """
+    decimals = places(value_mm)
+    while decimals < _PLACES and float(f"{value_mm:.{decimals}f}") <= limit_mm:
+        decimals += 1
+    return f"{value_mm:.{decimals}f}"
+
+
+class Display(Protocol):
+    """An output for summaries."""
+
+    def verdict(self, text: str, state: State) -> str:
+        """Return a verdict in the style of its state."""
+        ...
+
+    def table(
+        self, head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = ""
+    ) -> str:
+        """Return a table.
+
+        :param head: of each column.
+        :param rows: cells of each row, as many as heads.
+        :param right: columns whose cells end in line: numbers.
+        :param indent: in front of each line.
+        """
+        ...
+
+
+class Plain:
+    """Plain text, each column as wide as it needs to be."""
+
+    def verdict(self, text: str, state: State) -> str:
+        """Return the text as it is."""
+        del state
+        return text
+
+    def table(
+        self, head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = ""
+    ) -> str:
+        """Return a table as text.
+
+        >>> print(Plain().table(("axis", "mm"), [("X", "1.5"), ("Y", "-12.0")], right=(1,)))
+        axis     mm
+        X       1.5
+        Y     -12.0
+        """
+        cells = [tuple(head), *map(tuple, rows)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        return "\n".join(
+            indent
+            + "  ".join(
+                cell.rjust(width) if column in right else cell.ljust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in cells
+        )
+
+
+PLAIN = Plain()

@@ -1,0 +1,354 @@
+"""The page of an identification, a pure function of `identification.json`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from postproc.identification.record import Identified, Parameter
+from postproc.report.kit import (
+    Axis,
+    Bars,
+    Cell,
+    Curve,
+    Fold,
+    Kind,
+    Mark,
+    Matrix,
+    Note,
+    Notes,
+    Page,
+    Part,
+    Plot,
+    Points,
+    Row,
+    Section,
+    Span,
+    Table,
+    Tile,
+    Tiles,
+    Verdict,
+)
+from postproc.report.kit.parts import Traced
+from postproc.robot import WITH_LINKS
+from postproc.robot.parameters import named
+
+_GOOD, _ROUGH, _KNOWN = 0.1, 0.5, 1.0
+"""Half width of an interval as a share of the value, up to which a parameter is well, roughly and barely known."""
+_LEAST, _LARGE = 1e-3, 1e5
+_LEAST_MM = 1e-5
+_SPRINGS = (
+    "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
+    f"{WITH_LINKS}: the intervals are of that sum. Springs of links that lie alike in the chain are determined "
+    "together, not one by one: each interval is wide, that of their sum is not."
+)
+_JOINTS = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
+
+
+def verdict(data: Identified) -> Section | None:
+    """Return whether the model may be used, and within which bound."""
+    if data.verdict is None:
+        return None
+    if data.verdict.refused:
+        reason = data.verdict.line.partition(": ")[2]
+        part = Verdict("failed", "Not to be trusted.", f"{reason[:1].upper()}{reason[1:].rstrip('.')}.")
+    else:
+        part = Verdict("ok", "May be used,", "within its bound.")
+    notes = [Note(f"{level.line[:1].upper()}{level.line[1:]}.") for level in data.discrepancy or ()]
+    if data.torque_Nm is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
+        notes.append(Note(f"The loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated."))
+    return Section("verdict", "Verdict", (part, *((Notes(tuple(notes), marked=True),) if notes else ())))
+
+
+def summary(data: Identified) -> Section | None:
+    """Return the results in numbers."""
+    residual = data.residual
+    if residual is None or data.parameters is None:
+        return None
+    shares = [entry.share for entry in data.parameters.values() if entry.share is not None]
+    good, rough, known = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _KNOWN))
+    words = [
+        f"{good} to {_GOOD * 100:.0f} %",
+        f"{rough - good} more to {_ROUGH * 100:.0f} %",
+        *([f"{known - rough} barely"] if known > rough else []),
+        *([f"{len(shares) - known} only together with others"] if len(shares) > known else []),
+        *(
+            [f"{len(data.parameters) - len(shares)} not seen: prior value"]
+            if len(shares) < len(data.parameters)
+            else []
+        ),
+    ]
+    gain = residual.before_rms_mm / max(residual.rms_mm, 1e-12)
+    tiles = (
+        Tile("Displacement under load, RMS", f"{residual.before_rms_mm:.3f}", "mm"),
+        Tile("Residual on these readings, RMS", f"{residual.rms_mm:.3f}", "mm", f"{gain:.0f} times less"),
+        Tile("Parameters determined", str(known), f"of {len(data.parameters)}", "; ".join(words)),
+    )
+    return Section("summary", "Results", (Tiles(tiles),))
+
+
+def to_know(data: Identified) -> Section:
+    """Return unidentifiable parameters and warnings."""
+    not_seen = data.not_observable or []
+    if not not_seen and not data.warnings:
+        text = "Every parameter is identifiable; no reading was left out."
+        return Section("to-know", "What to know", (Notes((Note(text, "good"),)),))
+    missing = tuple(
+        Note(f"{entry.name} is not observable: {entry.reason}. {entry.advice} The model keeps the prior value.")
+        for entry in not_seen
+    )
+    known = tuple(f"{entry.name} is not observable" for entry in not_seen)
+    others = tuple(Note(text, "warning") for text in data.warnings if not text.startswith(known or ("\0",)))
+    return Section("to-know", "What to know", (Notes(missing + others, marked=True),))
+
+
+def configurations(data: Identified) -> Section | None:
+    """Return displacement and residual of each configuration."""
+    if data.residual is None:
+        return None
+    rows = data.residual.per_configuration
+    at = [row.config for row in rows]
+    before = [max(row.before_mm, _LEAST_MM) for row in rows]
+    after = [max(row.after_mm, _LEAST_MM) for row in rows]
+    texts = [f"config {row.config:g}: {row.before_mm:.3f} → {row.after_mm:.4f} mm" for row in rows]
+    plot = Plot(
+        label="Displacement under load and residual of the model, for each configuration; the table has the numbers",
+        traces=[
+            Span(at, after, before),
+            Points(at, before, "displacement under load", "before", texts=texts),
+            Points(at, after, "residual of the model", "after", texts=texts),
+        ],
+        x=Axis(title="configuration"),
+        y=Axis(title="distance, RMS over the points, mm", logarithmic=True),
+        marks=[Mark(data.sigma_mm * 3**0.5, "one reading: σ·√3", "soft", level=True)],
+    )
+    cells = tuple(Row((f"{row.config:g}", f"{row.before_mm:.3f}", f"{row.after_mm:.4f}")) for row in rows)
+    table = Table(("Configuration", "Under load, mm", "Residual, mm"), cells, "RMS by configuration", sortable=True)
+    return Section("configurations", "Residuals by configuration", (plot, Fold("The numbers", (table,))))
+
+
+def parameters(data: Identified) -> Section | None:
+    """Return the parameters with their intervals."""
+    if not data.parameters:
+        return None
+    return Section("parameters", "Parameters with 95 % intervals", _intervals(data.parameters, _SPRINGS))
+
+
+def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
+    titles = [_title(name) for name in entries]
+    shown = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
+    priors = [
+        (row, abs(entry.prior / entry.value - 1.0))
+        for row, entry in enumerate(entries.values())
+        if entry.prior is not None and entry.value and entry.share is not None
+    ]
+    least = min([_LEAST, *(share for _, share in shown)])
+    most = max([1.0, *(share for _, share in shown)])
+    texts = [f"{titles[row]}: known to {_percent(share)}" for row, share in shown]
+    traces: list[Traced] = [
+        Points(
+            [100.0 * min(max(off, least), most) for _, off in priors],
+            [float(row) for row, _ in priors],
+            "prior value off by",
+            "soft",
+            hollow=True,
+            texts=[f"{titles[row]}: prior value off by {_percent(off)}" for row, off in priors],
+        ),
+        Points(
+            [100.0 * share for _, share in shown],
+            [float(row) for row, _ in shown],
+            "half width of the interval",
+            "after",
+            texts=texts,
+        ),
+    ]
+    marks = [Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_GOOD, _KNOWN)]
+    plot = Plot(
+        label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
+        traces=traces,
+        x=Axis(
+            title="half width of the interval, % of the value", logarithmic=True, range=(80.0 * least, 130.0 * most)
+        ),
+        y=Axis(categories=titles),
+        marks=marks,
+        height=90 + 22 * len(titles),
+        note=note,
+    )
+    rows = tuple(
+        Row((title, *_valued(entry), _judged(entry))) for title, entry in zip(titles, entries.values(), strict=True)
+    )
+    table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
+    return plot, table
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
+
+
+def _valued(entry: Parameter) -> tuple[str, str, str]:
+    """Return value, interval and unit; large values in millions of it."""
+    large = entry.value is not None and abs(entry.value) >= _LARGE
+    scale, unit = (1e6, f"10⁶ {entry.unit}") if large else (1.0, entry.unit)
+    value = "-" if entry.value is None else f"{entry.value / scale:.5g}"
+    return (
+        value,
+        "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}",
+        unit.replace("urad", "µrad").replace("um/", "µm/"),
+    )
+
+
+def _judged(entry: Parameter) -> Cell:
+    kinds: tuple[tuple[float, str, Kind], ...] = (
+        (_GOOD, "well known", "good"),
+        (_ROUGH, "roughly known", ""),
+        (_KNOWN, "barely known", "warning"),
+    )
+    share = entry.share
+    if share is None:
+        return Cell("not from these readings", "warning")
+    for limit, text, kind in kinds:
+        if share <= limit:
+            return Cell(text, kind)
+    return Cell("only together with others", "warning")
+
+
+def _title(name: str) -> str:
+    parameter = named(name)
+    return name if parameter is None else parameter.title
+
+
+def levels(data: Identified) -> Section | None:
+    """Return the equivalent compliance of joint 2 by level."""
+    if not data.k2_levels:
+        return None
+    at = [level.q2_deg for level in data.k2_levels]
+    values = [level.value for level in data.k2_levels]
+    half = [level.ci95 for level in data.k2_levels]
+    curve = data.k2_curve or []
+    texts = [f"q2 = {q:.1f}°: {v:.4f} ± {h or 0:.4f}" for q, v, h in zip(at, values, half, strict=True)]
+    traces = [Curve([q for q, _ in curve], [v for _, v in curve], "the model at small load", "correction")]
+    plot = Plot(
+        label="Equivalent compliance of joint 2 at each level of q2, and of the model",
+        traces=[
+            *(traces if curve else []),
+            Points(at, values, "level by level", "after", half=half, texts=texts),
+        ],
+        x=Axis(title="q2, °"),
+        y=Axis(title="compliance of joint 2, µrad/(N·m)"),
+        note="Points: identified level by level (Eq. (8)), 95 %. Curve: what the model holds at small load, K⁰ and "
+        "compensator together (Eq. (4)). Levels are found with joint springs alone: flexible links and stiffening "
+        "gears show in them too.",
+    )
+    return Section("levels", "Equivalent compliance of joint 2 by level of q2", (plot,))
+
+
+def structures(data: Identified) -> Section | None:
+    """Return the structures tried."""
+    if data.structure is None:
+        return None
+    tried = data.structure.tried
+    lengths = [max(row.held_out_sigma2, 0.1) for row in tried]
+    plot = Plot(
+        label="Mean square error of each structure on configurations left out, in units of the noise",
+        traces=[
+            Bars(
+                lengths,
+                [f"{row.held_out_sigma2:.2f} σ² · {row.active} parameters" for row in tried],
+                [r.chosen for r in tried],
+            )
+        ],
+        x=Axis(title="mean square error, σ²", logarithmic=True),
+        y=Axis(categories=[row.structure for row in tried]),
+        marks=[Mark(1.0, "noise alone", "soft")],
+        height=80 + 34 * len(tried),
+        note=f"{data.structure.reason}.",
+    )
+    return Section("structures", "Structures tried: error on configurations left out", (plot,))
+
+
+def correlations(data: Identified) -> Section | None:
+    """Return how the parameters found depend on each other."""
+    if data.correlation is None or len(data.correlation.names) < 2:
+        return None
+    names = data.correlation.names
+    plot = Plot(
+        label="Correlation of each pair of parameters",
+        traces=[Matrix(names, data.correlation.matrix)],
+        height=180 + min(40, max(900 // len(names), 18)) * len(names),
+        note="Blue: together; orange: against. Point at a cell for its number.",
+    )
+    return Section("correlations", "Correlations of the parameters", (plot,))
+
+
+def geometry(data: Identified) -> Section | None:
+    """Return the variants of the geometry."""
+    if data.geometry is None:
+        return None
+    variants = data.geometry.variants
+    plot = Plot(
+        label="RMS distance of unloaded readings on configurations left out, for each variant of the geometry",
+        traces=[
+            Bars(
+                [row.held_out_rms_mm for row in variants.values()],
+                [f"{row.held_out_rms_mm:.3f} mm (fit {row.rms_mm:.3f})" for row in variants.values()],
+                [name == data.geometry.chosen for name in variants],
+            )
+        ],
+        x=Axis(title="RMS distance, mm"),
+        y=Axis(categories=list(variants)),
+        height=80 + 34 * len(variants),
+    )
+    return Section("geometry", "Geometry: unloaded readings on configurations left out, RMS distance", (plot,))
+
+
+def calibrated(data: Identified) -> Section | None:
+    """Return the parameters of the geometry."""
+    if data.geometry is None or not data.geometry.parameters:
+        return None
+    return Section("calibrated", "Calibrated geometry", _intervals(data.geometry.parameters, _JOINTS))
+
+
+def placement(data: Identified) -> Section:
+    """Return the placement of robot and points."""
+    rows = tuple(Row((name, *(f"{point[axis]:.3f}" for axis in "XYZ"))) for name, point in data.points.items())
+    table = Table(("Point, flange frame", "X, mm", "Y, mm", "Z, mm"), rows, "Points in the flange frame")
+    frame = ", ".join(f"{axis} {data.base[axis]:.3f}" for axis in "XYZABC")
+    text = (
+        f"Robot root in the frame of the device: {frame} (mm, °). The readings without load are "
+        f"{data.unloaded_rms_mm:.3f} mm RMS off the geometry used."
+    )
+    return Section("placement", "Set-up found from the readings without load", (table, Notes((Note(text, "soft"),))))
+
+
+SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
+    verdict,
+    summary,
+    to_know,
+    configurations,
+    parameters,
+    levels,
+    structures,
+    correlations,
+    geometry,
+    calibrated,
+    placement,
+)
+"""The sections of the page in order. One that has nothing to say returns None."""
+
+
+def page(data: Identified, name: str) -> bytes:
+    """Return the page as HTML in UTF-8: one file that loads nothing.
+
+    :param data: content of `identification.json`.
+    :param name: of the model that was written.
+    """
+    count = "" if data.residual is None else f"{len(data.residual.per_configuration)} configurations · "
+    found = tuple(section for make in SECTIONS if (section := make(data)) is not None)
+    footer = (
+        Note(
+            "Intervals are 95 %, from the noise of the readings; what the structure of the model does not describe "
+            "comes on top, see the errors on configurations left out."
+        ),
+    )
+    subtitle = f"found from {data.robot}, method {data.method} · {count}noise σ {data.sigma_mm:.3g} mm a coordinate"
+    return b"".join(Page("Identification report", name, subtitle, found, footer).render())

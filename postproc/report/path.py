@@ -1,0 +1,126 @@
+"""Paths of results: points to draw them by, and their operations."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.correction import Result, Statistics, statistics
+from postproc.frames import Array, norm
+from postproc.operations import operations as program_operations
+from postproc.program import CIRC, Ints, Program
+
+_STEP = tuple(np.radians([10.0, 20.0]))
+"""Smallest and largest angle of a chord that an arc is drawn by."""
+_FINEST = 1e-4
+"""Smallest angle of a chord where its distance from the arc is given [rad]."""
+_UNSEEN = 1.0 / 2000.0
+"""Of the extent of the path, what a chord may leave the arc by."""
+
+
+def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]:
+    """Return points along the nominal path, and which target each leads to.
+
+    :param chord: largest distance of the chords of an arc from it [m]; None = what cannot be seen in a picture.
+
+    :returns: positions (P, 3) [m] in `$BASE`, or in the robot root if the program has more than one base; and the row
+        (P,) of the target at the end of the piece that the point lies on. Each target is the last of its points.
+    """
+    moved = result.program.motions
+    end = result.nominal[:, :3, 3]
+    row = np.arange(len(result))
+    arcs = np.flatnonzero(moved.kind[result.motion] == CIRC)
+    if len(arcs):
+        motion = result.motion[arcs]
+        same = (arcs > 0) & (result.motion[arcs - 1] == motion)
+        begin = np.where(same, result.t[arcs - 1], 0.0)
+        angle = moved.sweep[motion] * (result.t[arcs] - begin)
+        normal, spoke = moved.normal[motion], end[arcs] - moved.centre[motion]
+        height = np.einsum("ni,ni->n", spoke, normal)[:, None] * normal
+        radial, across = spoke - height, np.cross(normal, spoke)
+        axis = moved.centre[motion] + height
+        before = end[np.maximum(arcs - 1, 0)]
+        rise = (np.einsum("ni,ni->n", end[arcs] - before, normal) * (arcs > 0))[:, None] * normal
+        unseen = _UNSEEN * float(np.ptp(end, axis=0).max()) if chord is None else chord
+        step = 2.0 * np.arccos(np.clip(1.0 - unseen / np.maximum(norm(radial), unseen), -1.0, 1.0))
+        step = np.clip(step, _STEP[0] if chord is None else _FINEST, _STEP[1])
+        count = np.ones(len(result), dtype=np.int64)
+        count[arcs] = np.maximum(np.ceil(angle / step), 1.0).astype(np.int64)
+        row = np.repeat(row, count)
+        left = 1.0 - (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+        back = np.flatnonzero(left > 0.0)
+        arc, left = np.searchsorted(arcs, row[back]), left[back]
+        cos, sin = np.cos(angle[arc] * left)[:, None], np.sin(angle[arc] * left)[:, None]
+        end = end[row]
+        end[back] = axis[arc] + cos * radial[arc] - sin * across[arc] - left[:, None] * rise[arc]
+    bases = result.program.bases
+    if len(bases) > 1:
+        base = bases[moved.base[result.motion[row]]]
+        end = np.einsum("nij,nj->ni", base[:, :3, :3], end) + base[:, :3, 3]
+    return np.asarray(end), row
+
+
+class Operation(Struct, frozen=True):
+    """A run of targets.
+
+    :param name: comment before it, or empty.
+    :param tool: number of the tool that was changed to, or of the `$TOOL` of the program (from 1); 0 = not known.
+    :param first: row of its first target, `last` of its last one.
+    :param line: source line of its first target.
+    :param cutting: how many targets cut.
+    :param before: of the tool tip if nothing is corrected, `after` with the program as written, over cutting targets.
+    :param bound: 95 % bound of what remains on the part, or None.
+    :param force: largest force [N].
+    """
+
+    name: str
+    tool: int
+    first: int
+    last: int
+    line: int
+    cutting: int
+    before: Statistics
+    after: Statistics
+    bound: Statistics | None
+    force: float
+
+
+def operations(result: Result) -> list[Operation]:
+    """Return the operations that cut, in order; a program without any mark is one."""
+    starts = operation_starts(result.program, result.motion)
+    found = []
+    for first, end in pairwise([*sorted(starts), len(result)]):
+        rows = slice(first, end)
+        rapid = result.rapid[rows]
+        cutting = int(np.count_nonzero(~rapid))
+        if not cutting:
+            continue
+        name, tool = starts[first]
+        begin = first + int(np.argmin(rapid))
+        found.append(
+            Operation(
+                name=name,
+                tool=tool,
+                first=first,
+                last=end - 1,
+                line=int(result.source_line[begin]),
+                cutting=cutting,
+                before=statistics(norm(result.deviation_before[rows]), rapid),
+                after=statistics(norm(result.deviation_after[rows]), rapid),
+                bound=None if result.bound is None else statistics(result.bound[rows], rapid),
+                force=float(norm(result.wrench[rows, :3]).max(initial=0.0)),
+            )
+        )
+    return found
+
+
+def operation_starts(program: Program, motion: Ints) -> dict[int, tuple[str, int]]:
+    """Return the rows at which operations start: row → (name, tool).
+
+    :param motion: (K,) row of `program.motions`, never decreasing.
+    """
+    found = program_operations(program)
+    rows = np.searchsorted(motion, [each.first for each in found]).tolist()
+    return {row: (each.name, each.tool) for row, each in zip(rows, found, strict=True) if row < len(motion)}

@@ -1,0 +1,454 @@
+"""A plan of measurements as CSV, JSON, text and page."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from postproc.files import FileEntry
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
+from postproc.identification.coverage import SIGNS
+from postproc.plan import PlanResult
+from postproc.plan.site import BoxShape
+from postproc.program import Ints
+from postproc.report.kit import (
+    Axis,
+    Cell,
+    Counts,
+    Curve,
+    Lines,
+    Mark,
+    Note,
+    Notes,
+    Page,
+    Plot,
+    Points,
+    Row,
+    Section,
+    Table,
+    Tile,
+    Tiles,
+)
+from postproc.report.kit.parts import Colour
+from postproc.robot import JOINTS, WITH_LINKS
+
+_HEADER = "config,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz"
+
+
+def plan_csv(result: PlanResult) -> bytes:
+    """Return ``config,A1…A6,Fx,Fy,Fz``: deg; N, root axes, at the load point; in the order of least travel."""
+    rows = [_HEADER]
+    for number, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1):
+        angles = ",".join(_fixed(value, 3) for value in q)
+        rows.append(f"{number},{angles},{','.join(_fixed(value, 1) for value in force)}")
+    return ("\n".join(rows) + "\n").encode()
+
+
+def plan_summary(result: PlanResult) -> dict[str, object]:
+    """Return the expected accuracy of a plan as plain data; lengths in mm.
+
+    Criteria are given as square roots: the RMS distance that remains after compensation.
+    """
+    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    random = np.sqrt(result.random) * MM_PER_M
+    out: dict[str, object] = {
+        "robot": result.robot,
+        "configurations": len(result.plan),
+        "q2_levels_deg": sorted(round(float(value), 3) for value in result.plan.q2 * DEG_PER_RAD),
+        "seed": result.options.seed,
+        "second_load": {
+            "share": result.second_load,
+            "N": result.second_load * result.site.rig.force,
+        },
+        "torques": [
+            {
+                "joint": joint,
+                **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
+                **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
+                **{
+                    f"work_{sign}_Nm": float(value)
+                    for sign, value in zip(SIGNS, (-work[0] + 0.0, work[1]), strict=True)
+                },
+            }
+            for joint, low, high, count, work in zip(
+                JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True
+            )
+        ],
+        "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": own},
+        "expected": {
+            "rms_mm": result.accuracy.rms * MM_PER_M,
+            "interval95_mm": [value * MM_PER_M for value in result.accuracy.interval],
+            "worst_test_pose_mm": float(result.accuracy.poses.max()) * MM_PER_M,
+        },
+        "uncompensated": {
+            "rms_mm": float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M,
+            "max_mm": float(result.tests.deflection.max()) * MM_PER_M,
+        },
+        "parameters": [
+            {"name": name, "ci95_percent": float(half) * 100.0}
+            for name, half in zip((p.symbol for p in result.accuracy.parameters), result.accuracy.relative, strict=True)
+        ],
+        "test_poses": {"count": len(result.tests), "source": result.tests.source},
+        "travel_s": result.seconds,
+        "interrupted": result.interrupted,
+        "warnings": list(result.warnings),
+    }
+    if result.before is not None:
+        known = math.isfinite(result.before.rms)  # not while a parameter is unidentifiable from the readings so far
+        out["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if known else None}
+    if len(random):
+        out["random"] = {
+            "plans": len(random),
+            "best_rms_mm": float(random.min()),
+            "median_rms_mm": float(np.median(random)),
+            "gain_over_best": float(random.min()) / own,
+            "gain_over_median": float(np.median(random)) / own,
+        }
+    if result.serial is not None:
+        serial = float(np.sqrt(result.serial.value)) * MM_PER_M
+        out["serial_approach"] = {"rms_mm": serial, "gain": serial / own}
+    if result.sizes:
+        out["sizes"] = [
+            {
+                "configurations": size.configurations,
+                "rms_mm": float(np.sqrt(size.value)) * MM_PER_M,
+                "random_median_rms_mm": float(np.sqrt(size.random)) * MM_PER_M,
+            }
+            for size in result.sizes
+        ]
+    return out
+
+
+def poses_by_side(result: PlanResult) -> Ints:
+    """Return the number of poses (6, 2) that load each joint in negative and in positive direction."""
+    return np.asarray(result.directions.counted(result.torque).sum(axis=0))
+
+
+def extremes(result: PlanResult) -> tuple[Array, Array]:
+    """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
+    return np.minimum(result.torque.min(axis=0), 0.0) + 0.0, np.maximum(result.torque.max(axis=0), 0.0)
+
+
+def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
+    """Return `plan_summary` as JSON.
+
+    :param files: written with it.
+    """
+    content = {**plan_summary(result), "files": files}
+    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def plan_lines(result: PlanResult) -> list[str]:
+    """Return a summary as lines of text."""
+    low, high = (value * MM_PER_M for value in result.accuracy.interval)
+    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
+    levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
+    lines = [
+        f"{len(result.plan)} poses, A2 at {levels}°; {len(result.tests)} test poses from {result.tests.source}",
+        f"each under two loads: {result.site.rig.force:.0f} N as planned, and {result.second_load:.0%} of it, "
+        f"{result.second_load * result.site.rig.force:.0f} N, in the same direction: as near to the work "
+        "as the readings allow",
+        "torques of the loads: "
+        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *extremes(result), strict=True))
+        + " N·m",
+        f"expected error after compensation: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
+        f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
+    ]
+    if result.before is not None:
+        alone = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
+        if not math.isfinite(result.before.rms):
+            alone = "unknown, it does not determine every parameter"
+        lines.append(f"with what was measured so far alone: {alone}")
+    if len(result.random):
+        random = np.sqrt(result.random) * MM_PER_M
+        lines.append(
+            f"criterion {own:.3g} mm; {len(random)} random plans: best {random.min():.3g}, median "
+            f"{np.median(random):.3g} mm ({np.median(random) / own:.2f} × the plan's)"
+        )
+    if result.serial is not None:
+        serial = float(np.sqrt(result.serial.value)) * MM_PER_M
+        lines.append(f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / own:.2f} × the plan's)")
+    if result.interrupted:
+        lines.append("interrupted: this is the best plan so far")
+    return lines
+
+
+def _fixed(value: float, decimals: int) -> str:
+    text = f"{value:.{decimals}f}"
+    return text if float(text) != 0.0 else f"{0.0:.{decimals}f}"
+
+
+_ARROW = 0.45
+"""Length of a load [m]."""
+_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+
+
+def poses(result: PlanResult) -> Section:
+    """Return all poses in one view, with a slider that shows them one by one."""
+    site, count = result.site, len(result.plan)
+    posed = site.arm.pose(result.plan.q)
+    origin = posed.origin
+    base = np.zeros_like(origin[:, :1])
+    column = np.concatenate([base[..., :2], origin[:, 1:2, 2:]], axis=2)
+    hook = posed.point(site.load_point[None])
+    arms = np.concatenate([base, column, origin[:, 1:5], posed.flange[:, None, :3, 3], hook], axis=1)
+    pull = result.force / np.linalg.norm(result.force, axis=1, keepdims=True)
+    loads = np.stack([hook[:, 0], hook[:, 0] + _ARROW * pull], axis=1)
+    points = posed.point(site.points)
+    around = []
+    if site.obstacles:
+        edges = [_box(thing)[[a, b]] for thing in site.obstacles for a, b in _EDGES]
+        around.append(_line(edges, "obstacles", "warning", 2.0))
+    if site.tracker is not None:
+        around.append(_line([site.tracker[None]], "tracker", "force", 6.0, dots=True))
+    alone = [
+        trace
+        for pose in range(count)
+        for trace in (
+            _line([arms[pose]], f"pose {pose + 1}", "after", 8.0),
+            _line([loads[pose]], "pull of the load", "before", 6.0),
+            _line([points[pose]], "reference points", "ink", 3.0, dots=True),
+        )
+    ]
+    every = [_line(list(arms), "arms", "after", 5.0), _line(list(loads), "pull of the loads", "before", 3.0)]
+    traces = [*around, *every, *alone]
+    fixed = list(range(len(around)))
+    begin = len(fixed) + len(every)
+    steps = [[*fixed, len(fixed), len(fixed) + 1]]
+    steps += [[*fixed, *(begin + 3 * pose + index for index in range(3))] for pose in range(count)]
+    plot = Plot(
+        label="The arm in all poses of the plan, and in each; angles and loads are in the table below",
+        traces=list(traces),
+        height=560,
+        steps=steps,
+        step_names=["all", *(f"{pose + 1}" for pose in range(count))],
+        note="Drag to turn, wheel to zoom; the slider shows one pose after the other. Orange: pull of the load; dots: "
+        "reference points. Metres, robot root.",
+    )
+    return Section("poses", "The poses", (plot,))
+
+
+def _line(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
+    """Return pieces (k, 3) [m] as one line with gaps."""
+    gap = np.full((1, 3), np.nan)
+    joined = np.concatenate([part for piece in pieces for part in (piece, gap)] or [gap])
+    x, y, z = (joined[:, axis].tolist() for axis in range(3))
+    return Lines(x, y, z, name, colour, width, dots)
+
+
+def _box(obstacle: object) -> Array:
+    """Return the eight corners of a box, or of the box around a mesh [m]."""
+    signs = np.array([[1 if corner >> axis & 1 else -1 for axis in range(3)] for corner in range(8)])
+    if isinstance(obstacle, BoxShape):
+        rotation, shift = obstacle.to_box[:3, :3], obstacle.to_box[:3, 3]
+        return np.asarray((signs * obstacle.half - shift) @ rotation)
+    vertices = obstacle.vertices  # type: ignore[attr-defined]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.asarray(0.5 * (low + high) + 0.5 * signs * (high - low))
+
+
+_GOOD = 0.1
+_BINS = 60
+
+
+def expected(result: PlanResult) -> Section:
+    """Return the expected accuracy."""
+    low, high = (value * MM_PER_M for value in result.accuracy.interval)
+    uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2))
+    tiles = [
+        Tile(
+            "After compensation, RMS",
+            f"{result.accuracy.rms * MM_PER_M:.3g}",
+            "mm",
+            f"95 %: {low:.3g} … {high:.3g} mm",
+        ),
+        Tile("Without compensation, RMS", f"{uncompensated * MM_PER_M:.3g}", "mm"),
+    ]
+    if len(result.random):
+        gain = np.sqrt(np.median(result.random) / result.plan.value)
+        tiles.append(Tile("Better than the median of random plans", f"{gain:.2f}", "×"))
+    tiles.append(Tile("Least travel, joints at full speed", f"{result.seconds:.0f}", "s"))
+    return Section("expected", "What to expect", (Tiles(tuple(tiles)),))
+
+
+def warnings(result: PlanResult) -> Section | None:
+    """Return the warnings."""
+    if not result.warnings:
+        return None
+    notes = tuple(Note(f"{text}.", "warning") for text in result.warnings)
+    return Section("warnings", "Before you measure", (Notes(notes, marked=True),))
+
+
+def comparison(result: PlanResult) -> Section | None:
+    """Return the plan among random ones."""
+    if not len(result.random):
+        return None
+    random = np.sqrt(result.random) * MM_PER_M
+    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    serial = None if result.serial is None else float(np.sqrt(result.serial.value)) * MM_PER_M
+    # some random plans are hopeless: the picture ends where 97 % of them are in
+    top = max(float(np.quantile(random, 0.97)), serial or 0.0, own) * 1.05
+    counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
+    median = float(np.median(random))
+    marks = [Mark(own, f"this plan {own:.3g}", "after"), Mark(median, f"median of random plans {median:.3g}", "before")]
+    marks += [] if serial is None else [Mark(serial, f"semi-intuitive plan {serial:.3g}", "before")]
+    best = f"The best of {len(random)} random plans has {random.min():.3g} mm, this one {own:.3g} mm"
+    intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} mm"
+    plot = Plot(
+        label="Histogram of the criterion of random plans; this plan is marked",
+        traces=[Counts(edges.tolist(), counts.tolist(), "random plans")],
+        x=Axis(title="criterion (root: RMS distance that remains), mm", range=(0.0, top)),
+        y=Axis(title="number of plans"),
+        marks=marks,
+        note=f"{best}{intuitive}. Random plans: levels, poses and loads at random among those that can be measured. "
+        "Semi-intuitive: well-conditioned poses, far apart, on evenly spaced levels.",
+    )
+    return Section("comparison", "Among other plans of the same size", (plot,))
+
+
+def sizes(result: PlanResult) -> Section | None:
+    """Return the criterion against the number of poses."""
+    if len(result.sizes) < 2:
+        return None
+    number = [float(size.configurations) for size in result.sizes]
+    own = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
+    random = (np.sqrt([size.random for size in result.sizes]) * MM_PER_M).tolist()
+    chosen = [(n, value) for n, value in zip(number, own, strict=True) if n == len(result.plan)]
+    high = min(max(random), 4.0 * max(own)) * 1.05
+    plot = Plot(
+        label="Criterion against the number of poses, for the best plans found and for random ones",
+        traces=[
+            Curve(number, random, "random plans, median", "before", dots=True, dashed=True),
+            Curve(number, own, "best plan found", "after", dots=True),
+            Points([n for n, _ in chosen], [v for _, v in chosen], "this plan", "ink", hollow=True),
+        ],
+        x=Axis(title="number of poses"),
+        y=Axis(title="criterion (root), mm", range=(0.0, high)),
+        note="Other sizes by a shorter search, good to some per cent. Once the curve falls with the root of the number "
+        "only, further poses merely average out noise.",
+    )
+    return Section("sizes", "How many poses pay", (plot,))
+
+
+def angles(result: PlanResult) -> Section:
+    """Return angles and loads of the poses."""
+    head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
+    rows = tuple(
+        Row((str(row), *(f"{angle + 0.0:.3f}" for angle in q), *(f"{value + 0.0:.1f}" for value in force)))
+        for row, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1)
+    )
+    note = "In the order of least travel. Loads act on the load point, root axes."
+    return Section("angles", "Angles and loads", (Table(head, rows, "Angles and loads of each pose", note=note),))
+
+
+def tests(result: PlanResult) -> Section:
+    """Return the test poses."""
+    order = np.argsort(-result.tests.weight, kind="stable")
+    rows = tuple(
+        Row(
+            (
+                str(place),
+                f"{100 * result.tests.weight[row]:.1f}",
+                f"{np.linalg.norm(result.tests.wrench[row, :3]):.0f}",
+                f"{result.tests.deflection[row] * MM_PER_M:.3f}",
+                f"{result.accuracy.poses[row] * MM_PER_M:.3g}",
+            )
+        )
+        for place, row in enumerate(order, 1)
+    )
+    head = ("Test pose", "Share, %", "Force, N", "Deflection, mm", "Expected to remain, mm")
+    note = f"They represent all cutting moves (Σ w A₀ᵀA₀ agrees to {100 * result.represented:.2g} %)."
+    table = Table(head, rows, "Test poses", sortable=True, note=note)
+    return Section("tests", "Test poses: where it will be milled", (table,), "half")
+
+
+def parameters(result: PlanResult) -> Section:
+    """Return the expected interval of each parameter."""
+    rows = tuple(
+        Row((parameter.symbol, Cell(f"± {_percent(float(half))}", "good" if half <= _GOOD else "warning")))
+        for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
+    )
+    note = (
+        "Of the robot's present value. A plan made for the work at hand may leave wide what the work does not need. "
+        f"{WITH_LINKS}: the intervals are of that sum."
+    )
+    table = Table(("Parameter", "95 % interval"), rows, "Expected intervals of the parameters", note=note)
+    return Section("parameters", "Parameters", (table,), "half")
+
+
+def torques(result: PlanResult) -> Section:
+    """Return the torques of the loads on the joints, by sign, and those of the work."""
+    low, high = extremes(result)
+    work, count = result.directions.work, poses_by_side(result)
+    rows = tuple(
+        Row(
+            (
+                joint,
+                Cell(f"{low[row]:.0f} ({count[row, 0]})", "good" if count[row, 0] else "warning"),
+                Cell(f"{high[row]:.0f} ({count[row, 1]})", "good" if count[row, 1] else "warning"),
+                f"{-work[row, 0] + 0.0:.0f} … {work[row, 1]:.0f}",
+            )
+        )
+        for row, joint in enumerate(JOINTS)
+    )
+    note = (
+        "Of the load alone, N·m; in brackets the poses that load the joint to that side by about the torque of the "
+        "work or more. Lost motion and preload of a gear show only where it is loaded to both sides."
+    )
+    head = ("Joint", "negative (poses)", "positive (poses)", "work")
+    return Section(
+        "torques", "Torques on the joints", (Table(head, rows, "Torques by joint and sign", note=note),), "half"
+    )
+
+
+def _percent(half: float) -> str:
+    return f"{100 * half:.2g} %" if half < 10.0 else "unbounded"
+
+
+SECTIONS: tuple[Callable[[PlanResult], Section | None], ...] = (
+    expected,
+    warnings,
+    poses,
+    angles,
+    comparison,
+    sizes,
+    tests,
+    parameters,
+    torques,
+)
+"""The sections of the page in order. One that has nothing to say returns None."""
+
+
+def plan_page(result: PlanResult, name: str) -> bytes:
+    """Return the page as HTML in UTF-8: one file that loads nothing.
+
+    :param name: of the plan.
+    """
+    how = (
+        "Criterion as printed in the paper: each level of q2 identified alone."
+        if result.options.grouped
+        else "Criterion: covariance of Eq. (8), shared by the levels; k2 at a test pose from them by Eq. (9), (10)."
+    )
+    footer = (
+        Note(
+            f"{how} The expected accuracy is that of an identification which weights all readings by their noise. It "
+            "counts the noise of the readings only: what the model does not describe comes on top. "
+            f"Seed {result.options.seed}; the same seed and files give the same plan."
+        ),
+    )
+    found = tuple(section for make in SECTIONS if (section := make(result)) is not None)
+    return b"".join(Page("Plan of measurements", name, _subtitle(result), found, footer).render())
+
+
+def _subtitle(result: PlanResult) -> str:
+    levels = len(np.unique(result.plan.level))
+    stopped = " · search interrupted: the best plan so far" if result.interrupted else ""
+    more = " in addition to those measured" if result.before is not None else ""
+    return (
+        f"{result.robot} · {len(result.plan)} poses{more} on {levels} levels of q2 · "
+        f"load {result.site.rig.force:.0f} N · test poses from {result.tests.source}{stopped}"
+    )

@@ -1,0 +1,169 @@
+"""Comparison by paths: what is missing is judged by how far the path leaves the nominal one, whatever divides it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CELL = str(SAMPLES / "cell_kr270.toml")
+TURNED = "A 180,B 0,C 180"
+HEAD = """DEF {name}( )
+$VEL.CP=0.05
+$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
+$TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
+PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
+"""
+SQUARE = [(0, 0), (40, 0), (40, 30), (0, 30), (0, 0)]
+FORCE = ";FORCE FX=-150 FY=120 FZ=200"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def program(name, *moves):
+    Path(f"{name}.src").write_text("\n".join([HEAD.format(name=name), *moves, "END", ""]))
+    return f"{name}.src"
+
+
+def lin(x, y, z=0.0):
+    return f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},{TURNED}}}"
+
+
+def circ(via, end):
+    return f"CIRC {{X {via[0]:.4f},Y {via[1]:.4f},Z 0}},{{X {end[0]:.4f},Y {end[1]:.4f},Z 0,{TURNED}}}"
+
+
+def run(*arguments, code):
+    done = CliRunner().invoke(main, [*map(str, arguments), "--cell", CELL])
+    assert done.exit_code == code, done.output
+    return done.output
+
+
+def compared(nominal, corrected, *more, code=0):
+    return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", "--overwrite", *more, code=code))
+
+
+def unmarked(path):
+    """Leave out the line that says where a program comes from: the motions alone tell."""
+    text = Path(path).read_text()
+    Path(path).write_text(re.sub(r"^;POSTPROC .*\n", "", text, flags=re.M))
+    return path
+
+
+@pytest.mark.parametrize("corner", [1, 2, 3])
+@pytest.mark.parametrize("force", ["", FORCE])
+def test_a_missing_corner_of_a_square_fails_by_the_distance_of_the_corner(corner, force):
+    one = program("ONE", force, *(lin(*spot) for spot in SQUARE))
+    other = program("OTHER", force, *(lin(*spot) for k, spot in enumerate(SQUARE) if k != corner))
+    content = compared(one, other, code=3)
+    assert content["only_nominal"] == 1
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
+    height = 40.0 * 30.0 / math.hypot(40.0, 30.0)  # of the corner over the diagonal
+    told = float(re.search(r"by ([\d.]+) mm", issue["message"])[1])
+    # under the force the tip of the program that is not corrected is beside the diagonal
+    assert told == pytest.approx(height, abs=0.01 if not force else 1.0)
+    assert issue["level"] == "error"
+    assert issue["source_line"] == 8 + corner - (1 if not force else 0) + (1 if not force else 0)
+    assert any("leaves the nominal one by" in reason for reason in content["verdict"]["reasons"])
+
+
+def test_a_missing_corner_of_a_corrected_square_fails_too():
+    one = program("ONE", FORCE, *(lin(*spot) for spot in SQUARE))
+    run("convert", one, "-o", "out", code=0)
+    path = unmarked("out/ONE.src")
+    lines = Path(path).read_text().splitlines(keepends=True)
+    corner = [k for k, line in enumerate(lines) if line.startswith("LIN")][2]
+    Path(path).write_text("".join([*lines[:corner], *lines[corner + 1 :]]))
+    content = compared(one, path, code=3)
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
+    assert float(re.search(r"by ([\d.]+) mm", issue["message"])[1]) == pytest.approx(24.0, abs=0.5)
+
+
+def test_a_point_of_a_line_or_an_arc_may_be_left_out():
+    whole = [lin(0, 0), lin(60, 0), circ((80, 20), (60, 40)), lin(0, 40)]
+    half = 20.0 / math.sqrt(2.0)
+    divided = [
+        lin(0, 0), lin(25, 0), lin(60, 0), circ((60 + half, 20 - half), (80, 20)),
+        circ((60 + half, 20 + half), (60, 40)), lin(0, 40),
+    ]  # fmt: skip
+    content = compared(program("ONE", *divided), program("OTHER", *whole))
+    assert (content["pairs"], content["only_nominal"], content["verdict"]["state"]) == (4, 0, "ok")
+    content = compared(program("ONE", *whole), program("OTHER", *divided))
+    assert (content["pairs"], content["inserted"], content["only_corrected"]) == (4, 2, 0)
+    assert content["verdict"]["state"] == "ok"
+
+
+def test_a_slit_that_is_left_out_fails_though_the_path_stays_on_the_nominal_one():
+    moves = [lin(0, 0), lin(40, 0), lin(40, 25), lin(40, 0), lin(80, 0)]
+    content = compared(program("ONE", *moves), program("OTHER", moves[0], moves[1], moves[4]), code=3)
+    (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
+    assert "by 25.0000 mm" in issue["message"]
+
+
+def test_a_nominal_and_a_corrected_program_of_gcode_belong_together_without_saying_so():
+    """The nominal program divides its arcs by their curvature, the corrected one by the force."""
+    Path("part.nc").write_text(
+        "G90 G21 G17\nF900\nG0 X0 Y0 Z20\n(FORCE FX=-200 FY=150 FZ=90 FRAME=FEED)\nG1 Z-1\nG1 X40\n"
+        "G3 X40 Y30 I0 J15\nG2 X40 Y60 I0 J15\nG1 X0\n(FORCE OFF)\nG0 Z20\nM2\n"
+    )
+    run("convert", "part.nc", "-o", "corrected", code=0)
+    run("convert", "part.nc", "--nominal", "-o", "nominal", code=0)
+    content = compared("nominal/part.src", "corrected/part.src")
+    assert content["verdict"]["state"] == "ok"
+    assert content["provenance"]["made_from_these"]["program"] is True
+    offset = json.loads(Path("corrected/part.report.json").read_text())["max_correction_mm"]
+    assert content["offset"]["max_mm"] == pytest.approx(offset, rel=0.05)
+    content = compared(unmarked("nominal/part.src"), unmarked("corrected/part.src"))
+    assert (content["only_nominal"], content["only_corrected"]) == (0, 0)
+    assert content["cut"]["corrected"]["max_mm"] < 0.001
+    assert content["between"]["corrected_max_mm"] < 0.01
+
+
+def test_forces_in_a_file_that_is_not_given_are_asked_for_in_an_ok_verdict():
+    one = program("ONE", *(lin(*spot) for spot in SQUARE))
+    Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n7,-250,180,120,12\n")
+    run("convert", one, "--forces", "forces.csv", "-o", "out", code=0)
+    content = compared(one, "out/ONE.src")
+    assert content["verdict"]["state"] == "ok"
+    assert content["offset"]["max_mm"] > 0.1
+    assert any("--forces" in reason for reason in content["verdict"]["reasons"])
+    assert "force file" not in content["provenance"]["made_from_these"]
+    assert compared(one, "out/ONE.src", "--forces", "forces.csv")["cut"]["corrected"]["max_mm"] < 0.001
+    Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n7,-100,180,120,12\n")
+    content = compared(one, "out/ONE.src", "--forces", "forces.csv", code=3)
+    assert "another force file" in " ".join(content["verdict"]["reasons"])
+
+
+def test_another_orientation_type_is_reported_but_for_the_one_that_the_correction_needs():
+    moves = [lin(*spot) for spot in SQUARE]
+    one = program("ONE", *moves)
+    content = compared(one, program("OTHER", *moves[:2], "$ORI_TYPE=#CONSTANT", *moves[2:]))
+    (issue,) = content["issues"]
+    assert (issue["kind"], issue["count"]) == ("orientation-type", 3)
+    assert "$ORI_TYPE is #CONSTANT instead of #VAR" in issue["message"]
+    assert content["verdict"]["state"] == "warning"
+    assert content["differences"]["orientation_type"] == 3
+    content = compared("OTHER.src", one)
+    assert content["verdict"]["state"] == "ok"
+
+
+def test_another_turn_of_a_point_to_point_target_is_reported():
+    def moves(turn):
+        return [lin(0, 0), f"PTP {{X 60,Y 0,Z 30,{TURNED}{turn}}}", lin(80, 0)]
+
+    one = program("ONE", *moves(",S 2,T 2"))
+    assert compared(one, program("SAME", *moves(",S 2,T 2")))["issues"] == []
+    for turn in (",S 2,T 18", ",S 2", ""):
+        content = compared(one, program("OTHER", *moves(turn)))
+        assert "posture" in {issue["kind"] for issue in content["issues"]}, turn
+        assert content["verdict"]["state"] == "warning"

@@ -1,0 +1,94 @@
+"""Joint speeds: rapid moves are slowed, cutting moves state the feed that would do, the written path is checked."""
+
+import re
+
+import pytest
+from msgspec.structs import replace
+
+from postproc import cell as cells
+from postproc import robot as robots
+from postproc.correction import checks, joint_speeds, process, read
+from postproc.dialects.text import decode
+from tests.documentation.pages import ROOT
+
+CELL = cells.load(ROOT / "samples" / "cell_kr270.toml")
+FAST = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=6.0))
+ROBOT = robots.load(robots.find("kuka_kr270"))
+RAPIDS = "G21 G90\nS9000 M3\nG0 X0 Y0 Z50\nZ5\nG1 X50 F{feed}\nG0 Z50\nY-300\nY300\nZ49\nM30\n"
+
+
+def converted(text: str, cell=FAST, dialect: str = "gcode", **options):
+    program = read([decode("part.nc", text.encode())], ROBOT, cell, "PART", dialect)
+    return process(program, ROBOT, cell, **options)
+
+
+def speeds(text: str) -> list[float]:
+    return [float(word) for word in re.findall(r"^\$VEL\.CP=([\d.]+)", text, re.M)]
+
+
+def test_rapid_moves_are_slowed_to_what_the_joints_can_do():
+    result = converted(RAPIDS.format(feed=900))
+    assert result.documents
+    told = next(issue for issue in result.issues if issue.kind == "rapid-slowed")
+    assert told.level == "info"
+    assert 7 in told.lines
+    text = result.documents[0].text
+    slow = [speed for speed in speeds(text) if speed > 0.1]
+    assert min(slow) < 6.0
+    # the slowest of them: A1 passes the middle of Y-300 … Y300 with the most
+    predicted = converted(text, dialect="krl", mode="predict")
+    assert not [issue for issue in predicted.issues if issue.kind.startswith("joint-speed")]
+    assert f"{min(slow):.3g} m/s" in told.message
+    # just 3 % more would be too fast
+    faster = re.sub(rf"^\$VEL\.CP={min(slow):.6f}", f"$VEL.CP={1.03 * min(slow):.6f}", text, flags=re.M)
+    again = converted(faster, dialect="krl", mode="predict")
+    assert [issue for issue in again.issues if issue.kind.startswith("joint-speed")]
+
+
+def test_nothing_is_slowed_where_the_joints_keep_up():
+    result = converted(RAPIDS.format(feed=900), CELL)
+    assert "rapid-slowed" not in {issue.kind for issue in result.issues}
+    assert set(speeds(result.documents[0].text)) == {0.3, 0.015}
+
+
+def test_a_cutting_move_states_the_feed_that_would_do():
+    text = "G21 G90\nG0 X0 Y-300 Z5\nG1 Y300 F{feed}\nG0 Z50\nM30\n"
+    result = converted(text.format(feed=400000), CELL)
+    issue = next(issue for issue in result.issues if issue.kind.startswith("joint-speed"))
+    assert issue.level == "error"
+    feed = float(re.search(r"Lower the feed to ([\d.]+) mm/min", issue.message)[1])
+    assert converted(text.format(feed=feed), CELL).documents
+    assert not converted(text.format(feed=1.15 * feed), CELL).documents
+
+
+@pytest.mark.parametrize(("value", "text"), [(1234.9, "1200"), (0.0567, "0.056"), (100.0, "100"), (99.0, "99")])
+def test_the_feed_is_rounded_down(value, text):
+    assert checks._rounded_down(value) == text
+
+
+def test_the_first_move_begins_at_start():
+    """A G1 as first move: from [start] to the part in one go, at 60 m/min."""
+    text = "G21 G90\nG1 X0 Y0 Z50 F{feed}\nX20 F900\nM30\n"
+    fast = [i for i in converted(text.format(feed=900000), CELL).issues if i.kind.startswith("joint-speed")]
+    assert [issue.source_line for issue in fast[:1]] == [2]
+    assert converted(text.format(feed=900), CELL).documents
+
+
+def test_the_written_path_is_checked(monkeypatch):
+    """Were the commanded path not checked, the text would be refused, with the lines of both."""
+    monkeypatch.setattr(checks, "joint_speeds", spared(checks.joint_speeds, "part.nc"))
+    monkeypatch.setattr(joint_speeds, "slowed", lambda *_: None)
+    result = converted(RAPIDS.format(feed=900))
+    assert not result.documents
+    issue = next(issue for issue in result.issues if issue.level == "error")
+    assert issue.kind.startswith("joint-speed")
+    assert issue.source_line in (7, 8)
+    assert issue.output_line is not None
+
+
+def spared(check, name: str):
+    def checked(program, *arguments):
+        of_source = bool(program.documents) and program.documents[0].name == name
+        return iter(()) if of_source else check(program, *arguments)
+
+    return checked

@@ -1,0 +1,35 @@
+"""A second tool in a cell that does not say how tools are changed."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+import postproc
+from tests.machining.setting import CELL, ROBOT
+
+TWO = "G21 G90 G17\nT1 M6\nG0 X0 Y0 Z50\nG1 X20 F900\n(more)\nT2 M6\nG1 X40\nM30\n"
+
+
+def written(folder, text, change):
+    (folder / "part.nc").write_text(text)
+    cell = replace(CELL, gcode=replace(CELL.gcode, tool_change=change))
+    program = postproc.read_program(folder / "part.nc", ROBOT, cell)
+    return {mode: postproc.process(program, ROBOT, cell, None, mode) for mode in ("convert", "nominal", "predict")}
+
+
+def test_a_second_tool_is_refused_where_nothing_is_written_for_it(tmp_path):
+    found = written(tmp_path, TWO, None)
+    for mode in ("convert", "nominal"):
+        assert found[mode].failed
+        (issue,) = [issue for issue in found[mode].issues if issue.level == "error"]
+        assert (issue.kind, issue.source_line) == ("tool-change", 6)
+        assert "tool_change = []" in issue.message
+    assert not found["predict"].failed
+
+
+def test_a_tool_changed_by_hand_or_by_lines_is_written(tmp_path):
+    by_hand = written(tmp_path, TWO, [])["convert"]
+    assert not by_hand.failed
+    assert not any("tool_change" in issue.message for issue in by_hand.issues)
+    assert "HALT ;2" in written(tmp_path, TWO, ["HALT ;{T}"])["convert"].documents[0].text
+    assert not written(tmp_path, TWO.replace("T2", "T1"), None)["convert"].failed

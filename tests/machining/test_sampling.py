@@ -1,0 +1,128 @@
+"""Edge in material at places of a map, against loops over places and cells; and the height of a tool over a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.machining.material import CuttingLaw
+from postproc.machining.removal import _tool_over
+from postproc.machining.sampling import engaged
+from postproc.machining.stock import Stock
+from postproc.machining.tool import Cutter, edge
+from postproc.machining.turn import Turn
+
+LAW = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
+FLAT, BALL, BULL = Cutter(5e-3, 0.0, 3), Cutter(5e-3, 5e-3, 2), Cutter(8e-3, 2e-3, 5)
+CELL = 1e-3
+
+
+def stock_of(seed, *, parts, floor):
+    """A map of 12 by 15 cells whose levels differ from cell to cell; some cells are empty, some cut in part."""
+    rng = np.random.default_rng(seed)
+    shape = (12, 15)
+    ground = rng.uniform(-2e-3, 2e-3, shape) if floor else np.full(shape, -20e-3)
+    high = rng.uniform(-3e-3, 6e-3, shape)
+    high = np.where(rng.random(shape) < 0.2, ground, np.maximum(high, ground))
+    share = np.where(rng.random(shape) < 0.5, rng.random(shape), 0.0) if parts else np.zeros(shape)
+    low = high - rng.uniform(-1e-3, 3e-3, shape)
+    single = [one.astype(np.float32) for one in (high, low, share, ground)]
+    return Stock(0.02, -0.01, CELL, *single, float(ground.max()))
+
+
+def corners(stock, x, y):
+    """Cells (row, column) around a point and their weights; the first is that below and to the left."""
+    rows, columns = stock.high.shape
+    fx = np.clip((x - stock.x) / CELL - 0.5, 0.0, columns - 1.001)
+    fy = np.clip((y - stock.y) / CELL - 0.5, 0.0, rows - 1.001)
+    column, row = int(fx), int(fy)
+    fx, fy = fx - column, fy - row
+    return [
+        ((row, column), (1 - fx) * (1 - fy)), ((row, column + 1), fx * (1 - fy)),
+        ((row + 1, column), (1 - fx) * fy), ((row + 1, column + 1), fx * fy),
+    ]  # fmt: skip
+
+
+def by_loops(stock, turn, x, y, tip, descent):
+    """Length (n, P) and moment (n, C) of the edge in material."""
+    length, moment = np.zeros(x.shape), np.zeros((len(x), turn.side.stop - turn.side.start))
+    for n, p in np.ndindex(*x.shape):
+        z, low, rise = tip[n], float(turn.low[p]), float(turn.rise[p])
+        around = corners(stock, x[n, p], y[n, p])
+        if p < turn.bottom.stop:  # all that is between the tip and what it goes down by
+            deep = max(descent[n], 1e-7)
+            inside = 0.0
+            for cell, weight in around:
+                high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
+                below = min(float(stock.low[cell]), high)
+                upper, lower, under = (min(max(level - z, 0.0), deep) for level in (high, below, floor))
+                inside += weight * max((1 - share) * upper + share * lower - under, 0.0)
+            length[n, p] = inside / deep * turn.length[p]
+        elif p < turn.round.stop:
+            level = 0.0
+            for cell, weight in around:
+                high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
+                upper = z if high <= floor else max(high, z)
+                lower = min(max(float(stock.low[cell]), z), upper)
+                level += weight * ((1 - share) * upper + share * lower)
+            floor = float(stock.floor[around[0][0]])
+            inside = min(max(level - z - low, 0.0), rise) - min(max(floor - z - low, 0.0), rise)
+            length[n, p] = max(inside, 0.0) / rise * turn.length[p]
+        else:
+            rows, columns = stock.high.shape
+            cell = (min(max(int((y[n, p] - stock.y) / CELL), 0), rows - 1),
+                    min(max(int((x[n, p] - stock.x) / CELL), 0), columns - 1))  # fmt: skip
+            high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
+            start = float(turn.low[turn.side.start])
+            under = max(floor - z, start)
+            top = max(high - z, under)
+            deep = max(min(float(stock.low[cell]) - z, top), under)
+            length[n, p] = (1 - share) * (top - under) + share * (deep - under)
+            squares = (1 - share) * (top**2 - under**2) + share * (deep**2 - under**2)
+            moment[n, p - turn.side.start] = 0.5 * squares
+    return length, moment
+
+
+@pytest.mark.parametrize("cutter", [FLAT, BALL, BULL], ids=["flat", "ball", "bull"])
+@pytest.mark.parametrize(("parts", "floor"), [(False, False), (True, False), (True, True), (False, True)])
+def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, floor):
+    stock = stock_of(4, parts=parts, floor=floor)
+    turn = Turn.of(edge(cutter, 2e-3), cutter, LAW, 2e-3, 0.5)
+    rng = np.random.default_rng(7)
+    count, places = 12, len(turn.phi)
+    x = rng.uniform(0.018, 0.037, (count, places)).astype(np.float32)  # beyond the edges too
+    y = rng.uniform(-0.012, 0.004, (count, places)).astype(np.float32)
+    tip = rng.uniform(-4e-3, 2e-3, count).astype(np.float32)
+    descent = np.where(np.arange(count) % 3, rng.uniform(1e-4, 1e-3, count), 0.0).astype(np.float32)
+    found = engaged(stock, turn, x, y, tip, descent)
+    length, moment = by_loops(stock, turn, x.astype(float), y.astype(float), tip.astype(float), descent.astype(float))
+    # single precision; a millionth of a metre in material is taken for none
+    np.testing.assert_allclose(found.length, length, rtol=2e-3, atol=3e-6)
+    assert not found.length[length < 0.9e-6].any()
+    np.testing.assert_allclose(found.moment, moment, rtol=1e-3, atol=2e-8)
+    assert (length > 1e-5).mean() > 0.15
+
+
+@pytest.mark.parametrize("cutter", [FLAT, BALL, BULL], ids=["flat", "ball", "bull"])
+@pytest.mark.parametrize(
+    "end", [(8e-3, 3e-3, 0.0), (8e-3, 3e-3, -4e-3), (-5e-3, 6e-3, 7e-3), (0, 0, -2e-3), (0, 0, 2e-3)]
+)
+def test_the_lowest_level_of_a_tool_over_a_cell_is_that_of_many_places_along_its_way(cutter, end):
+    begin, end = np.array([[1.0, 2.0, 5e-3]]), np.array([[1.0, 2.0, 5e-3]]) + end
+    px, py = np.meshgrid(np.linspace(-14e-3, 16e-3, 21), np.linspace(-13e-3, 15e-3, 19))
+    away, level, ahead = _tool_over(cutter, begin, end, px[None].astype(np.float32), py[None].astype(np.float32))
+    share = np.linspace(0.0, 1.0, 4001)[:, None, None]
+    chord = end[0] - begin[0]
+    distance = np.hypot(px - share * chord[0], py - share * chord[1])
+    nearest = distance.min(axis=0)
+    np.testing.assert_allclose(away[0], nearest, rtol=0, atol=3e-6)
+    under = nearest < cutter.radius - 2e-5
+    over = begin[0, 2] + share * chord[2] + cutter.height(np.minimum(distance, cutter.radius))
+    lowest = np.where(distance <= cutter.radius, over, np.inf).min(axis=0)
+    np.testing.assert_allclose(
+        level[0][under], lowest[under], rtol=0, atol=1.5e-5
+    )  # places 2 µm apart, steep at the rim
+    run = np.hypot(*chord[:2])
+    along = (px * chord[0] + py * chord[1]) / run if run else np.full_like(px, 1.0 if chord[2] >= 0.0 else -1.0)
+    clear = np.abs(along - run) > 1e-6
+    np.testing.assert_array_equal(ahead[0][clear], (along > run)[clear])

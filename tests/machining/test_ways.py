@@ -1,0 +1,144 @@
+"""The tool's path through the stock as straight pieces, against a loop; two tilted bases, helices, a tilted map."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import frames, toolpath
+from postproc.machining.estimate import _no_contact, _out_of_scale
+from postproc.machining.ways import Shift, spindle, ways
+from tests.toolpath.setting import BASES, START, begins, mixed, point
+
+FRAME = frames.pose_from_xyzabc([12.0, -7.0, 30.0, 25.0, -15.0, 40.0])
+CELL = 4e-4
+TOOL = np.array([0, 0, 0, 1, 1, -1, 0])
+
+
+def in_map(made, k, place):
+    """A place [m] in the base of motion k, in the frame of the map, which is in that of the first cutting motion."""
+    to_map = np.linalg.inv(FRAME) @ np.linalg.inv(BASES[0]) @ BASES[made.motions.base[k]]
+    return (to_map @ [*place, 1.0])[:3]
+
+
+def heading(made, begin, k, t):
+    h = 1e-6
+    one, other = (in_map(made, k, point(made, begin, k, t + by)) for by in (-h, h))
+    return (other - one) / np.linalg.norm(other - one)
+
+
+def pieces_of_arc(made, begin, k):
+    """Chords that leave the arc by a tenth of a cell and turn by 8° at most."""
+    m = made.motions
+    radius = np.linalg.norm(np.cross(begin[k, :3, 3] - m.centre[k], m.normal[k]))
+    by_sag = np.sqrt(8.0 * 0.1 * CELL / radius)
+    return int(np.ceil(m.sweep[k] / min(by_sag, np.radians(8.0))))
+
+
+def test_pieces_of_lines_and_arcs_are_in_the_frame_of_the_map():
+    made = mixed()
+    begin = begins(made)
+    found = ways(made, toolpath.segments(made, START), SimpleNamespace(tool=TOOL), FRAME, CELL)
+    expected = []
+    for k in (1, 2, 3, 4, 6):  # no PTP, and no motion without a tool
+        count = pieces_of_arc(made, begin, k) if made.motions.kind[k] == 1 else 1
+        expected += [(k, n / count, (n + 1) / count) for n in range(count)]
+    np.testing.assert_array_equal(found.motion, [row[0] for row in expected])
+    np.testing.assert_allclose(found.first, [row[1] for row in expected], atol=1e-15)
+    np.testing.assert_allclose(found.last, [row[2] for row in expected], atol=1e-15)
+    for row, (k, first, last) in enumerate(expected):
+        ends = [in_map(made, k, point(made, begin, k, t)) for t in (first, last)]
+        np.testing.assert_allclose([found.begin[row], found.end[row]], ends, rtol=0, atol=1e-12)
+        directions = [heading(made, begin, k, t) for t in (first, last)]
+        np.testing.assert_allclose([found.leave[row], found.arrive[row]], directions, rtol=0, atol=1e-7)
+        assert found.cutting[row] == (not made.motions.rapid[k])
+        # motion 4 begins with the tool of motion 3 in another base: the tip is elsewhere
+        at_start = row == 0 or (found.motion[row] != found.motion[row - 1] and k in (3, 6))
+        if k != 4:
+            assert found.joined[row] == (not at_start)
+
+
+def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
+    made = mixed()
+    begin, path = begins(made), toolpath.segments(made, START)
+    offset = 1e-3 * np.array([[1, 0, 0], [1, 0, 0], [0, 2, 1], [3, 0, 1], [0, 0, -3], [4, 1, 0]])
+    shift = Shift(np.array([2, 3, 3, 3, 4, 6]), np.array([1.0, 0.25, 0.75, 1.0, 1.0, 0.5]), offset)
+    found = ways(made, path, SimpleNamespace(tool=TOOL), FRAME, CELL, shift)
+    for k, cuts in ((3, [0.0, 0.25, 0.75, 1.0]), (4, [0.0, 1.0])):
+        own = found.motion == k
+        np.testing.assert_allclose(found.first[own], cuts[:-1], atol=1e-12)
+        np.testing.assert_allclose(found.last[own], cuts[1:], atol=1e-12)
+    own = np.flatnonzero(found.motion == 6)
+    assert np.abs(found.last[own] - 0.5).min() < 1e-12
+    np.testing.assert_allclose(found.first[own[1:]], found.last[own[:-1]], atol=1e-12)
+    for row in np.flatnonzero(found.motion == 3):
+        for t, place in ((found.first[row], found.begin[row]), (found.last[row], found.end[row])):
+            by = [np.interp(t, [0.25, 0.75, 1.0], offset[1:4, axis]) for axis in range(3)]
+            np.testing.assert_allclose(place, in_map(made, 3, point(made, begin, 3, t) + by), rtol=0, atol=1e-12)
+
+
+def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
+    made = mixed()
+    every = ways(made, toolpath.segments(made, START), SimpleNamespace(tool=0 * TOOL), FRAME, CELL)
+    some = every.of(np.array([False, True, False, True, False, False, True]))
+    assert set(some.motion) == {1, 3, 6}
+    starts = np.flatnonzero(np.diff(some.motion, prepend=-1))
+    assert not some.joined[starts].any()
+    np.testing.assert_array_equal(some.joined[1:][np.diff(some.motion) == 0], True)
+    np.testing.assert_array_equal(some.begin, every.begin[np.isin(every.motion, [1, 3, 6])])
+
+
+@pytest.mark.parametrize(("axis", "column", "sign"), [("+Z", 2, -1), ("-Z", 2, 1), ("+X", 0, -1), ("-X", 0, 1)])
+def test_the_spindle_is_given_in_the_base_of_the_first_cutting_motion(axis, column, sign):
+    made = mixed()
+    m = replace(made.motions, base=np.array([0, 1, 1, 1, 0, 0, 1]))
+    found = spindle(replace(made, motions=m), axis)
+    for k in range(len(m)):
+        in_root = BASES[m.base[k], :3, :3] @ (sign * m.target[k, :3, column])
+        np.testing.assert_allclose(found[k], BASES[1, :3, :3].T @ in_root, rtol=0, atol=1e-14)
+
+
+def cutting(*ends):
+    """Pieces between places (n, 3) [m], all of which cut but the last."""
+    ends = np.array(ends)
+    cuts = np.arange(len(ends) - 1) < len(ends) - 2
+    return SimpleNamespace(begin=ends[:-1], end=ends[1:], cutting=cuts)
+
+
+BOUNDS = (0.1, 0.2, -0.3, -0.25, 0.04)
+"""Of the stock: 100 mm by 50 mm, top at 40 mm."""
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (2.54, "The stock is smaller by about 25.4: is one of them in inches?"), (0.1 / 25.4, "The stock is larger"),
+        (0.1, None), (0.49, None), (0.51, None), (0.78, "smaller"), (7.5, "smaller"), (7.7, None),
+        (0.0119, None), (0.0117, "larger"), (0.0012, "larger"), (0.00115, None), (0.3, None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_path_that_misses_the_stock_says_where_both_are_and_whether_units_may_differ(size, text, axis):
+    begin, far = np.array([0.5, 0.6, -0.02]), np.array([9.0, 9.0, 9.0])
+    end = begin + size * np.eye(3)[axis] + [0, 0, 0.01]
+    process = SimpleNamespace(path="process.toml")
+    error = _no_contact(None, cutting(end, begin, far), BOUNDS, process, None)
+    low, high = 1e3 * np.minimum(begin, end), 1e3 * np.maximum(begin, end)
+    where = ", ".join(f"{name} {a:.4g} … {b:.4g}" for name, a, b in zip("XYZ", low, high, strict=True))
+    assert f"cutting moves lie within {where} mm" in str(error)
+    assert "the stock within X 100 … 200, Y -300 … -250, top Z 40 mm" in str(error)
+    assert ("inches" in str(error)) == (text is not None)
+    assert text is None or text in str(error)
+
+
+def test_a_path_five_times_as_large_as_the_stock_is_a_warning():
+    for size, expected in ((4.9, []), (5.1, ["stock-scale"])):
+        begin = np.array([-0.3, -0.4, 0.0])
+        for wide in ((0.1 * size, 0.05 * size), (0.1 * size, 1.0), (1.0, 0.05 * size)):
+            end = begin + np.array([*wide, 0.0])
+            found = _out_of_scale(cutting(end, begin, begin + 9.0), BOUNDS)
+            assert [issue.kind for issue in found] == expected
+            assert not found or "the path is 5 times as large as the stock" in found[0].message

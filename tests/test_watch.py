@@ -1,0 +1,216 @@
+"""`postproc watch`: programs are converted as they arrive, each once, whatever happens to files, folder and process."""
+
+from __future__ import annotations
+
+import http.client
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+
+from postproc.cli.serving import server
+from postproc.errors import InputError, PostprocError
+from postproc.jobs import Settings, watching
+from tests.documentation.pages import ROOT
+
+CELL = ROOT / "samples" / "cell_kr270.toml"
+PART = "G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nX{x}\nG0 Z20\nM30\n"
+
+
+@pytest.fixture
+def watcher(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    said: list[str] = []
+    monkeypatch.setattr(watching, "SCAN", 0.02)
+
+    def make(**options):
+        known = watching._Watcher(tmp_path / "in", tmp_path / "out", Settings(CELL), options, 1, said.append)
+        known.said = said
+        return known
+
+    return make
+
+
+def converted(known, seconds=(0.0, 1.1)) -> list[str]:
+    """Scan at some times; return the programs that were converted."""
+    done = []
+    for moment in seconds:
+        ready = known.scan(1e6 + moment)
+        done += [Path(outcome.program).name for outcome, _ in known.convert(ready)] if ready else []
+    return done
+
+
+def put(folder: Path, name: str, text: str) -> Path:
+    path = folder / "in" / name
+    path.write_text(text)
+    return path
+
+
+def test_a_program_is_converted_once_it_is_quiet_and_again_when_it_changes(watcher, tmp_path):
+    known = watcher()
+    path = put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(known, (0.0, 0.9)) == []
+    assert converted(known, (1.1, 2.0, 9.0)) == ["a.nc"]
+    assert (tmp_path / "out" / "a.src").is_file()
+    path.touch()
+    assert converted(known, (10.0, 12.0)) == []  # the same contents
+    path.write_text(PART.format(x=7))
+    assert converted(known, (13.0, 13.5)) == []
+    path.write_text(PART.format(x=8))
+    assert converted(known, (14.2, 14.9)) == []  # still being written
+    assert converted(known, (15.3,)) == ["a.nc"]
+    assert "X 8" in (tmp_path / "out" / "a.src").read_text()
+
+
+def test_after_a_restart_nothing_is_converted_again_even_if_the_record_is_lost(watcher, tmp_path):
+    put(tmp_path, "a.nc", PART.format(x=5))
+    put(tmp_path, "b.nc", "G999\n")
+    assert sorted(converted(watcher())) == ["a.nc", "b.nc"]
+    assert converted(watcher()) == []
+    (tmp_path / "out" / watching.STATE).unlink()  # killed between output and record
+    assert converted(watcher()) == ["b.nc"]
+    (tmp_path / "out" / watching.STATE).write_text("{half")
+    put(tmp_path, "a.nc", PART.format(x=6))
+    assert sorted(converted(watcher())) == ["a.nc", "b.nc"]
+
+
+def test_one_that_fails_stops_no_other_and_is_tried_again_when_it_changes(watcher, tmp_path):
+    known = watcher()
+    for name in ("a.nc", "c.nc"):
+        put(tmp_path, name, PART.format(x=5))
+    put(tmp_path, "b.nc", PART.format(x="wrong"))
+    put(tmp_path, "a.tap", PART.format(x=3))  # would be a.src too
+    assert sorted(converted(known)) == ["a.nc", "a.tap", "b.nc", "c.nc"]
+    assert {path.name for path in (tmp_path / "out").glob("*.src")} == {"a.src", "c.src"}
+    put(tmp_path, "b.nc", PART.format(x=5))
+    assert converted(known, (20.0, 22.0)) == ["b.nc"]
+
+
+def test_a_locked_file_is_waited_for(watcher, tmp_path, monkeypatch):
+    known = watcher()
+    put(tmp_path, "a.nc", PART.format(x=5))
+    opened = Path.read_bytes
+
+    def locked(path: Path) -> bytes:
+        if path.name == "a.nc":
+            raise PermissionError(13, "in use")
+        return opened(path)
+
+    monkeypatch.setattr(Path, "read_bytes", locked)
+    assert converted(known, (0.0, 2.0, 3.0)) == []
+    assert len(known.said) == 1
+    assert "a.nc cannot be opened at present" in known.said[0]
+    monkeypatch.setattr(Path, "read_bytes", opened)
+    assert converted(known, (4.0,)) == ["a.nc"]
+
+
+def test_a_folder_that_vanishes_is_waited_for(watcher, tmp_path):
+    known = watcher()
+    (tmp_path / "in").rename(tmp_path / "away")
+    assert converted(known, (0.0, 2.0)) == []
+    assert known.said == [f"{tmp_path / 'in'} cannot be read at present. Waiting for it."]
+    (tmp_path / "away").rename(tmp_path / "in")
+    put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(known, (3.0, 5.0)) == ["a.nc"]
+
+
+def test_a_folder_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        next(watching.watch(tmp_path / "none", tmp_path / "out", Settings(CELL), {}))
+
+
+def test_other_files_and_those_of_editors_are_left_alone(watcher, tmp_path):
+    for name in (".a.nc.swp", "~a.nc", ".b.nc", "readme.txt"):
+        put(tmp_path, name, PART.format(x=5))
+    (tmp_path / "in" / "folder.nc").mkdir()
+    assert converted(watcher()) == []
+
+
+def test_killed_and_started_again_each_is_converted_once(tmp_path):
+    (tmp_path / "in").mkdir()
+    command = [sys.executable, "-m", "postproc", "watch", str(tmp_path / "in"), "--cell", str(CELL)]
+    log = tmp_path / "log"
+    count = 12
+
+    def start() -> subprocess.Popen[bytes]:
+        with log.open("ab") as output:
+            return subprocess.Popen([*command, "-o", str(tmp_path / "out")], stdout=output, stderr=subprocess.STDOUT)
+
+    process = start()
+    for number in range(count):
+        put(tmp_path, f"p{number}.nc", PART.format(x=number + 1))
+        time.sleep(0.15)
+        if number == count // 2:
+            while not list((tmp_path / "out").glob("*.report.json")):
+                time.sleep(0.05)
+            process.kill()
+            process.wait()
+            process = start()
+    try:
+        end = time.monotonic() + 120.0
+        while len(list((tmp_path / "out").glob("*.report.json"))) < count and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(1.5)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+    finally:
+        process.kill()
+    said = [line.partition(":")[0] for line in log.read_text().splitlines() if ".nc: written" in line]
+    assert len(said) == len(set(said)) >= count - 1  # of the one that was being converted, nothing may have been said
+    assert {path.stem for path in (tmp_path / "out").glob("*.src")} == {f"p{number}" for number in range(count)}
+
+
+def test_the_overview_is_served_on_this_machine_and_reloads_itself(tmp_path):
+    (tmp_path / "secret.toml").write_text("x")
+    (tmp_path / "part.report.html").write_text("<p>part")
+    there = server(tmp_path, 0)
+    assert there.server_address[0] == "127.0.0.1"
+    Thread(target=there.serve_forever, daemon=True).start()
+
+    def get(path: str, host: str = "127.0.0.1:1") -> tuple[int, bytes, str | None]:
+        connection = http.client.HTTPConnection("127.0.0.1", there.server_address[1], timeout=10)
+        connection.request("GET", path, headers={"Host": host})
+        answer = connection.getresponse()
+        found = answer.status, answer.read(), answer.getheader("Refresh")
+        connection.close()
+        return found
+
+    try:
+        assert get("/")[0] == 200
+        assert b"No program has been converted yet" in get("/")[1]
+        (tmp_path / "index.html").write_text("<p>overview")
+        assert get("/") == (200, b"<p>overview", "2")
+        assert get("/part.report.html") == (200, b"<p>part", None)
+        assert get("/", host="evil.example:8350")[0] == 403
+        for path in ("/secret.toml", "/../secret.toml", "/%2e%2e/x.html", "/.postproc-watch.json/", "/a/b.html"):
+            assert get(path)[0] == 404, path
+    finally:
+        there.shutdown()
+        there.server_close()
+
+
+def test_a_port_in_use_is_an_error(tmp_path):
+    one = server(tmp_path, 0)
+    try:
+        with pytest.raises(PostprocError, match="Give another --port"):
+            server(tmp_path, one.server_address[1])
+    finally:
+        one.server_close()
+
+
+@pytest.mark.parametrize("library", [True, False])
+def test_it_ends_when_it_is_told_to(tmp_path, monkeypatch, library):
+    if not library:
+        monkeypatch.setitem(sys.modules, "watchfiles", None)
+    (tmp_path / "in").mkdir()
+    put(tmp_path, "a.nc", PART.format(x=5))
+    monkeypatch.setattr(watching, "QUIET", 0.05)
+    stop, done = Event(), []
+    for outcome, _ in watching.watch(tmp_path / "in", tmp_path / "out", Settings(CELL), {}, stop=stop):
+        done.append(outcome.code)
+        stop.set()
+    assert done == [0]
