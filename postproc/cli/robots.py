@@ -96,7 +96,8 @@ def add(urdf: Path, name: str | None, output: Path | None, overwrite: bool) -> N
 
     Joints may have any names, signs and zero positions (joint_1, joint_a1 …): they become A1 to A6 as KUKA counts them.
     `base` or base_link is the root, tool0 or flange the flange. Geometry, limits, speeds and masses are taken over;
-    compliances are assumed by the size of the arm and marked as assumed. Expand a xacro first.
+    compliances are assumed by the size of the arm and marked as assumed. Meshes of the links are copied, simplified for
+    the pages. Expand a xacro first.
 
     \b
     Example:

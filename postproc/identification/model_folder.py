@@ -18,7 +18,7 @@ from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.observability import joint_torques
 from postproc.identification.procedure import Identification
 from postproc.identification.structure import LEAST
-from postproc.robot import JOINT_COMPLIANCES, WITH_LINKS, JointCompliance
+from postproc.robot import JOINT_COMPLIANCES, WITH_LINKS, JointCompliance, urdf
 from postproc.robot.model_file import (
     CompensatorEntry,
     CovarianceTable,
@@ -135,7 +135,7 @@ def write(
 
     :param content: of `model.toml`.
     :param data: of `identification.json`; its ``files``, the files written with it, are added.
-    :param prior_folder: where robot.urdf is.
+    :param prior_folder: where robot.urdf is, and the meshes that it names.
     :param render: makes `report.html` from `data` and the name of the model.
     :raises InputError: the folder cannot be written, or is the prior's.
     :raises MeasurementError: a number is not finite; the message names it.
@@ -148,6 +148,11 @@ def write(
         "model.toml": files.toml(content, _COMMENT),
         "robot.urdf": (prior_folder / "robot.urdf").read_bytes(),
     }
+    text = (prior_folder / "robot.urdf").read_text(encoding="utf-8")
+    for geometry in urdf.geometries(text, "robot.urdf"):
+        path = prior_folder / geometry.file
+        if geometry.file == path.name and path.is_file():
+            contents[path.name] = path.read_bytes()
     if render is not None:
         contents["report.html"] = render(data, folder.resolve().name)
 

@@ -84,7 +84,9 @@ def load(folder: str | Path) -> RobotModel:
     ):
         raise ModelError("[discrepancy] needs ascending load_N above zero, and as many u95_mm", file=where)
     path = folder / "robot.urdf"
-    robot = assemble(folder.resolve().name, content, urdf.read(files.read_text(path, ModelError), str(path)))
+    text = files.read_text(path, ModelError)
+    robot = assemble(folder.resolve().name, content, urdf.read(text, str(path)))
+    robot = replace(robot, geometries=urdf.geometries(text, str(path)), urdf=str(path.resolve()))
     for parameter in robot.covariance.parameters if robot.covariance is not None else ():
         try:
             robot.row(parameter)

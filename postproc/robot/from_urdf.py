@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import datetime
 import re
+from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -56,15 +57,20 @@ class Adopted(Struct, frozen=True, eq=False):
     :param chain: nominal geometry, KUKA's signs.
     :param content: of `model.toml`.
     :param notes: what the user should know.
+    :param moved: (7, 4, 4) frames of the base and of the joints in the file, each in the frame that replaces it.
     """
 
     chain: Chain
     content: ModelFile
     notes: tuple[str, ...]
+    moved: Array
 
-    def urdf(self) -> bytes:
-        """Return the content of `robot.urdf`."""
-        return _written(self.chain, self.content.name)
+    def urdf(self, shapes: Mapping[tuple[int, str], str] | None = None) -> bytes:
+        """Return the content of `robot.urdf`.
+
+        :param shapes: (carrier, "visual" or "collision") → name of the mesh, see `shapes.LinkShape`.
+        """
+        return _written(self.chain, self.content.name, shapes or {})
 
 
 def adopt(text: str, file: str, name: str | None = None) -> Adopted:
@@ -78,7 +84,7 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
     if "<xacro:" in text:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
     arm = urdf.read_any(text, file)
-    chain, notes = _in_kuka_form(arm, file)
+    chain, moved, notes = _in_kuka_form(arm, file)
     title = name or arm.name or "robot"
     payload = _payload(arm.name, title, file)
     compliance, scaled = _compliances(chain, payload)
@@ -102,7 +108,7 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
         masses=masses,
         geometry_nominal=Sourced(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
     )
-    return Adopted(chain, content, tuple(notes))
+    return Adopted(chain, content, tuple(notes), moved)
 
 
 def _payload(*names: str) -> float | None:
@@ -114,8 +120,8 @@ def _payload(*names: str) -> float | None:
     return None
 
 
-def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
-    """Return the chain with KUKA's signs and zero positions, and notes on what was changed."""
+def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
+    """Return the chain with KUKA's signs and zero positions, where the old frames are, and notes on what changed."""
     base = _pose_of_base(arm, file)
     placement = arm.chain.placement.copy()
     placement[0] = np.linalg.inv(base) @ placement[0]
@@ -128,6 +134,8 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
     centre = np.einsum("jab,jb->ja", frames[:, :3, :3], own.centre) + frames[:, :3, 3] - origin
     placement = np.tile(np.eye(4), (len(JOINTS), 1, 1))
     placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _ROUND) + 0.0
+    moved = np.concatenate([np.linalg.inv(base)[None], frames])
+    moved[1:, :3, 3] -= origin
     tip = np.eye(4)
     tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _ROUND) + 0.0
     chain = replace(
@@ -143,15 +151,15 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, list[str]]:
     turned = ", ".join(name for name, one in zip(JOINTS, sign, strict=True) if one < 0)
     notes = [f"joints turn the other way than KUKA's, signs and limits are changed: {turned}"] if turned else []
     if zero.any():
-        moved = ", ".join(
+        shifted = ", ".join(
             f"{name} {-angle * DEG_PER_RAD:.4g}°" for name, angle in zip(JOINTS, zero * sign, strict=True) if angle
         )
-        notes.append(f"the URDF's zero position is not KUKA's, but {moved} there: angles and limits are changed")
+        notes.append(f"the URDF's zero position is not KUKA's, but {shifted} there: angles and limits are changed")
     angle = np.arctan2(flange[:3, 0] @ _FLANGE_AXES[:, 1], flange[:3, 0] @ _FLANGE_AXES[:, 0])
     if abs(angle) > _SAME:
         turn = f"by {angle * DEG_PER_RAD:.4g}°: $TOOL is in KUKA's flange frame, {{A 0, B 90, C 0}} at zero"
         notes.append(f"tool0 is turned about its axis against KUKA's flange {turn}")
-    return chain, notes
+    return chain, moved, notes
 
 
 def _at_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
@@ -317,25 +325,28 @@ def _reach(chain: Chain) -> float:
     return float(step[1, 0] + np.linalg.norm(step[2]) + np.linalg.norm(step[3] + step[4]))
 
 
-def _written(chain: Chain, name: str) -> bytes:
+def _written(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) -> bytes:
     lines = [
         '<?xml version="1.0"?>',
         "<!-- Joints A1..A6 with KUKA's signs; root frame = $ROBROOT; at zero the arm is stretched out along +X. -->",
         f"<robot name={quoteattr(name)}>",
-        '  <link name="base_link"/>',
     ]
-    for number, (mass, centre) in enumerate(zip(chain.mass, chain.centre, strict=True), 1):
-        if mass == 0.0:
-            lines.append(f'  <link name="link_{number}"/>')
-            continue
-        lines += [
-            f'  <link name="link_{number}">',
-            "    <inertial>",
-            f'      <origin xyz="{_numbers(centre)}"/><mass value="{mass:g}"/>',
-            '      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>',
-            "    </inertial>",
-            "  </link>",
+    links = ["base_link", *(f"link_{number}" for number in range(1, len(JOINTS) + 1))]
+    for carrier, link in enumerate(links, -1):
+        content = []
+        if carrier >= 0 and chain.mass[carrier] > 0.0:
+            content = [
+                "    <inertial>",
+                f'      <origin xyz="{_numbers(chain.centre[carrier])}"/><mass value="{chain.mass[carrier]:g}"/>',
+                '      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>',
+                "    </inertial>",
+            ]
+        content += [
+            f'    <{kind}><geometry><mesh filename="{shapes[carrier, kind]}"/></geometry></{kind}>'
+            for kind in ("visual", "collision")
+            if (carrier, kind) in shapes
         ]
+        lines += [f'  <link name="{link}">', *content, "  </link>"] if content else [f'  <link name="{link}"/>']
     lines.append(f'  <link name="{FLANGE}"/>')
     parent = "base_link"
     for number, joint in enumerate(JOINTS, 1):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
@@ -12,7 +13,7 @@ from msgspec.structs import replace
 from postproc.compensator import Compensator
 from postproc.errors import ModelError
 from postproc.frames import Array, norm
-from postproc.robot import parameters
+from postproc.robot import parameters, shapes
 from postproc.robot.chain import Chain, elastic_chain
 from postproc.robot.model_file import BASE, JOINTS, TransmissionEntry
 from postproc.robot.parameters import (
@@ -26,6 +27,8 @@ from postproc.robot.parameters import (
     Parameter,
     Spring,
 )
+from postproc.robot.shapes import LinkShape
+from postproc.robot.urdf import Geometry
 
 GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
 """Terms of a joint, in the order of `Transmission.amplitude`."""
@@ -163,6 +166,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param mass_spread: relative standard deviation of the mass of each link.
     :param compensator_spread: relative standard deviation of the size of the compensator's torque.
     :param stated_spread: parameters of `covariance` whose variance is the spread of published or assumed values.
+    :param geometries: shapes of the links that robot.urdf names; their files are read when they are needed.
+    :param urdf: the file that names them.
     """
 
     name: str
@@ -190,6 +195,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     mass_spread: float = 0.0
     compensator_spread: float = 0.0
     stated_spread: tuple[Parameter, ...] = ()
+    geometries: tuple[Geometry, ...] = ()
+    urdf: str = ""
 
     @cached_property
     def compliance(self) -> Array:
@@ -257,6 +264,16 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             names = ", ".join(parameter.symbol for parameter in self.stated_spread)
             return f"measured on this robot, but for {names}: from published values"
         return "measured on this robot"
+
+    def link_shapes(self, *, drawn: bool) -> tuple[list[LinkShape], list[str]]:
+        """Return the surface of each link that has one, and why shapes could not be read, in words.
+
+        :param drawn: as it looks (<visual>), else for collisions; links that have only the other kind get that.
+        """
+        own = {each.carrier for each in self.geometries if each.drawn == drawn}
+        wanted = [each for each in self.geometries if each.drawn == drawn or each.carrier not in own]
+        found, problems = shapes.read(wanted, Path(self.urdf))
+        return shapes.joined(found), problems
 
     @cached_property
     def passive(self) -> tuple[int, ...]:

@@ -1,13 +1,13 @@
 """Strict reader of a URDF that holds a six-axis arm: revolute joints in series, the flange fixed to the last.
 
-Fixed joints may be anywhere; what they carry belongs to the previous link. Shapes are ignored. Anything else is
-refused. In a robot.urdf of ours the joints are called A1…A6 and the flange `flange`; `read_any` takes other
+Fixed joints may be anywhere; what they carry belongs to the previous link. `geometries` lists the shapes. Anything
+else is refused. In a robot.urdf of ours the joints are called A1…A6 and the flange `flange`; `read_any` takes other
 names. Source: the URDF specification (wiki.ros.org/urdf/XML); rpy is R = Rz(yaw)·Ry(pitch)·Rx(roll).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -22,6 +22,8 @@ _LARGEST = 1e9
 """A number beyond this is a mistake, whatever its unit."""
 
 
+_SIZES = {"box": (("size", 3),), "cylinder": (("radius", 1), ("length", 1)), "sphere": (("radius", 1),)}
+"""Attributes of the primitives, with their number of values."""
 _QUARTER = 1e-4
 """In files of others, angles this close to a right angle [rad] are right ones: many are written with four decimals."""
 
@@ -57,6 +59,38 @@ def read_any(text: str, file: str) -> AnyArm:
     """
     try:
         return _Reader(text, _QUARTER).any_arm()
+    except _RefusedError as cause:
+        raise ModelError(cause.problem, file=file, advice=cause.advice) from None
+
+
+class Geometry(Struct, frozen=True, eq=False):
+    """A shape that a URDF names.
+
+    :param carrier: 0…5: the joint that carries it; −1: the base.
+    :param pose: (4, 4) in the frame of that joint, of the base in the frame of the first link [m].
+    :param drawn: it is a <visual>, else a <collision>.
+    :param kind: mesh, box, cylinder, sphere, or another that the file names.
+    :param size: of a box its edges, of a cylinder radius and length, of a sphere its radius [m].
+    :param file: name of the mesh as written.
+    :param scale: (3,) of the mesh along its axes.
+    """
+
+    carrier: int
+    pose: Array
+    drawn: bool
+    kind: str
+    size: tuple[float, ...]
+    file: str
+    scale: Array
+
+
+def geometries(text: str, file: str) -> tuple[Geometry, ...]:
+    """Return the shapes of the links of an arm in any URDF.
+
+    :raises ModelError: as `read_any` does.
+    """
+    try:
+        return tuple(_Reader(text, _QUARTER).geometries())
     except _RefusedError as cause:
         raise ModelError(cause.problem, file=file, advice=cause.advice) from None
 
@@ -129,6 +163,22 @@ class _Reader:
                 f"{len(self.joints)} revolute joints in series ({names})", "The robot must be an arm with six axes."
             )
         return AnyArm(self.name, self._chain(np.eye(4)), self.frames)
+
+    def geometries(self) -> Iterator[Geometry]:
+        """Yield the shapes of all links."""
+        for link, (carrier, pose) in self.frames.items():
+            for tag in ("visual", "collision"):
+                for shape in self.links[link].findall(tag):
+                    for element in _element(shape, "geometry"):
+                        size = tuple(
+                            float(value)
+                            for name, count in _SIZES.get(element.tag, ())
+                            for value in _numbers(element, name, count)
+                        )
+                        scale = _numbers(element, "scale", 3, "1 1 1")
+                        place = pose @ self._origin(shape)
+                        name = element.get("filename", "")
+                        yield Geometry(carrier, place, tag == "visual", element.tag, size, name, scale)
 
     def _chain(self, flange: Array) -> Chain:
         mass = np.array([mass for mass, _ in self.moments])

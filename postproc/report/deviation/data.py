@@ -19,6 +19,7 @@ from postproc.report.kit import Columns
 from postproc.report.path import Operation, drawn_path, operations
 from postproc.report.summary import Summary, Verdict, nothing_to_correct, summary, verdict
 from postproc.robot import JOINTS
+from postproc.robot.shapes import LinkShape
 
 if TYPE_CHECKING:
     from postproc.machining import ProcessForces
@@ -51,6 +52,8 @@ class Facts(msgspec.Struct, frozen=True):
     :param lower: limits of the joints, `upper` too [deg].
     :param bases: each `$BASE` in the root, tools each `$TOOL` in the flange: 4×4 by rows [mm].
     :param placement: of each joint on the link before it, 4×4 by rows [mm]; `axis` about which it turns; `flange`.
+    :param links: links that have meshes, in the order of their points: number of the link (0 = base), of its points and
+        faces.
     :param histograms: by column name.
     :param reversals: place and joint of the largest changes of direction of a torque.
     """
@@ -67,6 +70,7 @@ class Facts(msgspec.Struct, frozen=True):
     placement: list[list[float]]
     axis: list[list[float]]
     flange: list[float]
+    links: list[tuple[int, int, int]]
     histograms: dict[str, Histogram]
     reversals: list[tuple[int, str]]
 
@@ -113,6 +117,11 @@ class Deviation(Struct, frozen=True, dict=True):
     def places(self) -> Places:
         """The places that the page shows; only where there are targets."""
         return places(self.result, self._named())
+
+    @cached_property
+    def links(self) -> list[LinkShape]:
+        """Shapes of the links that the model folder has; of one that cannot be read a simple one is drawn."""
+        return self.result.robot.link_shapes(drawn=True)[0]
 
     @cached_property
     def operations(self) -> list[Operation]:
@@ -177,6 +186,11 @@ class Deviation(Struct, frozen=True, dict=True):
         """Return the numbers of the page."""
         out = {"places": self.places.columns, "drawn": self.places.drawn}
         out |= self.stock()
+        if self.links:
+            points = np.concatenate([each.points for each in self.links]) * MM_PER_M
+            faces = np.concatenate([each.faces for each in self.links])
+            out["link_points"] = Columns.of(dict(zip("xyz", points.T, strict=True)))
+            out["link_faces"] = Columns.of(dict(zip("ijk", faces.T, strict=True)))
         if self.surface is not None:
             corners = self.surface.corners.reshape(-1, 3) * MM_PER_M
             out["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))
@@ -212,6 +226,7 @@ class Deviation(Struct, frozen=True, dict=True):
             placement=[_in_mm(joint) for joint in nominal.placement],
             axis=nominal.axis.tolist(),
             flange=_in_mm(nominal.flange),
+            links=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.links],
             reversals=self.reversals(),
             histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
         )

@@ -39,7 +39,7 @@ const robot = (() => {
   }
   const points = (i) => frames(i).map((m) => [m[0][3], m[1][3], m[2][3]]);
 
-  // The body of each link in its own frame, as solids of revolution: a column along the axis of its joint, an arm from there
+  // The body of each link in its own frame: its mesh, else solids of revolution: a column along the axis of its joint, an arm from there
   // to the next joint, and a drum around the axis of that joint.
   const SIDES = 24;
   const WIDE = [0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026]; // radii, of the reach of the arm
@@ -87,7 +87,20 @@ const robot = (() => {
     }
     return out;
   }
-  const bodies = Array.from({ length: placement.length + 1 }, (_, k) => solids(k));
+  // Meshes of links in millimetres, by number of the link.
+  const meshes = (() => {
+    const out = {};
+    let [point, face] = [0, 0];
+    for (const [link, points, faces] of facts.links) {
+      const { link_points: p, link_faces: f } = columns;
+      const rows = (count, from, row) => Array.from({ length: count }, (_, k) => row(from + k));
+      out[link] = { vertices: rows(points, point, (k) => [p.x[k], p.y[k], p.z[k]]), faces: rows(faces, face, (k) => [f.i[k], f.j[k], f.k[k]]) };
+      point += points;
+      face += faces;
+    }
+    return out;
+  })();
+  const bodies = Array.from({ length: placement.length + 1 }, (_, k) => (meshes[k] ? [meshes[k]] : solids(k)));
   const faces = { i: [], j: [], k: [] };
   let count = 0;
   for (const part of [...bodies.flat(), frustum([0, 0, 0], [0, 0, 1], 1, 1)]) {

@@ -1,0 +1,157 @@
+"""Shapes of the links of an arm: triangles from the meshes and primitives that a URDF names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from postproc.errors import ModelError
+from postproc.files import read_mesh
+from postproc.frames import Array
+from postproc.robot.urdf import Geometry
+
+_FINEST = 1e-3
+"""Cells [m] that simplification begins with; each further grid is coarser by `_COARSER`."""
+_COARSER = 1.25
+
+
+class LinkShape(Struct, frozen=True, eq=False):
+    """Triangles of what one joint carries.
+
+    :param carrier: 0…5: the joint A1…A6; −1: the base, which no joint moves.
+    :param points: (P, 3) in the frame of that joint, of the base in the root [m].
+    :param faces: (F, 3) rows of `points`.
+    """
+
+    carrier: int
+    points: Array
+    faces: NDArray[np.int64]
+
+    def moved(self, pose: Array) -> LinkShape:
+        """Return the surface in another frame, `pose` (4, 4) of its frame in that one."""
+        return replace(self, points=self.points @ pose[:3, :3].T + pose[:3, 3])
+
+    def hull(self) -> LinkShape:
+        """Return the convex hull."""
+        mesh = self._mesh().convex_hull
+        return replace(self, points=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces, dtype=np.int64))
+
+    def stl(self) -> bytes:
+        """Return the surface as a binary STL file [m]."""
+        return bytes(self._mesh().export(file_type="stl"))
+
+    def _mesh(self) -> Any:
+        import trimesh
+
+        return trimesh.Trimesh(self.points, self.faces, process=False)
+
+
+def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], list[str]]:
+    """Return the surface of each geometry that can be read, and why others cannot, in words.
+
+    :param urdf: the file that names them: relative names are looked for next to it, `package://` names in its package
+        and next to the folders above it.
+    """
+    out, problems = [], []
+    for geometry in geometries:
+        try:
+            mesh = _mesh(geometry, urdf)
+        except ModelError as error:
+            problems.append(f"{geometry.file or geometry.kind}: {error.problem}")
+            continue
+        points, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
+        out.append(LinkShape(geometry.carrier, points * geometry.scale, faces).moved(geometry.pose))
+    return out, problems
+
+
+def _mesh(geometry: Geometry, urdf: Path) -> Any:
+    """Return what a geometry is, as a `trimesh.Trimesh` [m]."""
+    if geometry.kind == "mesh":
+        path = _located(geometry.file, urdf)
+        if path is None:
+            raise ModelError("there is no such file", file=geometry.file)
+        mesh = read_mesh(path, ModelError, "mesh")
+        if path.suffix.lower() == ".dae":  # the only one of these formats that states its unit
+            mesh.convert_units("meters")
+        return mesh
+    from trimesh import creation
+
+    if geometry.kind == "box":
+        return creation.box(extents=geometry.size)
+    if geometry.kind == "cylinder":
+        radius, length = geometry.size
+        return creation.cylinder(radius=radius, height=length, sections=48)
+    if geometry.kind == "sphere":
+        return creation.icosphere(subdivisions=3, radius=geometry.size[0])
+    raise ModelError("is neither a mesh nor a box, cylinder or sphere")
+
+
+def _located(name: str, urdf: Path) -> Path | None:
+    """Return the file that a URDF names, or None.
+
+    `package://NAME/…` is below a folder of that name, which is above the URDF or next to a folder above it; or below
+    the folder above it whose package.xml states the name.
+    """
+    scheme, _, rest = name.rpartition("://")
+    rest = rest.replace("\\", "/")
+    if scheme not in ("package", "model"):
+        path = Path(rest) if Path(rest).is_absolute() else urdf.parent / rest
+        return path if path.is_file() else None
+    package, _, inside = rest.partition("/")
+    for above in urdf.resolve().parents:
+        folders = [above / package]
+        description = above / "package.xml"
+        if above.name == package or (
+            description.is_file()
+            and re.search(rf"<name>\s*{re.escape(package)}\s*</name>", description.read_text(errors="replace"))
+        ):
+            folders.append(above)
+        for folder in folders:
+            if (folder / inside).is_file():
+                return folder / inside
+    return None
+
+
+def simplified(surface: LinkShape, most: int) -> tuple[LinkShape, float]:
+    """Return a surface with at most so many triangles, and how far its corners have moved at most [m].
+
+    Corners in one cell of a grid become one at their mean; the grid is as fine as the number allows. Source: Rossignac
+    and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
+    """
+    kept, moved, cell = surface, 0.0, _FINEST
+    while len(kept.faces) > most:
+        kept, moved = _clustered(surface, cell)
+        cell *= _COARSER
+    return kept, moved
+
+
+def _clustered(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
+    key = np.floor(surface.points / cell).astype(np.int64)
+    _, of, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    points = np.stack([np.bincount(of, weights=values) for values in surface.points.T], axis=1) / count[:, None]
+    moved = float(np.linalg.norm(points[of] - surface.points, axis=1).max(initial=0.0))
+    faces = of[surface.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    used, kept = np.unique(faces[np.sort(first)], return_inverse=True)
+    return replace(surface, points=points[used], faces=kept.reshape(-1, 3)), moved
+
+
+def joined(surfaces: Iterable[LinkShape]) -> list[LinkShape]:
+    """Return one surface for each carrier, in their order."""
+    by_carrier: dict[int, list[LinkShape]] = {}
+    for each in surfaces:
+        by_carrier.setdefault(each.carrier, []).append(each)
+    out = []
+    for carrier, parts in sorted(by_carrier.items()):
+        first = np.cumsum([0, *(len(part.points) for part in parts)])
+        faces = np.concatenate([part.faces + start for part, start in zip(parts, first, strict=False)])
+        out.append(LinkShape(carrier, np.concatenate([part.points for part in parts]), faces))
+    return out
