@@ -458,7 +458,7 @@ class Program(Struct, frozen=True, eq=False):
     :param unresolved: motions that are left unchanged: `motions` has no row for them.
     :param unfollowed: calls of routines that cut, and have no rows either: an error if a force acts there.
     :param needed: files next to it that it needs to run, and that are left unchanged.
-    :param layout: positions of its numbers in its text; None for G-code, whose text is not written again.
+    :param layout: positions of its numbers in its text; None for G-code and APT, whose text is not written again.
     """
 
     name: str

@@ -137,11 +137,12 @@ def convert(
 ) -> None:
     """Write corrected KRL and a report for each PROGRAM.
 
-    PROGRAM is a file, a folder or a pattern such as "parts/*.nc". G-code: .nc .ngc .tap .cnc .gcode .mpf .ptp; KRL:
-    .src, with its .dat. For part.nc this writes part.src, part.report.json, part.targets.csv and
-    part.report.html, all or none of them. An input is never overwritten; a file that was not written by postproc, or
-    was changed since, with --overwrite only. A name that KRL does not allow is made valid (1001.nc: P1001.src). If a
-    program can no longer be converted, its files of an earlier run are renamed to part.src.old and so on.
+    PROGRAM is a file, a folder or a pattern such as "parts/*.nc". G-code: .nc .ngc .tap .cnc .gcode .mpf .ptp; APT:
+    .apt .aptsource .cls .clsf .cl .clf .ncl .cldata; KRL: .src, with its .dat. For part.nc this writes part.src,
+    part.report.json, part.targets.csv and part.report.html, all or none of them. An input is never overwritten; a file
+    that was not written by postproc, or was changed since, with --overwrite only. A name that KRL does not allow is
+    made valid (1001.nc: P1001.src). If a program can no longer be converted, its files of an earlier run are renamed to
+    part.src.old and so on.
 
     \b
     Examples:

@@ -24,12 +24,14 @@ if TYPE_CHECKING:
 GROUP = "postproc.dialects"
 _ASKED = ("name", "extensions", "command_decimals", "writer", "companions", "read")
 _OURS = {
+    "apt": "postproc.dialects.apt.reader:APT",
     "gcode": "postproc.dialects.gcode.reader:GCODE",
     "krl": "postproc.dialects.krl.dialect:KRL",
     "rapid": "postproc.dialects.rapid.dialect:RAPID",
 }
 _EXTENSIONS = {
     **dict.fromkeys((".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), "gcode"),
+    **dict.fromkeys((".apt", ".aptsource", ".cls", ".clsf", ".cl", ".clf", ".ncl", ".cldata"), "apt"),
     ".src": "krl",
     ".mod": "rapid",
     ".modx": "rapid",
@@ -41,8 +43,6 @@ _NO_PROGRAMS = {
     ".dat": "the data of a KRL program. Give the .src file; the .dat beside it is read with it.",
     ".sub": "a KRL submit program, which moves no robot. Give the .src file of the part.",
     ".h": "conversational code of a Heidenhain control. Have the CAM system post-process the part as plain G-code.",
-    ".cls": "a cutter location file. Have the CAM system post-process the part as plain G-code.",
-    ".apt": "an APT source. Have the CAM system post-process the part as plain G-code.",
     ".spf": "a subprogram of a Siemens Sinumerik control. Have the CAM system post-process the part as plain G-code, "
     "for Fanuc or LinuxCNC, or add --dialect gcode if it is plain G-code.",
     ".prg": "a program of a control that its extension does not name: several use .prg. If it is G-code, add --dialect "
@@ -50,7 +50,6 @@ _NO_PROGRAMS = {
     ".ls": "a FANUC program. Have the CAM system post-process the part as plain G-code.",
 }
 """Extensions of files that are no programs to read: what they are, and what to do."""
-_NO_PROGRAMS |= dict.fromkeys((".cl", ".aptsource", ".cldata", ".clf"), _NO_PROGRAMS[".cls"])
 
 
 def by_name(name: str) -> Dialect:

@@ -130,8 +130,8 @@ def test_a_broken_one_asked_for_on_the_command_line_is_wrong_usage(package, othe
     [
         ("part.dat", "Give the .src"),
         ("part.h", "Heidenhain"),
-        ("part.cls", "plain G-code"),
-        ("part.APT", "plain G-code"),
+        ("part.spf", "Sinumerik"),
+        ("part.LS", "FANUC"),
     ],
 )
 def test_a_file_that_is_no_program_to_read_is_named_and_says_what_to_do(name, words):

@@ -67,7 +67,7 @@ FOREIGN = (
             r"|(GOTO|GODLTA|FEDRAT|SPINDL|FROM|CUTTER|TOOL PATH|MSYS|PAINT|LOAD|COOLNT|CIRCLE|UNITS|INTOL|OUTTOL)\s*/)",
             re.IGNORECASE,
         ),
-        f"It has not been post-processed yet. {_POST}, or for KUKA KRL.",
+        "Rename it to .apt, or add --dialect apt.",
     ),
     Foreign(
         "KUKA KRL",

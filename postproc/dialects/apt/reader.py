@@ -1,0 +1,255 @@
+"""Reader of cutter-location files (APT, CLDATA, CLSF): from a document to a `Program`.
+
+X, Y, Z are the tool tip in `$BASE`; i, j, k the direction from the tip to the spindle. The tool is tilted from z to
+that direction by the shortest rotation, as with rotary axes in G-code (`program.tilted`); between two points it turns
+by one rotation. Anything not understood that may move the tool is an error.
+
+Sources: ISO 4343:2000 as quoted in public specifications; PTC, Creo NC, "Supported CL Data Commands" and the pages on
+circles and holes; Siemens, NX CLSF Manager (``CIRCLE``); Vericut, "Supported APT-CLS NC Program Records"; Autodesk's
+post "Common ISO 4343 APT"; files of CATIA V5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc.cell import Cell
+from postproc.dialects.apt import statements
+from postproc.dialects.apt.statements import Statements
+from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
+from postproc.errors import ForceError, InputError, Issue, ProgramError, together
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm
+from postproc.program import (
+    CIRC,
+    LIN,
+    PTP,
+    Document,
+    Event,
+    ForceNote,
+    Ints,
+    Motions,
+    Program,
+    distinct,
+    parse_force_note,
+    read_only,
+    tilted,
+)
+
+_SAME_MM = 1e-6
+_STILL = 1e-9
+_DOWNWARDS = -0.9999
+"""Tool directions with a smaller z are refused: there is no shortest rotation to them."""
+_S_PER_MIN = 60.0
+
+
+def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    """Read a cutter-location file.
+
+    The first motion, if rapid, is `PTP`; later rapid ones are `LIN` with ``rapid``. Moves that go nowhere are left out.
+
+    :param cell: `$BASE`, `$TOOL`, tools, `[machine]`, `[m_codes]`, speed of rapid moves, approximation distance.
+    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+    :raises InputError: all that is wrong, together, each with file, line, text and advice.
+    """
+    source = statements.split(document)
+    base, tool_frames = cell.base.pose(), [cell.tool.pose()]
+    start = inverse(base) @ forward(cell.start_joints) @ tool_frames[0]
+    course = executed(source, cell, start[:3, 3] / M_PER_MM)
+    notes, comments, wrong = _comments(source, course)
+    moves = _Moves(course.parts, start)
+    faults = list(course.faults)
+    below = np.flatnonzero(moves.axis[:, 2] < _DOWNWARDS)
+    if faults or wrong or len(below):
+        texts = [(fault.row, fault.problem, fault.advice) for fault in faults]
+        texts += [
+            (int(moves.row[n]), "the tool points away from the part", "Check i, j, k.") for n in below[:1].tolist()
+        ]
+        raise together([*(_error(source, *text) for text in texts), *wrong])
+    if not course.parts:
+        advice = "Check that the file is the right one and complete."
+        raise ProgramError("the program moves nothing", file=document.name, advice=advice)
+    numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}
+    tool_frames += [cell.tools[f"{number:g}"].pose() for number in numbers]
+    home = np.array(cell.machine.home or np.full(6, np.nan)) * RAD_PER_DEG
+    at_home = inverse(base) @ forward(home) @ np.stack(tool_frames) if cell.machine.home else None
+    kept, motions = _motions(moves, source, cell, numbers, (home, at_home))
+    return Program(
+        name=name,
+        dialect="apt",
+        documents=(document,),
+        motions=motions,
+        bases=base[None],
+        tools=np.stack(tool_frames),
+        notes=_placed(notes, motions),
+        events=tuple(_events(course, comments, source, kept, motions)),
+        unforced=np.zeros(int(course.unforced), dtype=np.int64),
+        still=distinct(source.line[np.delete(moves.row, kept)]),
+        issues=tuple(_issues(course, source, moves, kept)),
+    )
+
+
+def _error(source: Statements, row: int, problem: str, advice: str | None) -> ProgramError:
+    line = int(source.line[row])
+    return ProgramError(problem, file=source.document.name, line=line, text=source.text(row), advice=advice)
+
+
+def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list[tuple[int, str]], list[InputError]]:
+    """Return the forces of ``$$`` comments and of PPRINT, the other comments by line, and the errors."""
+    notes: list[ForceNote] = []
+    others: list[tuple[int, str]] = []
+    wrong: list[InputError] = []
+    texts = [(line, text, False) for line, text in source.comments]
+    texts += [(int(source.line[e.row]), e.text, True) for e in course.events if e.kind == "comment"]
+    last = int(source.line[min(course.after_end)]) if course.after_end else len(source.spans[0]) + 1
+    for line, text, printed in sorted(texts):
+        if line >= last:
+            break
+        try:
+            note = parse_force_note(text, line, source.document.name)
+        except ForceError as cause:
+            wrong.append(cause)
+            continue
+        if note is not None:
+            notes.append(note)
+        elif text and not printed:
+            others.append((line, text))
+    return notes, others, wrong
+
+
+class _Moves:
+    """All moves as arrays (N, …), see `walk.Part`; `part` (N,) is the index of the part."""
+
+    def __init__(self, parts: Sequence[Part], start: Array) -> None:
+        nothing = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+        self.parts = parts
+        count = [len(part.row) for part in parts]
+        self.row: Ints = np.concatenate([part.row for part in parts] or nothing[0])
+        self.end: Array = np.concatenate([part.end for part in parts] or nothing[1])
+        self.axis: Array = np.concatenate([part.axis for part in parts] or nothing[1])
+        self.part = np.repeat(np.arange(len(parts)), count)
+        self.begin = np.concatenate([start[None, :3, 3] / M_PER_MM, self.end[:-1]])[: len(self.row)]
+        before = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
+        self.turns = norm(self.axis - before) > _STILL
+
+    def each(self, name: str) -> Array:
+        """Return a property of the parts for each move (N,)."""
+        return np.array([getattr(part, name) for part in self.parts])[self.part]
+
+
+def _motions(
+    moves: _Moves, source: Statements, cell: Cell, numbers: dict[float, int], home: tuple[Array, Array | None]
+) -> tuple[Ints, Motions]:
+    """Return which moves are motions (M,), and these."""
+    code, free, at_home = moves.each("code"), moves.each("free"), moves.each("home")
+    tool = np.array([numbers.get(part.tool, 0) if part.tool is not None else 0 for part in moves.parts])[moves.part]
+    other = np.diff(tool, prepend=tool[:1]) != 0
+    short = norm(moves.end - moves.begin) <= _SAME_MM
+    kept = np.flatnonzero(~short | moves.turns | (code == ARC) | free | other | (np.arange(len(code)) == 0))
+    code, free, at_home, tool = code[kept], free[kept], at_home[kept], tool[kept]
+    count = len(kept)
+    target = np.zeros((count, 4, 4))
+    target[:, 3, 3] = 1.0
+    orientation = cell.tool_pose_in_program()
+    axis = moves.axis[kept]
+    if (axis == axis[:1]).all():
+        target[:, :3, :3] = tilted(axis[:1])[0] @ orientation
+    else:
+        target[:, :3, :3] = tilted(axis) @ orientation
+    target[:, :3, 3] = moves.end[kept] * M_PER_MM
+    nothing = np.broadcast_to(np.nan, (count, 6))  # takes no memory
+    joints, centre, normal, sweep = nothing, nothing[:, :3], nothing[:, :3], nothing[:, 0]
+    if at_home.any() and home[1] is not None:
+        joints = nothing.copy()
+        joints[at_home] = home[0]
+        target[at_home] = home[1][tool[at_home]]
+    arcs = np.flatnonzero(code == ARC)
+    if len(arcs):
+        centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
+        for n in arcs.tolist():
+            part = moves.parts[moves.part[kept[n]]]
+            if part.circle is not None:
+                centre[n], normal[n], sweep[n] = part.circle.centre * M_PER_MM, part.circle.axis, part.sweep
+    rapid = code == RAPID
+    feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.each("feed")[kept] * (M_PER_MM / _S_PER_MIN))
+    feed[free] = np.nan
+    blend = np.where(moves.each("exact")[kept], 0.0, cell.gcode.approximation_mm * M_PER_MM)
+    unset = np.full(count, -1)
+    motions = Motions(
+        kind=np.where(free, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),
+        rapid=rapid,
+        line=source.line[moves.row[kept]],
+        target=target,
+        joints=joints,
+        centre=centre,
+        normal=normal,
+        sweep=sweep,
+        feed=feed,
+        base=np.zeros(count, dtype=np.int64),
+        tool=tool,
+        blend=blend,
+        rounding=np.full(count, cell.gcode.corner_tolerance_mm * M_PER_MM),
+        status=unset,
+        turn=unset.copy(),
+    )
+    return kept, read_only(motions)
+
+
+def _placed(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
+    before = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
+    return tuple(replace(note, before=at) for note, at in zip(notes, before, strict=True))
+
+
+def _events(
+    course: Course, comments: Sequence[tuple[int, str]], source: Statements, kept: Ints, motions: Motions
+) -> Iterator[Event]:
+    """Yield comments and other events in order of their lines."""
+    own = [
+        (int(source.line[e.row]), int(np.searchsorted(kept, e.before)), e.kind, e.value, e.text)
+        for e in course.events
+        if e.kind != "comment" or parse_force_note(e.text, 1, "") is None
+    ]
+    lines = [line for line, _ in comments]
+    before = np.searchsorted(motions.line, lines).tolist()
+    texts = [(line, at, "comment", 0.0, text) for (line, text), at in zip(comments, before, strict=True)]
+    for line, at, kind, value, text in sorted([*own, *texts], key=lambda event: (event[1], event[0])):
+        yield Event(at, kind, line, value, text)  # type: ignore[arg-type]
+
+
+def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> Iterator[Issue]:
+    if not course.stated:
+        yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
+    for row, level, kind, message in course.remarks:
+        yield Issue(level, kind, message, int(source.line[row]))
+    nowhere = distinct(source.line[np.delete(moves.row, kept)])
+    if len(nowhere):
+        lines = tuple(nowhere.tolist())
+        yield Issue("info", "null-move", "A move of zero length is left out.", lines[0], count=len(lines), lines=lines)
+    if course.after_end:
+        lines = tuple(sorted(int(source.line[row]) for row in course.after_end))
+        message = "There are statements after the end of the program: they are not executed."
+        yield Issue("warning", "after-end", message, lines[0], count=len(lines), lines=lines)
+
+
+class Apt:
+    """Cutter-location files: APT, CLDATA, CLSF."""
+
+    name = "apt"
+    extensions = (".apt", ".aptsource", ".cls", ".clsf", ".cl", ".clf", ".ncl", ".cldata")
+    command_decimals = (4, 4, 4, 5, 5, 5)  # those of the robot programs written from it
+    writer = None
+
+    def companions(self, path: Path) -> list[Path]:
+        """Return no files: a program is one file."""
+        del path
+        return []
+
+    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+        """Return a program, see `read`."""
+        return read(documents[0], cell, forward, name)
+
+
+APT = Apt()

@@ -1,0 +1,170 @@
+"""Statements of a cutter-location file: lines joined, comments removed, plain GOTO statements as numbers in bulk.
+
+A statement is a major word, then ``/`` and values separated by commas. ``$`` at the end of a line continues it on the
+next line, ``$$`` begins a comment (ISO 4343:2000, 4.2). White space has no meaning except in text. A plain GOTO has
+three or six decimal numbers; most statements of a program are plain and never become Python objects.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.decimals import numbers_in, parsed
+from postproc.dialects.text import line_spans
+from postproc.frames import Array
+from postproc.program import Document, Ints, distinct
+
+_COMMENT = re.compile(rb"\$\$[^\r\n]*")
+_LF, _BLANK, _DOLLAR, _COMMA = (ord(c) for c in "\n $,")
+_GOTO = b"GOTO/"
+_NUMERIC = np.frombuffer(bytes(c in b"0123456789+-.,\n" for c in range(256)), dtype=np.bool_)
+_SPACE = np.frombuffer(bytes(c in b" \t\r\n\x0b\x0c" for c in range(256)), dtype=np.bool_)
+_TO_NUMBERS = bytes(_BLANK if c in b",\n" else c for c in range(256))
+LIMIT = 1e7
+"""Numbers of this magnitude or more are refused as mistakes."""
+
+
+class Statements(Struct, frozen=True, eq=False):
+    """S statements of a file, in order.
+
+    :param document: the file.
+    :param code: statements in upper case without white space and comments; each ends with a line feed.
+    :param ends: (S + 1,) positions: statement i is ``code[ends[i]:ends[i + 1] - 1]``.
+    :param line: (S,) 1-based lines on which they begin.
+    :param others: (n,) statements that are neither empty nor plain GOTO.
+    :param points: (P,) plain GOTO statements.
+    :param numbers: (P, 6) their numbers; the last three are NaN where there are only three.
+    :param comments: 1-based line and text of the comments.
+    :param spans: where the lines of the file begin and stop.
+    """
+
+    document: Document
+    code: bytes
+    ends: Ints
+    line: Ints
+    others: Ints
+    points: Ints
+    numbers: Array
+    comments: tuple[tuple[int, str], ...]
+    spans: tuple[Ints, Ints]
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def of(self, row: int) -> str:
+        """Return a statement without white space, in upper case."""
+        return self.code[self.ends[row] : self.ends[row + 1] - 1].decode("ascii")
+
+    def text(self, row: int) -> str:
+        """Return the first line of a statement as it is in the file."""
+        line = int(self.line[row]) - 1
+        return self.document.text[self.spans[0][line] : self.spans[1][line]]
+
+
+def split(document: Document) -> Statements:
+    """Return the statements of a file."""
+    raw = document.text.encode("ascii", "replace")
+    starts, stops = line_spans(document.text)
+    chars = np.frombuffer(raw + b"\n", dtype=np.uint8).copy()
+    found = [(match.start(), match.end()) for match in _COMMENT.finditer(raw)]
+    for begin, end in found:
+        chars[begin:end] = _BLANK
+    at = np.searchsorted(starts, np.array([begin for begin, _ in found], dtype=np.int64), side="right").tolist()
+    comments = tuple(
+        (line, document.text[begin + 2 : end].strip()) for line, (begin, end) in zip(at, found, strict=True)
+    )
+    keep = ~_SPACE[chars]
+    keep[stops] = True
+    chars[stops] = _LF
+    lines = chars[keep].tobytes().upper()
+    code, line = _joined(np.frombuffer(lines, dtype=np.uint8))
+    ends = np.concatenate([[0], np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == _LF) + 1])
+    points, numbers = _points(np.frombuffer(code, dtype=np.uint8), ends)
+    empty = np.diff(ends) == 1
+    empty[points] = True
+    return Statements(document, code, ends, line, np.flatnonzero(~empty), points, numbers, comments, (starts, stops))
+
+
+def _joined(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
+    """Return lines joined where they end with ``$``, and the 1-based first line of each statement."""
+    ends = np.flatnonzero(chars == _LF)
+    goes_on = chars[ends - 1] == _DOLLAR
+    goes_on[:1] &= ends[:1] > 0
+    goes_on[-1:] = False
+    if not goes_on.any():
+        return chars.tobytes(), np.arange(1, len(ends) + 1)
+    keep = np.ones(len(chars), dtype=np.bool_)
+    keep[ends[goes_on]] = False
+    keep[ends[goes_on] - 1] = False
+    return chars[keep].tobytes(), np.flatnonzero(np.append(True, ~goes_on[:-1])) + 1
+
+
+def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array]:
+    """Return the plain GOTO statements (P,) and their numbers (P, 6)."""
+    none = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
+    width = np.diff(ends)
+    rows = np.flatnonzero(width > len(_GOTO) + 1)
+    for place, letter in enumerate(_GOTO):
+        rows = rows[chars[ends[rows] + place] == letter]
+    if not len(rows):
+        return none
+    strange = np.cumsum(np.append(0, ~_NUMERIC[chars]), dtype=np.int64)
+    rows = rows[strange[ends[rows + 1]] - strange[ends[rows]] == len(_GOTO)]
+    comma = np.cumsum(np.append(0, chars == _COMMA), dtype=np.int64)
+    count = comma[ends[rows + 1]] - comma[ends[rows]] + 1
+    rows = rows[(count == 3) | (count == 6)]
+    for _ in range(2):
+        inside = np.zeros(len(chars) + 1, dtype=np.int8)
+        inside[ends[rows] + len(_GOTO)] = 1
+        inside[ends[rows + 1]] -= 1
+        digits = chars[np.cumsum(inside[:-1], dtype=np.int8).view(np.bool_)].tobytes().translate(_TO_NUMBERS)
+        text = np.frombuffer(digits, dtype=np.uint8)
+        first, last = numbers_in(text)
+        length = width[rows] - len(_GOTO)
+        begin = np.concatenate([[0], np.cumsum(length)])
+        words = np.diff(np.searchsorted(first, begin))
+        count = comma[ends[rows + 1]] - comma[ends[rows]] + 1
+        whole = words == count
+        if whole.all():
+            break
+        rows = rows[whole]  # a number is missing between two commas
+    if not len(rows):
+        return none
+    values = parsed(text, first, last)
+    if values is None:
+        try:
+            values = np.array([float(word) for word in digits.split()])
+        except ValueError:
+            return none
+    numbers = np.full((len(rows), 6), np.nan)
+    row = np.repeat(np.arange(len(rows)), count)
+    numbers[row, np.arange(len(values)) - np.repeat(np.cumsum(count) - count, count)] = values
+    large = distinct(row[np.abs(values) >= LIMIT])
+    return np.delete(rows, large), np.delete(numbers, large, axis=0)
+
+
+_NUMBER = re.compile(r"[-+]?(?:\d{1,30}\.?\d{0,30}|\.\d{1,30})(?:[ED][-+]?\d{1,3})?")
+
+
+def number(word: str) -> float | None:
+    """Return the value of a number, or None if the word is none or it is out of range."""
+    if not _NUMBER.fullmatch(word):
+        return None
+    value = float(word.replace("D", "E"))
+    return value if abs(value) < LIMIT else None
+
+
+def values(words: str) -> list[float | str]:
+    """Return the values behind the slash of a statement: numbers and words.
+
+    >>> values("250.,MMPM")
+    [250.0, 'MMPM']
+    """
+    out: list[float | str] = []
+    for word in words.split(",") if words else []:
+        value = number(word)
+        out.append(word if value is None else value)
+    return out

@@ -1,0 +1,737 @@
+"""Execution of a cutter-location file: from statements to moves in the program frame [mm].
+
+- **RAPID** holds for the next motion only (ISO 4343:2000, 5.42); then the last feed holds again.
+- **GOTO/x,y,z,i,j,k** gives the direction from the tip to the spindle. It stays until it is given again, also where a
+  GOTO has three numbers (Siemens NX writes it once). ``MULTAX/OFF`` returns it to z.
+- **FROM** states where the tool is when the program begins: it becomes a joint motion to that place.
+- **CYCLE/DRILL**, FACE and CSINK with DEPTH and CLEAR: the GOTO statements behind it are the tops of holes. The tool
+  goes in rapid to CLEAR above the top, at feed to DEPTH below it, waits (DWELL), and goes back to CLEAR or RETURN.
+  RAPTO is a further rapid towards the top. Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
+- **LOADTL** selects the tool of this number in `[tools]`, stops the spindle, and leaves the tip where it is.
+- **GOHOME** and **RETRCT** go where `[machine]` of the cell says, as G28 and G53 do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from msgspec import Struct, field
+
+from postproc.cell import Cell
+from postproc.dialects.apt import words
+from postproc.dialects.apt.arcs import Circle, belonging, leaving
+from postproc.dialects.apt.statements import Statements, values
+from postproc.errors import MOST, Level
+from postproc.frames import Array, norm
+from postproc.program import EventKind, Ints
+
+RAPID, LINE, ARC = 0, 1, 2
+_MM_PER_INCH = 25.4
+_PER_MINUTE = {
+    "MMPM": 1.0,
+    "IPM": _MM_PER_INCH,
+    "FPM": 12 * _MM_PER_INCH,
+}
+_PER_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "FPR": 12 * _MM_PER_INCH}
+_UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER_INCH, "CM": 10.0}
+_UNIT_LENGTH = 1e-3
+_NEAR_MM = 1e-6
+_LEVEL = 0.2
+"""Least z of the tool direction for a retract along the tool."""
+_ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."
+_CYCLE_ADVICE = "Let the CAM system write the holes as GOTO statements."
+
+
+class Fault(Struct, frozen=True):
+    """What is wrong with a statement: its row, the problem, the advice."""
+
+    row: int
+    problem: str
+    advice: str | None = None
+
+
+class Happening(Struct, frozen=True):
+    """An event: number of moves before it, row of its statement, and `program.Event` in short."""
+
+    before: int
+    row: int
+    kind: EventKind
+    value: float = 0.0
+    text: str = ""
+
+
+class Part(Struct, frozen=True, eq=False):
+    """Moves of one kind and feed, n in order.
+
+    :param row: (n,) statements; `end` (n, 3) [mm] and `axis` (n, 3), the unit direction from tip to spindle, there.
+    :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
+    :param tool: number of the tool, or None before the first.
+    :param circle: of an arc; `sweep` its angle [rad].
+    :param free: by a joint motion. `exact`: stops at the end. `home`: to [machine] home.
+    """
+
+    row: Ints
+    end: Array
+    axis: Array
+    code: int
+    feed: float
+    tool: float | None
+    circle: Circle | None = None
+    sweep: float = 0.0
+    free: bool = False
+    exact: bool = False
+    home: bool = False
+
+
+class Course(Struct, eq=False):
+    """Result of the execution.
+
+    :ivar unforced: whether the first move comes from `[start]` at feed.
+    :ivar stated: whether the program states its units.
+    :ivar after_end: rows of statements behind the end, which are not executed.
+    """
+
+    parts: list[Part] = field(default_factory=list)
+    events: list[Happening] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
+    remarks: list[tuple[int, Level, str, str]] = field(default_factory=list)
+    tools: list[float] = field(default_factory=list)
+    unforced: bool = False
+    stated: bool = False
+    after_end: tuple[int, ...] = ()
+
+
+class _FaultError(Exception):
+    """A statement cannot be executed. Its arguments are problem and advice (or None)."""
+
+
+class _Cycle(Struct, frozen=True):
+    """A drilling cycle [mm, mm/min, s]: depth below the top, and heights above it."""
+
+    depth: float
+    clear: float
+    rapid_to: float
+    back: float
+    feed: float
+    dwell: float
+
+
+class _Pending(Struct, frozen=True, eq=False):
+    """A circle for the GOTO that follows.
+
+    :param several: whether more than one point may belong to the arc.
+    :param angle: stated angle of the arc [rad].
+    """
+
+    row: int
+    circle: Circle
+    several: bool = False
+    angle: float | None = None
+
+
+class _Walk:
+    def __init__(self, statements: Statements, cell: Cell, start: Array) -> None:
+        """Begin at `start` (3,) [mm], where the robot is."""
+        self.statements, self.cell = statements, cell
+        self.course = Course()
+        self.place, self.known = start, False
+        self.axis = np.array([0.0, 0.0, 1.0])
+        self.unit = 1.0
+        self.rapid = False
+        self.feed, self.per_turn = 0.0, False
+        self.speed, self.spindle = 0.0, "spindle_off"
+        self.coolant = False
+        self.tool: float | None = None
+        self.pending: _Pending | None = None
+        self.leaving: Array | None = None
+        self.cycle: _Cycle | None = None
+        self.system: list[float | str] | None = None
+        self.number = 0
+        self.inches: int | None = None
+        self.ended = -1
+        self.doubt = False
+        self.parted = -1
+
+    def run(self) -> Course:
+        """Execute all statements."""
+        of, course = self.statements, self.course
+        previous = 0
+        for row in of.others.tolist():
+            self._points(previous, row)
+            previous = row + 1
+            if self.ended >= 0 or len(course.faults) > MOST:
+                break
+            try:
+                self._obey(row, of.of(row))
+            except _FaultError as cause:
+                course.faults.append(Fault(row, *cause.args))
+                self.doubt = True
+        else:
+            self._points(previous, len(of))
+        if self.pending is not None and not course.faults:
+            problem = "an arc without a GOTO behind it"
+            course.faults.append(Fault(self.pending.row, problem, "Write the end of the arc."))
+        if self.ended >= 0:
+            rest = [row for row in of.others.tolist() if row > self.ended and of.of(row) != "FINI"]
+            course.after_end = (*rest, *of.points[np.searchsorted(of.points, self.ended) :].tolist())
+        elif self.parted >= 0 and not course.faults:
+            problem = "the program begins with PARTNO but ends without FINI"
+            course.faults.append(Fault(len(of) - 1, problem, "Check that the file was transferred completely."))
+        if self.inches is not None and not course.stated:
+            course.faults.append(
+                Fault(self.inches, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
+            )
+        return course
+
+    def _points(self, begin: int, end: int) -> None:
+        """Execute plain GOTO statements."""
+        of = self.statements
+        first, last = np.searchsorted(of.points, [begin, end]).tolist()
+        if first < last and self.ended < 0:
+            try:
+                self._goto(of.points[first:last], of.numbers[first:last])
+            except _FaultError as cause:
+                row = cause.args[2] if len(cause.args) > 2 else int(of.points[first])
+                self.course.faults.append(Fault(row, *cause.args[:2]))
+
+    def _goto(self, row: Ints, numbers: Array) -> None:
+        """Go to points; numbers (n, 6), the last three NaN where the direction stays."""
+        end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
+        at = 0
+        if self.pending is not None:
+            pending, self.pending = self.pending, None
+            at = 1 if self.doubt else self._arc(pending, row, end, axis)
+        if self.cycle is not None:
+            for n in range(at, len(row)):
+                self._drill(int(row[n]), end[n], axis[n], self.cycle)
+            self.rapid = False
+        elif at < len(row):
+            if self.rapid or not self.known:
+                self._single(int(row[at]), end[at], axis[at])
+                at += 1
+            if at < len(row):
+                self._add(row[at:], end[at:], axis[at:], LINE, self._fed(int(row[at])))
+        self.axis = axis[-1]
+        self.doubt = False
+
+    def _axes(self, row: Ints, given: Array) -> Array:
+        """Return the directions of the tool (n, 3)."""
+        length = norm(given)
+        stated = ~np.isnan(length)
+        if not stated.any():
+            return np.broadcast_to(self.axis, given.shape)
+        wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
+        if len(wrong):
+            advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
+            problem = "the last three numbers are not a direction of length 1"
+            self.course.faults += [Fault(n, problem, advice) for n in row[wrong[1:MOST]].tolist()]
+            raise _FaultError(problem, advice, int(row[wrong[0]]))
+        with np.errstate(invalid="ignore"):
+            unit = np.concatenate([self.axis[None], given / length[:, None]])
+        latest = np.maximum.accumulate(np.append(0, np.where(stated, np.arange(1, len(row) + 1), 0)))
+        return np.asarray(unit[latest][1:])
+
+    def _single(self, row: int, end: Array, axis: Array) -> None:
+        """Make one move that is rapid, or whose start is not known."""
+        rapid, self.rapid = self.rapid, False
+        if self.known:
+            self._one(row, end, axis, RAPID if rapid else LINE, 0.0 if rapid else self._fed(row))
+            return
+        again = bool(self.course.parts)
+        if not rapid:
+            if again:
+                raise _FaultError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
+            message = (
+                "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
+            )
+            self.course.remarks.append((row, "warning", "from-start", message))
+            self.course.unforced = True
+            feed, self.known = self._fed(row), True
+            self._one(row, end, axis, LINE, feed)
+            return
+        clearance = self.cell.machine.clearance_Z
+        if again and clearance is not None and end[2] < clearance - _NEAR_MM and axis[2] > _LEVEL:
+            self._one(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, free=True)
+            self._one(row, end, axis, RAPID, 0.0)
+        else:
+            self._one(row, end, axis, RAPID, 0.0, free=True)
+        self.known = True
+
+    def _fed(self, row: int) -> float:
+        """Return the feed of a move [mm/min]."""
+        if not self.feed > 0.0:
+            raise _FaultError("cutting move without a feed", "Write FEDRAT before it.", row)
+        if not self.per_turn:
+            return self.feed
+        if not self.speed > 0.0:
+            raise _FaultError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.", row)
+        return self.feed * self.speed
+
+    def _arc(self, pending: _Pending, row: Ints, end: Array, axis: Array) -> int:
+        """Make the arc to the first points; return how many belong to it."""
+        count: int | None = 1
+        if pending.several and len(row) > 1:
+            count = belonging(pending.circle, self.place, end)
+        if count is None:
+            problem = "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines"
+            advice = "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION)."
+            raise _FaultError(problem, advice, int(row[1]))
+        for n in range(count):
+            self._turn(int(row[n]), pending.circle, end[n], axis[n], pending.angle)
+        return count
+
+    def _turn(self, row: int, circle: Circle, end: Array, axis: Array, stated: float | None) -> None:
+        """Make an arc; `stated`: its angle [rad], if the statement gives it."""
+        if not self.known:
+            raise _FaultError("arc before the position is known", "Write a GOTO before it.", row)
+        for name, point in (("start", self.place), ("end", end)):
+            fault = circle.fault_at(point)
+            if fault:
+                raise _FaultError(f"the {name} of the arc is {fault}", "Check centre, radius and direction.", row)
+        sweep = circle.sweep(self.place, end)
+        if stated is not None:
+            full = round((stated - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
+            if abs(sweep + full - stated) * circle.radius > 0.1 or sweep + full <= 0.0:
+                degrees = f"{np.rad2deg(stated):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
+                raise _FaultError(f"the angle of the arc disagrees with its end: {degrees}", _ARC_ADVICE, row)
+            sweep += full
+        if self.rapid:
+            raise _FaultError("an arc in rapid", _ARC_ADVICE, row)
+        own = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
+        self._one(row, end, axis, ARC, self._fed(row), circle=own, sweep=sweep)
+
+    def _drill(self, row: int, top: Array, axis: Array, cycle: _Cycle) -> None:
+        """Drill a hole."""
+        if not self.known:
+            raise _FaultError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
+        self._swing(row, axis)
+        above = float((self.place - top) @ axis)
+        if above < cycle.clear - _NEAR_MM:
+            self._one(row, self.place + axis * (cycle.clear - above), axis, RAPID, 0.0)
+        height = max(above, cycle.clear)
+        for to in (height, cycle.clear, cycle.rapid_to):
+            self._one(row, top + axis * to, axis, RAPID, 0.0)
+        self._one(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
+        if cycle.dwell > 0.0:
+            self._event(row, "dwell", cycle.dwell)
+        self._one(row, top + axis * cycle.back, axis, RAPID, 0.0)
+
+    def _swing(self, row: int, axis: Array) -> None:
+        """Refuse a direction of the tool that changes on the way to a hole."""
+        if norm(np.cross(axis, self.axis)) > _UNIT_LENGTH or axis @ self.axis < 0.0:
+            raise _FaultError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
+
+    def _one(self, row: int, end: Array, axis: Array, code: int, feed: float, **more: Any) -> None:
+        self._add(np.array([row]), end[None], axis[None], code, feed, **more)
+        self.axis = axis
+
+    def _add(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **more: Any) -> None:
+        self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **more))
+        self.number += len(row)
+        self.place = end[-1]
+
+    def _event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
+        self.course.events.append(Happening(self.number, row, kind, value, text))
+
+    def _obey(self, row: int, code: str) -> None:
+        """Execute a statement that is not a plain GOTO."""
+        for word in words.TEXT:
+            if code.startswith(word):
+                if word == "PARTNO" and self.parted < 0:
+                    self.parted = row
+                self._event(row, "comment", text=self._text(row, word))
+                return
+        if code.startswith("INSERT"):
+            self._insert(row)
+            return
+        major, slash, rest = code.partition("/")
+        if code.startswith("TOOLPATH/"):
+            self._event(row, "comment", text=self._text(row, "TOOL"))
+            return
+        if major == "TLON,GOFWD":
+            self._along(row, rest)
+            return
+        if major in words.WITHOUT_EFFECT:
+            return
+        given = values(rest) if slash else []
+        if major in ("ORIGIN", "TRANS") and given and all(value == 0.0 for value in given):
+            return
+        handler = _HANDLERS.get(major)
+        if handler is None or (major == "GODLTA" and len(given) != 3):
+            raise _FaultError(*words.refusal(major))
+        handler(self, row, given)
+
+    def _text(self, row: int, word: str) -> str:
+        """Return the text of a statement behind its word, as it is in the file."""
+        text = self.statements.text(row).partition("$$")[0].strip()
+        return text[len(word) :].lstrip(" \t/").strip("' \t$")
+
+    def _numbers(self, given: list[float | str], *counts: int) -> Array:
+        """Return a statement's values, which must be numbers, and as many as one of `counts`."""
+        if any(isinstance(value, str) for value in given) or len(given) not in counts:
+            wanted = " or ".join(map(str, counts))
+            raise _FaultError(f"{wanted} numbers are needed here", "Check the values behind /.")
+        return np.array(given, dtype=float)
+
+    def _one_number(self, given: list[float | str], what: str) -> float:
+        found = [value for value in given if isinstance(value, float)]
+        if not found:
+            raise _FaultError(f"{what} without a number", "Check the values behind /.")
+        return found[0]
+
+    def _goto_odd(self, row: int, given: list[float | str]) -> None:
+        points = self._numbers(given, *((3, 6) if self.pending is None else range(3, 301, 3)))
+        if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < _UNIT_LENGTH):
+            numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
+        elif self.pending is not None:
+            numbers = np.hstack([points.reshape(-1, 3), np.full((len(points) // 3, 3), np.nan)])
+        else:
+            numbers = points[None]
+        self._guarded(np.full(len(numbers), row), numbers)
+
+    def _guarded(self, row: Ints, numbers: Array) -> None:
+        try:
+            self._goto(row, numbers)
+        except _FaultError as cause:
+            raise _FaultError(*cause.args[:2]) from cause
+
+    def _step(self, row: int, given: list[float | str]) -> None:
+        step = self._numbers(given, 3) * self.unit
+        if not self.known:
+            raise _FaultError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
+        self._guarded(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
+
+    def _from(self, row: int, given: list[float | str]) -> None:
+        numbers = self._numbers(given, 3, 6)
+        place = numbers[:3] * self.unit
+        if self.known:
+            if norm(place - self.place) > _NEAR_MM:
+                raise _FaultError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
+            return
+        self.rapid = True
+        self._guarded(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
+
+    def _home(self, row: int, given: list[float | str]) -> None:
+        machine = self.cell.machine
+        if given or (machine.home is None and machine.clearance_Z is None):
+            advice = "Give [machine] home or clearance_Z in the cell, and write GOHOME without values."
+            raise _FaultError("GOHOME: where it goes is not known", advice)
+        if self.known and machine.clearance_Z is not None:
+            self._retract(row, machine.clearance_Z)
+        if machine.home is not None:
+            self._one(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
+            self.known = False
+
+    def _rise(self, row: int, given: list[float | str]) -> None:
+        clearance = self.cell.machine.clearance_Z
+        if given or clearance is None:
+            advice = "Give [machine] clearance_Z in the cell, and write RETRCT without values."
+            raise _FaultError("RETRCT: how high it goes is not known", advice)
+        if self.known:
+            self._retract(row, clearance)
+
+    def _retract(self, row: int, clearance: float) -> None:
+        if self.place[2] >= clearance - _NEAR_MM:
+            return
+        if self.axis[2] < _LEVEL:
+            raise _FaultError("retract with a nearly horizontal tool", "Retract along the tool by GOTO before.")
+        rise = (clearance - self.place[2]) / self.axis[2]
+        self._one(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
+
+    def _next_rapid(self, row: int, given: list[float | str]) -> None:
+        del row
+        if given:
+            raise _FaultError("RAPID with values", "Write RAPID alone.")
+        self.rapid = True
+
+    def _feed(self, row: int, given: list[float | str]) -> None:
+        named = [value for value in given if isinstance(value, str)]
+        if named == ["INVERS", "OFF"]:
+            return
+        feed, per_turn = self._rate(row, given, "FEDRAT")
+        self.feed, self.per_turn = feed, per_turn
+
+    def _rate(self, row: int, given: list[float | str], what: str) -> tuple[float, bool]:
+        """Return a feed [mm/min or mm/turn], and whether it is per turn."""
+        named = [value for value in given if isinstance(value, str)]
+        numbers = [value for value in given if isinstance(value, float)]
+        known = {**_PER_MINUTE, **_PER_TURN, "PERMIN": self.unit, "PERREV": self.unit}
+        if len(numbers) != 1 or len(named) > 1 or not set(named) <= set(known):
+            raise _FaultError(f"{what} is not understood", f"Give one number and one of {', '.join(known)}.")
+        word = named[0] if named else "PERMIN"
+        if word.startswith("I") or word.startswith("F"):
+            self.inches = row if self.inches is None else self.inches
+        if not numbers[0] > 0.0:
+            raise _FaultError(f"{what} is not above zero", None)
+        return numbers[0] * known[word], word in (*_PER_TURN, "PERREV")
+
+    def _units(self, row: int, given: list[float | str]) -> None:
+        del row
+        unit = _UNITS.get(str(given[0])) if len(given) == 1 else None
+        if unit is None:
+            raise _FaultError("UNITS is not understood", f"Write UNITS/ and one of {', '.join(_UNITS)}.")
+        if unit != self.unit and self.course.parts:
+            raise _FaultError("UNITS change behind a motion", "Write UNITS before all motions.")
+        self.unit = unit
+        self.course.stated = True
+
+    def _multiaxis(self, row: int, given: list[float | str]) -> None:
+        del row
+        if given not in ([], ["ON"], ["OFF"]):
+            raise _FaultError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
+        if given == ["OFF"]:
+            self._point_along(np.array([0.0, 0.0, 1.0]))
+
+    def _tool_axis(self, row: int, given: list[float | str]) -> None:
+        axis = self._numbers(given, 3)
+        if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
+            raise _FaultError("the direction of the tool does not have length 1", "Check i, j, k.")
+        del row
+        self._point_along(axis / norm(axis))
+
+    def _point_along(self, axis: Array) -> None:
+        """Set the direction of the moves to come; the tool turns there with the next move."""
+        self.axis = axis
+
+    def _circle(self, row: int, given: list[float | str]) -> None:
+        if given[-2:-1] == ["TIMES"]:
+            raise _FaultError("a helix of several turns", _ARC_ADVICE)
+        numbers = self._numbers(given, 7, 11)
+        self._pend(row, numbers, right_handed=len(numbers) == 7, several=len(numbers) == 7)
+
+    def _move_arc(self, row: int, given: list[float | str]) -> None:
+        if len(given) != 9 or given[7] != "ANGLE":
+            raise _FaultError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
+        numbers = self._numbers([*given[:7], given[8]], 8)
+        if not 0.0 < numbers[7] <= 3600.0:
+            raise _FaultError("the angle of the arc is not above zero", _ARC_ADVICE)
+        self._pend(row, numbers[:7], right_handed=True, angle=float(np.deg2rad(numbers[7])))
+
+    def _pend(self, row: int, numbers: Array, *, right_handed: bool, **more: Any) -> None:
+        """Keep a circle for the GOTO that follows."""
+        axis = numbers[3:6]
+        if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
+            raise _FaultError("the axis of the arc does not have length 1", "Check i, j, k.")
+        if self.pending is not None or self.cycle is not None:
+            raise _FaultError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
+        if self.rapid:
+            raise _FaultError("an arc in rapid", _ARC_ADVICE)
+        axis = axis / norm(axis) * (1.0 if right_handed else -1.0)
+        self.pending = _Pending(row, Circle(numbers[:3] * self.unit, axis, float(numbers[6]) * self.unit), **more)
+
+    def _direction(self, row: int, given: list[float | str]) -> None:
+        del row
+        self.leaving = self._numbers(given, 3)
+
+    def _along(self, row: int, code: str) -> None:
+        """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV."""
+        direction, self.leaving = self.leaving, None
+        flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
+        given = values(flat.removeprefix("CANON,"))
+        if direction is None or not code.startswith("(CIRCLE/") or "ON" not in given or "L" not in given:
+            raise _FaultError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
+        on, line = given.index("ON"), given.index("L")
+        if given[on + 1 : line] not in ([], [2.0, "INTOF"]):
+            raise _FaultError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
+        circle = self._numbers(given[:on], 4, 7) * self.unit
+        ends = self._numbers(given[line + 1 :], 6) * self.unit
+        if not self.known:
+            raise _FaultError("arc before the position is known", "Write a GOTO before it.")
+        found = leaving(self.place, direction, circle[:3], float(circle[-1]))
+        if found is None or norm(ends[:3] - circle[:3]) > 1e-3:
+            raise _FaultError("INDIRV, CIRCLE and LINE disagree", _ARC_ADVICE)
+        beyond = given[on + 1 : line] == [2.0, "INTOF"]
+        sweep = found.sweep(self.place, ends[3:])
+        if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != beyond and abs(sweep - np.pi) > 1e-3:
+            raise _FaultError("the arc ends on the other side of its line", _ARC_ADVICE)
+        try:
+            self._turn(row, found, ends[3:], self.axis, None)
+        except _FaultError as cause:
+            raise _FaultError(*cause.args[:2]) from cause
+
+    def _cycles(self, row: int, given: list[float | str]) -> None:
+        if given[:1] == ["OFF"]:
+            self.cycle = None
+            return
+        name, *rest = given or [""]
+        couplets: dict[str, float] = {}
+        names, numbers = rest[0::2], rest[1::2]
+        allowed = {"DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", *_PER_MINUTE, *_PER_TURN}
+        good = len(names) == len(numbers) and all(isinstance(value, float) for value in numbers)
+        good &= name in ("DRILL", "FACE", "CSINK") and {str(word) for word in names} <= allowed
+        for word, value in zip(names, numbers, strict=False):
+            couplets[str(word)] = float(value) if isinstance(value, float) else 0.0
+        rates: list[float | str] = [
+            part for word in couplets if word not in _HEIGHTS for part in (couplets[word], word)
+        ]
+        if not good or not {"DEPTH", "CLEAR"} <= set(couplets) or len(rates) > 2:
+            problem = f"CYCLE/{name} with these values is not supported"
+            advice = f"{_CYCLE_ADVICE} Read are DRILL, FACE and CSINK with DEPTH, a feed, CLEAR, RAPTO, RETURN, DWELL."
+            raise _FaultError(problem, advice)
+        if rates:
+            rate, per_turn = self._rate(row, rates, "the feed of the cycle")
+            feed = rate * self.speed if per_turn else rate
+        else:
+            feed = self._fed(row)
+        if not feed > 0.0:
+            raise _FaultError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
+        depth, clear = couplets["DEPTH"] * self.unit, couplets["CLEAR"] * self.unit
+        back = couplets.get("RETURN", 0.0) * self.unit or clear
+        near = clear - couplets.get("RAPTO", 0.0) * self.unit
+        if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and back >= clear):
+            raise _FaultError("the heights of the cycle contradict each other", _CYCLE_ADVICE)
+        self.cycle = _Cycle(depth, clear, near, back, feed, couplets.get("DWELL", 0.0))
+
+    def _spin(self, row: int, given: list[float | str]) -> None:
+        unknown = {value for value in given if isinstance(value, str)} - _SPINDLE
+        if unknown:
+            raise _FaultError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
+        if "OFF" in given:
+            self.spindle = "spindle_off"
+            self._event(row, "spindle_off")
+            return
+        numbers = [value for value in given if isinstance(value, float)]
+        if len(numbers) > 1 or (not numbers and not self.speed):
+            raise _FaultError("SPINDL without one speed", "Give the speed as SPINDL/n,RPM,CLW.")
+        self.speed = numbers[0] if numbers else self.speed
+        if "CCLW" in given:
+            self.spindle = "spindle_ccw"
+        elif "CLW" in given or self.spindle == "spindle_off":
+            self.spindle = "spindle_on"
+        self._event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
+
+    def _cool(self, row: int, given: list[float | str]) -> None:
+        self.coolant = given[:1] != ["OFF"]
+        self._event(row, "coolant_on" if self.coolant else "coolant_off")
+
+    def _load(self, row: int, given: list[float | str]) -> None:
+        if given[:1] == ["TOOL"]:
+            given = given[1:]
+        number = self._one_number(given[:1], "the tool")
+        if number < 0.0 or number != int(number):
+            raise _FaultError("the number of the tool is not a whole number", None)
+        if self.spindle != "spindle_off":
+            self.spindle = "spindle_off"
+            self._event(row, "spindle_off")
+        self._event(row, "tool_change", number)
+        tools = self.cell.tools
+        if tools and f"{number:g}" not in tools:
+            raise _FaultError(f"tool {number:g} is not in the cell", f"Write [tools.{number:g}] in the cell.")
+        if number not in self.course.tools:
+            self.course.tools.append(number)
+        changed = tools and number != self.tool
+        self.tool = number
+        if changed and self.known:
+            self._one(row, self.place, self.axis, RAPID, 0.0)
+
+    def _wait(self, row: int, given: list[float | str]) -> None:
+        given = [value for value in given if value != "DWELL"]
+        if "REV" in given:
+            raise _FaultError("DELAY in turns", "Give it in seconds.")
+        self._event(row, "dwell", float(self._numbers(given, 1)[0]))
+
+    def _stop(self, row: int, given: list[float | str]) -> None:
+        del given
+        self._event(row, "stop")
+
+    def _skip(self, row: int, given: list[float | str]) -> None:
+        if given != ["OFF"]:
+            message = "OPSKIP: the statements behind it are executed, as with the switch off."
+            self.course.remarks.append((row, "info", "block-delete", message))
+
+    def _auxiliary(self, row: int, given: list[float | str]) -> None:
+        self._machine_code(row, f"M{self._one_number(given, 'AUXFUN'):g}")
+
+    def _insert(self, row: int) -> None:
+        text = self._text(row, "INSERT").upper().rstrip(" $")
+        if text.startswith("("):
+            self._event(row, "comment", text=text.strip("() "))
+            return
+        self._machine_code(row, text)
+
+    def _machine_code(self, row: int, code: str) -> None:
+        own = self.cell.m_codes.get(code)
+        if own is None:
+            advice = (
+                f"Say what it does: [m_codes] {code} = [] for nothing, or lines of KRL." if code[:1] == "M" else None
+            )
+            raise _FaultError(f"{code[:20]!r} is for one control", advice or "Remove it if it does not move the tool.")
+        if own:
+            self._event(row, "m_code", float(code[1:]))
+
+    def _compensate(self, row: int, given: list[float | str]) -> None:
+        del row
+        if given[:1] != ["OFF"]:
+            advice = "Let the CAM system write the path of the tool's centre."
+            raise _FaultError("the radius of the tool is in the control, not in the program", advice)
+
+    def _mode(self, row: int, given: list[float | str]) -> None:
+        del row
+        if given != ["MILL"]:
+            raise _FaultError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
+
+    def _coordinate_system(self, row: int, given: list[float | str]) -> None:
+        if self.system is not None and given != self.system:
+            advice = "Write one file for each MSYS, and give its place as [base] of a cell."
+            raise _FaultError("MSYS changes within the program", advice)
+        if self.system is None:
+            message = "MSYS: coordinates are those of this system, which is $BASE of the cell."
+            self.course.remarks.append((row, "info", "coordinate-system", message))
+        self.system = given
+
+    def _end(self, row: int, given: list[float | str]) -> None:
+        del given
+        self.ended = row
+        if self.spindle != "spindle_off":
+            self._event(row, "spindle_off")
+        if self.coolant:
+            self._event(row, "coolant_off")
+
+    def _nothing(self, row: int, given: list[float | str]) -> None:
+        del row, given
+
+
+_HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL")
+_SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
+_HANDLERS: Mapping[str, Any] = {
+    "GOTO": _Walk._goto_odd,
+    "GODLTA": _Walk._step,
+    "FROM": _Walk._from,
+    "GOHOME": _Walk._home,
+    "RETRCT": _Walk._rise,
+    "RAPID": _Walk._next_rapid,
+    "FEDRAT": _Walk._feed,
+    "UNITS": _Walk._units,
+    "MULTAX": _Walk._multiaxis,
+    "TLAXIS": _Walk._tool_axis,
+    "CIRCLE": _Walk._circle,
+    "MOVARC": _Walk._move_arc,
+    "INDIRV": _Walk._direction,
+    "CYCLE": _Walk._cycles,
+    "SPINDL": _Walk._spin,
+    "COOLNT": _Walk._cool,
+    "LOADTL": _Walk._load,
+    "LOAD": _Walk._load,
+    "DELAY": _Walk._wait,
+    "DWELL": _Walk._wait,
+    "STOP": _Walk._stop,
+    "OPSTOP": _Walk._stop,
+    "OPSKIP": _Walk._skip,
+    "AUXFUN": _Walk._auxiliary,
+    "CUTCOM": _Walk._compensate,
+    "MODE": _Walk._mode,
+    "MSYS": _Walk._coordinate_system,
+    "END": _Walk._end,
+    "FINI": _Walk._end,
+    "REWIND": _Walk._nothing,
+}
+
+
+def executed(statements: Statements, cell: Cell, start: Array) -> Course:
+    """Return the moves of a file, or its faults.
+
+    :param start: (3,) where the tip is when the program starts, in the program frame [mm].
+    """
+    return _Walk(statements, cell, start).run()

@@ -1,0 +1,471 @@
+"""Cutter-location files (APT, CLDATA, CLSF): the same path as G-code, and the rules that CAM systems publish."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
+
+from postproc import correction
+from postproc.cell import Frame, Machine, Rotary
+from postproc.cell import load as load_cell
+from postproc.dialects import registry
+from postproc.dialects.apt import reader, statements
+from postproc.dialects.text import decode
+from postproc.errors import InputError, ProgramError
+from postproc.program import CIRC, LIN, PTP, Motions, Program
+from postproc.robot import find, load
+from tests.dialects.gcode_reading import CELL, forward
+from tests.dialects.gcode_reading import read as read_gcode
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+HEAD = "UNITS/MM\nFEDRAT/600,MMPM\nRAPID\nGOTO/0,0,9\n"
+
+
+def read(text, cell=CELL):
+    return reader.read(decode("part.apt", text.encode() if isinstance(text, str) else text), cell, forward, "part")
+
+
+def points(program):
+    return program.motions.target[:, :3, 3] * 1e3
+
+
+def same(one: Program, other: Program) -> None:
+    """All motions are the same, their lines apart."""
+    for name in Motions.__struct_fields__:
+        if name != "line":
+            np.testing.assert_allclose(
+                getattr(one.motions, name), getattr(other.motions, name), rtol=0, atol=2e-9, err_msg=name
+            )
+    assert [(e.before, e.kind, e.value) for e in one.events if e.kind != "comment"] == [
+        (e.before, e.kind, e.value) for e in other.events if e.kind != "comment"
+    ]
+    assert [(n.wrench, n.frame, n.before) for n in one.notes] == [(n.wrench, n.frame, n.before) for n in other.notes]
+
+
+class Path3:
+    """A random path, written as G-code and as cutter-location data by rules of their own."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = np.random.default_rng(seed)
+        inch = bool(self.random.integers(2))
+        self.unit = 25.4 if inch else 1.0
+        self.nx = bool(self.random.integers(2))
+        self.gcode = [f"{'G20' if inch else 'G21'} G90 G17 G94", "T3 M6", "S9000 M3"]
+        self.apt = ["PARTNO RANDOM", f"UNITS/{'INCHES' if inch else 'MM'}", "LOADTL/3", "SPINDL/9000,RPM,CLW"]
+        self.place = np.array([5.0, 5.0, 40.0])
+        self._rapid()
+        for _ in range(30):
+            self.random.choice([self._feed, self._rapid, self._line, self._line, self._arc, self._step, self._hole])()
+        self.gcode += ["M9", "M2"]
+        self.apt += ["COOLNT/OFF", "FINI"]
+
+    def _to(self) -> np.ndarray:
+        return np.round(self.random.uniform(-50, 50, 3), 3) + np.array([0, 0, 60])
+
+    def _goto(self, place) -> str:
+        text = "GOTO/" + ",".join(f"{value:.4f}" for value in place)
+        style = self.random.integers(4)
+        if style == 0:
+            return text.replace("/", " / ").replace(",", ", ")
+        if style == 1:
+            return text.replace(",", ",$\n  ", 1) + ",0.,0.,1."
+        return text + (",0.0000000,0.0000000,1.0000000" if style == 2 else "")
+
+    def _feed(self) -> None:
+        feed = float(self.random.integers(100, 900))
+        self.gcode.append(f"F{feed}")
+        per = "IPM" if self.unit > 1 else "MMPM"
+        self.apt.append(f"FEDRAT/{per},{feed}" if self.nx else f"FEDRAT/ {feed}, {per}")
+
+    def _rapid(self) -> None:
+        self._feed()
+        self.place = self._to()
+        self.gcode.append("G0 X{:.4f} Y{:.4f} Z{:.4f}".format(*self.place))
+        self.apt += ["RAPID", self._goto(self.place)]
+
+    def _line(self) -> None:
+        if self.random.integers(6) == 0:
+            force = "FORCE FX=10 FY=-4 FZ=30 FRAME=FEED"
+            self.gcode.append(f"({force})")
+            self.apt.append(f"$$ {force}" if self.nx else f"PPRINT/{force}")
+        self.place = self._to()
+        self.gcode.append("G1 X{:.4f} Y{:.4f} Z{:.4f}".format(*self.place))
+        self.apt.append(self._goto(self.place))
+
+    def _step(self) -> None:
+        step = np.round(self.random.uniform(-3, 3, 3), 2)
+        self.place = self.place + step
+        self.gcode.append("G91 G1 X{:.4f} Y{:.4f} Z{:.4f}".format(*step) + "\nG90")
+        self.apt.append("GODLTA/{:.4f},{:.4f},{:.4f}".format(*step))
+
+    def _arc(self) -> None:
+        plane = int(self.random.integers(3))
+        first, second = [(0, 1), (2, 0), (1, 2)][plane]
+        clockwise, full = bool(self.random.integers(2)), self.random.integers(4) == 0
+        start_angle, radius = self.random.uniform(0, 2 * np.pi), self.random.uniform(3, 30)
+        turn = 2 * np.pi if full else self.random.uniform(0.2, 6.0)
+        turn = -turn if clockwise else turn
+        start = self.place
+        centre = start.copy()
+        centre[[first, second]] -= radius * np.array([np.cos(start_angle), np.sin(start_angle)])
+        centre[[first, second]] = np.round(centre[[first, second]], 3)
+        radial = (start - centre)[[first, second]]
+        end = start.copy()
+        cos, sin = np.cos(turn), np.sin(turn)
+        if not full:
+            end[first] = centre[first] + cos * radial[0] - sin * radial[1]
+            end[second] = centre[second] + sin * radial[0] + cos * radial[1]
+        across = 3 - first - second
+        end[across] += np.round(self.random.uniform(0, 2), 2) * self.random.integers(2)
+        end = np.round(end, 4)
+        offset = centre - start
+        letters = "".join(f"{'IJK'[axis]}{offset[axis]:.4f} " for axis in (first, second))
+        self.gcode.append(
+            f"G{17 + plane} G{2 if clockwise else 3} X{end[0]:.4f} Y{end[1]:.4f} Z{end[2]:.4f} {letters}\nG17"
+        )
+        normal = np.eye(3)[across] * (-1 if clockwise else 1)
+        style = 1 if abs(turn) < 0.3 or full else int(self.random.integers(3))
+        if style == 2 and end[across] == start[across]:
+            tangent = np.cross(normal, start - centre)
+            beyond = "ON,2,INTOF" if abs(turn) > np.pi else "ON"
+            size = np.hypot(*radial)
+            self.apt += [
+                "INDIRV/{:.9f},{:.9f},{:.9f}".format(*tangent / np.linalg.norm(tangent)),
+                "TLON,GOFWD/ (CIRCLE/ {:.4f}, {:.4f}, {:.4f},$\n".format(*centre)
+                + f"  {size:.5f}),{beyond},(LINE/ "
+                + "{:.4f},{:.4f},{:.4f},$\n ".format(*centre)
+                + "{:.4f},{:.4f},{:.4f})".format(*end),
+            ]
+        else:
+            siemens = normal * (-1 if self.nx else 1)
+            values = [*centre, *(siemens + 0.0), np.hypot(*radial)]
+            text = "CIRCLE/" + ",".join(f"{value:.6f}" for value in values)
+            self.apt += [text + (",0.06,0.5,10.0,0.0" if self.nx else ""), self._goto(end)]
+            if not self.nx:
+                self.apt.append("PAINT/COLOR,31")  # Creo: what follows at once could belong to the arc
+        self.place = end
+
+    def _hole(self) -> None:
+        top, aside = self._to() - np.array([0, 0, 40]), np.array([9, 0, 0])
+        clear, depth, feed = 3.0, float(self.random.integers(4, 20)), float(self.random.integers(50, 200))
+        self.gcode += [
+            f"G99 G82 X{top[0]:.4f} Y{top[1]:.4f} Z{top[2] - depth:.4f} R{top[2] + clear:.4f} P0.5 F{feed}",
+            f"X{top[0] + 9:.4f}",
+            "G80",
+        ]
+        per = "IPM" if self.unit > 1 else "MMPM"
+        self.apt += [
+            f"CYCLE / DRILL, DEPTH, {depth}, {per}, {feed}, CLEAR, {clear}, DWELL, 0.5",
+            self._goto(top),
+            self._goto(top + aside),
+            "CYCLE / OFF",
+        ]
+        self.place = top + aside + np.array([0, 0, clear])
+        self._feed()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_path_gives_the_same_motions_as_in_gcode(seed):
+    path = Path3(seed)
+    cell = replace(CELL, tools={"3": Frame(Z=412.5)}) if seed % 3 else CELL
+    same(read("\n".join(path.apt), cell), read_gcode("\n".join(path.gcode), cell))
+
+
+def test_a_wrong_direction_of_an_arc_would_be_noticed():
+    path = Path3(3)
+    text = "\n".join(path.gcode)
+    with pytest.raises(AssertionError):
+        same(
+            read("\n".join(path.apt)),
+            read_gcode(text.replace("G2 ", "G9 ").replace("G3 ", "G2 ").replace("G9 ", "G3 ")),
+        )
+
+
+@pytest.mark.parametrize("axes", [["C", "B"], ["A", "C"], ["B", "A"]], ids="".join)
+def test_tool_vectors_give_the_same_targets_as_rotary_axes(axes):
+    random = np.random.default_rng(7)
+    cell = replace(CELL, rotary=Rotary(axes=axes))
+    gcode, apt = ["G21 G90", f"G0 X0 Y0 Z90 {axes[0]}0 {axes[1]}0"], ["MULTAX/ON", "RAPID", "GOTO/0,0,90,0,0,1"]
+    vectors = []
+    for n in range(60):
+        place, angles = np.round(random.uniform(-80, 80, 3), 3), np.round(random.uniform(-70, 70, 2), 3)
+        turned = Rotation.identity()
+        for axis, angle in zip(axes, angles, strict=True):
+            turned = turned * Rotation.from_euler(
+                axis.lower().translate(str.maketrans("abc", "xyz")), angle, degrees=True
+            )
+        vectors.append(turned.apply([0.0, 0.0, 1.0]))
+        code = "G0" if n % 9 == 0 else "G1 F500"
+        gcode.append(f"{code} X{place[0]} Y{place[1]} Z{place[2]} {axes[0]}{angles[0]} {axes[1]}{angles[1]}")
+        apt += ["RAPID"] if n % 9 == 0 else ["FEDRAT/500,MMPM"]
+        apt.append("GOTO/" + ",".join(f"{value:.12f}" for value in [*place, *vectors[-1]]))
+    program = read("\n".join(apt))
+    same(program, read_gcode("\n".join(gcode), cell))
+    np.testing.assert_allclose(-program.motions.target[1:, :3, 2], vectors, atol=1e-9)
+    assert program.swivel is None
+
+
+def test_a_whole_conversion_writes_the_same_targets():
+    cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
+    gcode = """(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)
+G21 G90
+G0 X0 Y0 Z20
+G1 Z-2 F800
+G1 X120
+G3 X120 Y60 I0 J30
+G1 X0 Y60
+G0 Z20
+M2
+"""
+    apt = """$$ FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED
+UNITS/MM
+RAPID
+GOTO/0,0,20
+FEDRAT/800,MMPM
+GOTO/0,0,-2
+GOTO/120,0,-2
+CIRCLE/120,30,-2,0,0,1,30
+GOTO/120,60,-2
+PAINT/PATH
+GOTO/0,60,-2
+RAPID
+GOTO/0,60,20
+FINI
+"""
+    results = []
+    for name, text in (("part.nc", gcode), ("part.apt", apt)):
+        dialect = registry.of_file(Path(name)).name
+        program = correction.read([decode(name, text.encode())], robot, cell, "part", dialect)
+        results.append(correction.process(program, robot, cell))
+    one, other = (result.documents[0].text for result in results)
+    moves = [
+        [line for line in text.splitlines() if line.startswith(("LIN", "PTP", "CIRC", "$VEL"))] for text in (one, other)
+    ]
+    assert len(moves[0]) > 10
+    assert moves[0] == moves[1]
+
+
+# ---- rules of single systems
+
+
+def arc(text):
+    program = read(HEAD + "GOTO/10,0,9\n" + text)
+    (n,) = np.flatnonzero(program.motions.kind == CIRC)
+    return program.motions.normal[n] * program.motions.sweep[n] / np.pi * 180
+
+
+def test_creo_turns_right_handed_and_siemens_nx_clockwise():
+    np.testing.assert_allclose(arc("CIRCLE/0,0,9,0,0,1,10\nGOTO/0,10,9"), [0, 0, 90], atol=1e-9)
+    np.testing.assert_allclose(arc("CIRCLE/0,0,9,0,0,1,10,.06,.5,8,0\nGOTO/0,10,9"), [0, 0, -270], atol=1e-9)
+    np.testing.assert_allclose(arc("CIRCLE/0,0,9,0,0,-1,10,.06,.5,8,0\nGOTO/0,10,9"), [0, 0, 90], atol=1e-9)
+    np.testing.assert_allclose(arc("MOVARC/0,0,9,0,0,1,10,ANGLE,90\nGOTO/0,10,9"), [0, 0, 90], atol=1e-9)
+    np.testing.assert_allclose(arc("MOVARC/0,0,9,0,0,1,10,ANGLE,450\nGOTO/0,10,12"), [0, 0, 450], atol=1e-9)
+
+
+def test_a_rounded_outline_of_nx_turns_by_quarters():
+    """Corners as a CLSF has them: an outline that goes round clockwise, its axes upwards."""
+    program = read(
+        "FEDRAT/MMPM,500\nRAPID\nGOTO/-5.1250,3.4613,0.0000,0.0000000,0.0000000,1.0000000\n"
+        "CIRCLE/-4.2750,3.4613,0.0000,0.0000000,0.0000000,1.0000000,0.8500,0.0600,0.5000,0.0000,0.0000\n"
+        "GOTO/-4.2750,4.3113,0.0000\nGOTO/4.8775,4.3113,0.0000\nGOTO/-4.2750,-4.3250,0.0000\n"
+        "CIRCLE/-4.2750,-3.4750,0.0000,0.0000000,0.0000000,1.0000000,0.8500,0.0600,0.5000,0.0000,0.0000\n"
+        "GOTO/-5.1250,-3.4750,0.0000\nEND-OF-PATH\n"
+    )
+    sweep = program.motions.sweep[program.motions.kind == CIRC]
+    np.testing.assert_allclose(np.rad2deg(sweep), [90.0, 90.0], atol=0.01)
+
+
+def test_catia_leaves_along_indirv_and_ends_where_the_line_does():
+    text = "INDIRV/0,1,0\nTLON,GOFWD/ (CIRCLE/ 0,0,9,$\n 10),ON,(LINE/ 0,0,9,$\n -10,0,9)"
+    np.testing.assert_allclose(arc(text), [0, 0, 180], atol=1e-9)
+    np.testing.assert_allclose(arc(text.replace("0,1,0", "0,-1,0")), [0, 0, -180], atol=1e-9)
+    beyond = "INDIRV/0,1,0\nTLON,GOFWD/(CIRCLE/0,0,9,10),ON,2,INTOF,(LINE/0,0,9,0,-10,9)"
+    np.testing.assert_allclose(arc(beyond), [0, 0, 270], atol=1e-9)
+    with pytest.raises(ProgramError, match=r"part.apt:7: the arc ends on the other side of its line"):
+        arc(beyond.replace("2,INTOF,", ""))
+
+
+def test_points_that_divide_an_arc_of_creo_belong_to_it():
+    angles = np.deg2rad([60, 120, 180])
+    goto = "".join(f"GOTO / {10 * np.cos(a):.10f}, {10 * np.sin(a):.10f}, 9.0\n" for a in angles)
+    program = read(HEAD + "GOTO/10,0,9\nCIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, 10.0\n" + goto + "GOTO/-10,-40,9\n")
+    assert program.motions.kind.tolist() == [PTP, LIN, CIRC, CIRC, CIRC, LIN]
+    listed = goto.replace("\nGOTO /", ", $\n")
+    again = read(HEAD + "GOTO/10,0,9\nCIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, 10.0\n" + listed + "GOTO/-10,-40,9\n")
+    same(program, again)
+
+
+def test_a_chord_behind_an_arc_is_not_guessed():
+    """A half disc: the straight line back ends on the circle too."""
+    text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/-10,0,9\nGOTO/10,0,9\n"
+    with pytest.raises(ProgramError, match=r"part.apt:8: the points behind CIRCLE are all on it"):
+        read(text)
+    program = read(text.replace("10\nGOTO/-10,0,9\n", "10\nGOTO/-10,0,9\nPAINT/COLOR,31\n"))
+    assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
+
+
+def test_rapid_holds_for_one_motion_and_the_vector_stays():
+    program = read(HEAD + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\nMULTAX/OFF\nGOTO/4,0,9\n")
+    assert program.motions.rapid.tolist() == [True, False, True, False, False]
+    np.testing.assert_allclose(-program.motions.target[1:4, :3, 2], [[0, 0.6, 0.8]] * 3, atol=1e-12)
+    np.testing.assert_allclose(-program.motions.target[4, :3, 2], [0, 0, 1], atol=1e-12)
+
+
+def test_feeds_in_their_units():
+    rates = ["600,MMPM", "IPM,10", "0.1,MMPR", "IPR,0.01", "600", "600,PERMIN", "0.2,PERREV"]
+    text = "UNITS/MM\nSPINDL/1000,RPM,CLW\nRAPID\nGOTO/0,0,0\n"
+    text += "".join(f"FEDRAT/{rate}\nGOTO/{n},1,0\n" for n, rate in enumerate(rates))
+    expected = [600, 254, 100, 254, 600, 600, 200]
+    np.testing.assert_allclose(read(text).motions.feed[1:] * 60e3, expected)
+
+
+def test_from_is_where_the_path_begins_and_a_feed_without_it_comes_from_start():
+    program = read("FROM/0,0,50\nFEDRAT/100\nGOTO/0,0,9\n")
+    assert program.motions.kind.tolist() == [PTP, LIN]
+    assert not len(program.unforced)
+    program = read("FEDRAT/100\nGOTO/0,0,9\n")
+    assert program.motions.kind.tolist() == [LIN]
+    assert program.unforced.tolist() == [0]
+    assert "from-start" in [issue.kind for issue in program.issues]
+
+
+def test_gohome_goes_where_the_cell_says():
+    machine = Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0), clearance_Z=100.0)
+    program = read(HEAD + "GOTO/1,0,9\nGOHOME\nRAPID\nGOTO/5,0,9\nFINI\n", replace(CELL, machine=machine))
+    assert program.motions.kind.tolist() == [PTP, LIN, LIN, PTP, PTP, LIN]
+    np.testing.assert_allclose(points(program)[[2, 4, 5]], [[1, 0, 100], [5, 0, 100], [5, 0, 9]], atol=1e-9)
+    assert np.isfinite(program.motions.joints[3]).all()
+
+
+def test_events_and_comments_are_kept():
+    program = read(
+        "$$ made by hand\nPARTNO LEFT WING $$ aside\nPPRINT/'op 1'\nTOOL PATH/MILL_1,TOOL,D10\nUNITS/MM\n"
+        "LOAD/TOOL,2,ADJUST,2\nSPINDL/RPM,3000,CCLW\nCOOLNT/FLOOD\nFEDRAT/MMPM,500\nRAPID\nGOTO/0,0,9\nDELAY/1.5\n"
+        "OPSTOP\nAUXFUN/77\nGOTO/1,0,9\nFINI\n",
+        replace(CELL, m_codes={"M77": ["HOOK()"]}),
+    )
+    assert [(e.before, e.kind, e.value, e.text) for e in program.events] == [
+        (0, "comment", 0, "made by hand"),
+        (0, "comment", 0, "LEFT WING"),
+        (0, "comment", 0, "aside"),
+        (0, "comment", 0, "op 1"),
+        (0, "comment", 0, "PATH/MILL_1,TOOL,D10"),
+        (0, "tool_change", 2, ""),
+        (0, "spindle_ccw", 3000, ""),
+        (0, "coolant_on", 0, ""),
+        (1, "dwell", 1.5, ""),
+        (1, "stop", 0, ""),
+        (1, "m_code", 77, ""),
+        (2, "spindle_off", 0, ""),
+        (2, "coolant_off", 0, ""),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "problem"),
+    [
+        ("GOTO/1,2", 5, "3 or 6 numbers"),
+        ("GOTO/1,2,x", 5, "3 or 6 numbers"),
+        ("GOTO/1,,2,3", 5, "3 or 6 numbers"),
+        ("GOTO/1,2,3,4", 5, "3 or 6 numbers"),
+        ("GOTO/1,2,3,1,1,1", 5, "not a direction of length 1"),
+        ("GOTO/1,2,1E9", 5, "3 or 6 numbers"),
+        ("GOTO/1,2,99999999", 5, "3 or 6 numbers"),
+        ("GOTO/1,2,3,0,0,-1", 5, "away from the part"),
+        ("GODLTA/5", 5, "GODLTA is not supported"),
+        ("CIRCLE/0,0,9,0,0,1,10\nGOTO/0,10,9", 6, "the start of the arc is 0.0000 mm from the axis"),
+        ("CIRCLE/-10,0,9,0,0,1,10\nGOTO/-10,11,9", 6, "the end of the arc is 11.0000 mm"),
+        ("CIRCLE/-10,0,9,0,0,1,10\nFINI", 5, "an arc without a GOTO"),
+        ("CIRCLE/-10,0,9,0,0,1,10,.06,.5,9,0,TIMES,2\nGOTO/0,0,9", 5, "several turns"),
+        ("CIRCLE/-10,0,9,10\nGOTO/0,0,9", 5, "7 or 11 numbers"),
+        ("MOVARC/-10,0,9,0,0,1,10,ANGLE,80\nGOTO/-10,10,9", 6, "disagrees with its end"),
+        ("RAPID\nCIRCLE/-10,0,9,0,0,1,10\nGOTO/-10,10,9", 6, "an arc in rapid"),
+        ("TLON,GOFWD/(LINE/0,0,0,1,0,0)", 5, "TLON is not understood"),
+        ("INDIRV/1,0,0\nTLON,GOFWD/(CIRCLE/-10,0,9,10),ON,(LINE/-10,0,9,-20,0,9)", 6, "disagree"),
+        ("FEDRAT/5,INVERS", 5, "FEDRAT is not understood"),
+        ("FEDRAT/0", 5, "not above zero"),
+        ("FEDRAT/1,MMPR\nGOTO/1,1,1", 6, "no speed of the spindle"),
+        ("UNITS/INCHES", 5, "UNITS change"),
+        ("UNITS/FURLONGS", 5, "UNITS is not understood"),
+        ("CYCLE/DRILL,10,5,100,MMPM\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        ("CYCLE/DEEP,DEPTH,10,STEP,2,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "CYCLE/DEEP with these values"),
+        ("CYCLE/DRILL,FEDTO,-72.0,CLEAR,3.0,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        ("CYCLE/DRILL,DEPTH,9,MMPM,100,CLEAR,3\nGOTO/1,1,1,0,.6,.8", 6, "the tool turns in a cycle"),
+        ("CUTCOM/LEFT,1", 5, "the radius of the tool is in the control"),
+        ("INSERT G28 Z0", 5, "'G28 Z0' is for one control"),
+        ("AUXFUN/8000", 5, "'M8000' is for one control"),
+        ("TRACUT/1,0,0,5", 5, "TRACUT is not supported"),
+        ("TRANS/0,0,5", 5, "TRANS is not supported"),
+        ("GOTOO/1,1,1", 5, "unknown statement 'GOTOO'. Text: 'GOTOO/1,1,1'. Did you mean `GOTO`?"),
+        ("GOHOME", 5, "GOHOME: where it goes"),
+        ("RETRCT", 5, "RETRCT: how high"),
+        ("FROM/1,2,3", 5, "FROM at another place"),
+        ("MSYS/0,0,0,1,0,0,0,1,0\nMSYS/0,0,5,1,0,0,0,1,0", 6, "MSYS changes"),
+        ("MODE/TURN", 5, "MODE is not understood"),
+        ("RAPID/MODIFY", 5, "RAPID with values"),
+        ("SPINDL/100,SFM", 5, "SPINDL with SFM"),
+        ("LOADTL", 5, "the tool without a number"),
+        ("PARTNO X\nGOTO/1,1,1", 6, "ends without FINI"),
+        ("DNTCUT", 5, "DNTCUT is not supported"),
+        ("$$ FORCE FX=", 5, "force comment cannot be read"),
+    ],
+)
+def test_what_is_not_understood_is_an_error_at_its_line(text, line, problem):
+    with pytest.raises(InputError) as caught:
+        read(HEAD + text + "\n")
+    assert (caught.value.line, problem in str(caught.value)) == (line, True), str(caught.value)
+
+
+def test_all_errors_are_raised_together_and_a_feed_in_inches_needs_units():
+    with pytest.raises(ProgramError) as caught:
+        read(HEAD + "FEDRAT/0\nGOTO/1,2\nUNKNOWN\n")
+    assert [error.line for error in (caught.value, *caught.value.others)] == [5, 6, 7]
+    with pytest.raises(ProgramError, match="a feed in inches, but no UNITS"):
+        read("RAPID\nGOTO/0,0,0\nFEDRAT/10,IPM\nGOTO/0,0,1\n")
+
+
+def test_what_follows_the_end_is_reported():
+    program = read(HEAD + "GOTO/1,1,1\nFINI\nGOTO/5,5,5\nRAPID\n")
+    assert len(program.motions) == 2
+    assert [(issue.kind, issue.lines) for issue in program.issues] == [("after-end", (7, 8))]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\r\r\n"])
+def test_line_ends_a_byte_order_mark_and_lower_case_change_nothing(end):
+    text = "units/mm\nfedrat / 500 , mmpm\n\nrapid\n goto / 1. , 2 ,$\n 3\nGOTO/4,5,6 $$ aside\n"
+    program = read(b"\xef\xbb\xbf" + text.replace("\n", end).encode())
+    np.testing.assert_allclose(points(program), [[1, 2, 3], [4, 5, 6]], atol=1e-9)
+    assert program.motions.line.tolist() == [5, 7]
+
+
+WORDS = st.sampled_from(["0", "1.5", "-2", "+.25", "12.0000000001", "1E1", "", "x", "1.2.3", "--1", "7."])
+
+
+@settings(deadline=None, max_examples=150)
+@given(lines=st.lists(st.lists(WORDS, min_size=2, max_size=7), min_size=1, max_size=8))
+def test_plain_points_mean_the_same_in_bulk_and_one_by_one(lines):
+    text = HEAD + "".join(f"GOTO/{','.join(words)}\n" for words in lines)
+    outcomes = []
+    bulk = statements._points
+    for how in (bulk, lambda chars, ends: (np.zeros(0, dtype=np.int64), np.zeros((0, 6)))):
+        statements._points = how
+        try:
+            program = read(text)
+            outcomes.append([*(getattr(program.motions, name).tolist() for name in ("line", "kind")), points(program)])
+        except InputError as error:
+            outcomes.append([str(error), [], np.zeros((0, 3))])
+        finally:
+            statements._points = bulk
+    assert outcomes[0][:2] == outcomes[1][:2]
+    np.testing.assert_array_equal(outcomes[0][2], outcomes[1][2])
+
+
+def test_most_points_are_read_in_bulk():
+    rows = "".join(f"GOTO/{x},{y},0.5,0.0,0.0,1.0\n" for x, y in itertools.product(range(40), range(50)))
+    source = statements.split(decode("part.apt", (HEAD + rows).encode()))
+    assert (len(source.points), len(source.others)) == (2001, 3)
