@@ -18,7 +18,7 @@ from pathlib import Path
 
 IDIOMS = re.compile(
     r"\b(is told|are told|be told|told|tells?|stands?|standing|beside|what is|give[sn]? way|giving way|gave way|felt"
-    r"|so many|comes? along|came along|spared|houses?|floors?|lies off|a stranger|nobody)\b",
+    r"|so many|comes? along|came along|spared|houses?|lies off|a stranger|nobody)\b",
     re.IGNORECASE,
 )
 TOKENS = {"tokens", "bulk", "plain_lines", "plain_settings", "words"}

@@ -9,10 +9,8 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.compensator import Compensator
-from postproc.identification.displacements import measured_displacements
 from postproc.identification.fit import gauss_newton, to_file_units
-from postproc.identification.prediction import predict
-from postproc.identification.structure import Structure
+from postproc.identification.measurement_model import Structure, measured_displacements, predict
 from postproc.robot import parameters
 from samples.paper_study import harness, simulator
 from tests.test_flexible_links import CONTENT, PLAIN, TOOL, cases, flexible

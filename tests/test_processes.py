@@ -262,7 +262,7 @@ def test_ctrl_c_ends_the_search_of_plan_with_the_best_plan_and_a_termination_wit
     setting.experiment(tmp_path)
     Path("poses.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
     size = ("--configurations", "6", "--q2-levels", "3")
-    held = Held("postproc.plan.baselines:random_values:1", "plan", "--experiment", "experiment.toml", "--cell",
+    held = Held("postproc.plan.planning:random_values:1", "plan", "--experiment", "experiment.toml", "--cell",
                 str(SAMPLES / "cell_kr270.toml"), "--poses", "poses.csv", *size, "-o", "out/plan.csv")  # fmt: skip
     held.waiting()
     held.signal(number)

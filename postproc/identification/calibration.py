@@ -1,11 +1,12 @@
-"""Calibration of the geometry from readings without load: how far the joints stand from where the drawing puts them.
+"""Calibration of the geometry from readings without load: displacements of the joint axes from the nominal geometry.
 
-The set of parameters is non-redundant: of all displacements of A1…A6 (six each) those are taken, in the order of what a
-workshop understands (zero offsets, lengths, tilts), that the base transform, the reference points and the ones before
-cannot imitate; 4·6 + 6 = 30 for a chain of six revolute joints, less 6 of the base and 6 of the points (Everett,
-Driels, Mooring 1987). Sag under own weight is predicted by the springs of the model, so that what is found is the
-geometry of the weightless robot; whether that describes the readings better is decided on configurations left out, and
-so is whether gears turn further than their angle, once and twice a turn (`robot.Transmission`).
+The set of parameters is non-redundant. Of all displacements of A1…A6 (six each), in the order zero offsets, lengths,
+tilts, those are kept that the base transform, the reference points and the parameters before cannot imitate: 4·6 + 6 =
+30 for a chain of six revolute joints, less 6 of the base and 6 of the points (Everett, Driels, Mooring 1987).
+
+The springs of the model predict the sag under own weight, so the result is the geometry of the weightless robot.
+Cross-validation decides whether that describes the readings better, and whether gears have errors of one and two
+periods a turn (`robot.Transmission`).
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
 from postproc.identification import record
 from postproc.identification.fit import LENGTH_95, NORMAL_95
-from postproc.identification.measurements import Measurements
-from postproc.identification.placement import Placement, kabsch
+from postproc.identification.measurement_model import Placement, kabsch
+from postproc.identification.readings import Measurements
 from postproc.robot import GEAR_TERMS, LINK_AXES, PER_URAD, Chain, RobotModel, assemble, waves
 from postproc.robot.model_file import (
     JOINTS,
@@ -33,7 +34,7 @@ from postproc.robot.model_file import (
 
 _AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
-"""What a joint of a real robot, and its gear, is off by, at most usually [m, rad]: prior standard deviations."""
+"""Prior standard deviations of the errors of a joint (shift [m], turn [rad]) and its gear [rad]."""
 _STEPS = 8
 _FOLDS = 10
 _INDEPENDENT = 1e-6
@@ -47,7 +48,7 @@ class GeometryParameter(Struct, frozen=True):
 
     @property
     def unit(self) -> tuple[str, float]:
-        """Return the unit in files, and how many of it are one SI unit."""
+        """Return the unit in files, and the factor from SI to it."""
         if self.axis in GEAR_TERMS:
             return "urad", PER_URAD
         return ("deg", DEG_PER_RAD) if self.axis.startswith("R") else ("mm", MM_PER_M)
@@ -68,7 +69,7 @@ class GeometryParameter(Struct, frozen=True):
 class Geometry(Struct, frozen=True, eq=False):
     """Calibrated geometry.
 
-    :param parameters: what was identified, in order.
+    :param parameters: identified parameters, in order.
     :param values: (n,) [m, rad].
     :param covariance: (n, n).
     :param content: model file with `[geometry]` and the gravity reference that belongs to it.
@@ -76,7 +77,7 @@ class Geometry(Struct, frozen=True, eq=False):
     :param sag: True if the geometry is that of the weightless robot.
     :param rms: variant → (RMS of the fit, RMS on configurations left out) [m]; both per reading in space.
     :param chosen: the variant taken.
-    :param u95: what 95 % of the errors on configurations left out are below, noise taken out [m].
+    :param u95: 95 % quantile of the cross-validation errors, noise removed [m].
     :param not_observable: names of parameters whose interval the readings do not narrow.
     """
 
@@ -100,7 +101,7 @@ class Geometry(Struct, frozen=True, eq=False):
 def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
     """Return the displacements that base transform, points and the ones before cannot imitate.
 
-    Found from the rank of the derivatives at random configurations, so that it holds for any arm.
+    Determined by the rank of the derivatives at random configurations, so it is valid for any arm.
     """
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
     offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(points, 3))]
@@ -233,7 +234,7 @@ def simplest(squares: dict[str, Array]) -> str:
 
 
 def _error_95(held_out: Array, data: Measurements) -> float:
-    """Return what 95 % of the errors are below, of mean squares (C,) with noise [m²]: the most that they may be."""
+    """Return an upper limit of the 95 % quantile of the errors, from mean squares (C,) with noise [m²]."""
     count = data.means()[1][data.unloaded]
     seen = count > 0.0
     noise = 3.0 * data.sigma**2 * np.sum(seen / np.maximum(count, 1.0), axis=1) / np.maximum(seen.sum(axis=1), 1)
@@ -311,7 +312,7 @@ def _column(parameter: GeometryParameter, inside: Array, chain: Chain, q: Array)
     """Return the derivative (n, 1) of the points by a parameter.
 
     :param inside: (C, P, 3, 6, 6) by displacements of the joints, device axes.
-    :param q: (C, 6) angles that the controller holds.
+    :param q: (C, 6) joint angles of the controller.
     """
     joint = JOINTS.index(parameter.joint)
     if parameter.axis not in GEAR_TERMS:
@@ -368,9 +369,9 @@ def _with_geometry(
         table = tables[of_gear].setdefault(parameter.joint, {"source": source})
         table[f"{parameter.axis}_{unit}"] = float(value * factor)
         if half is not None:
-            told = intervals.setdefault((of_gear, parameter.joint), [])
-            told.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
-            table["source"] = f"{source} (95 %: {', '.join(told)})"
+            listed = intervals.setdefault((of_gear, parameter.joint), [])
+            listed.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
+            table["source"] = f"{source} (95 %: {', '.join(listed)})"
     try:
         geometry = msgspec.convert(tables[False], dict[str, Displacement])
         transmission = msgspec.convert(tables[True], dict[str, TransmissionEntry])
@@ -380,7 +381,8 @@ def _with_geometry(
 
 
 def contradictions(result: Geometry) -> list[str]:
-    """Return what of the springs does not fit the geometry: one that is weightless loads all gears with the weights.
+    """Return a warning if the gears were identified without the weights, but the geometry is that of a weightless
+    robot.
 
     Lost motion alone is turned over by the load, whatever the geometry describes.
     """
@@ -391,14 +393,14 @@ def contradictions(result: Geometry) -> list[str]:
     if not bent:
         return []
     return [
-        f"the geometry is that of a weightless robot, in which gears feel the weights too; those of {', '.join(bent)} "
-        "were identified as if they felt the load alone, and are predicted differently now. Identify them from a robot "
-        'whose model.toml says [gravity] reference = "rigid", or go without the geometry.'
+        "the geometry is that of a weightless robot, in which weights load the gears too; the gears of "
+        f"{', '.join(bent)} were identified with the load alone, and their prediction changes. Identify them "
+        'from a robot whose model.toml says [gravity] reference = "rigid", or go without the geometry.'
     ]
 
 
 def report_data(result: Geometry) -> record.Geometry:
-    """Return the geometry as `identification.json` tells it."""
+    """Return the geometry as `identification.json` contains it."""
     entries = {}
     for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
         unit, factor = parameter.unit

@@ -1,21 +1,26 @@
-"""Springs of a real robot: which structures the readings support, and what the readings leave open of them.
+"""Springs of a real robot: candidate structures, and the mean of those that the readings support.
 
-Every structure (`candidates`) is fitted with priors of physical size (`priors`, `evidence`), and predicts
-configurations that it was not fitted to. The result is no single structure but their mean, weighted so that together
-they predict best what they have not seen (stacking: Breiman, Machine Learning 24, 1996): one bad fold does not decide
-between two that are alike, and as the model is linear in its parameters the mean is a model of the same kind. Gears
-that are not linear enter only where the evidence is for them.
+Structures are tried from simple to rich: joint springs; compensator; gears whose compliance falls with the load,
+smoothly or at breakpoints, and which have backlash or lost motion; springs of the links in six directions; springs
+where links end and under the base. Where the gears carry the weights and the compensator's torque at rest, masses and
+compensator are parameters too, about the values that the prior states.
 
-The posterior covariance is that within the structures and between them. What the bound is made of is wider: twice the
-posterior, and the jackknife over configurations. An error of the parameters is one and the same at all places where a
-robot works: of robots whose intervals hold in 95 %, one in twenty would be outside its bound at nearly all of them.
-Doubled, the bound holds for nearly every robot. The jackknife adds what configurations disagree on: errors that the
-readings of one state share, of which the posterior knows nothing.
+Every structure is fitted with priors of physical size (`fit.learn`), and predicts configurations that it was not fitted
+to. The result is no single structure but their mean, weighted so that together they have the least cross-validation
+error (stacking: Breiman, Machine Learning 24, 1996). So one bad fold does not decide between two that are alike, and as
+the model is linear in its parameters the mean is a model of the same kind. Gears that are not linear enter only where
+the evidence is for them.
+
+The posterior covariance is that within the structures and between them. The bound uses a wider one: twice the
+posterior, and the jackknife over configurations. A parameter error is the same at all places where a robot works: of
+robots whose intervals hold in 95 %, one in twenty would be outside its bound at nearly all of them. Doubled, the bound
+holds for nearly every robot. The jackknife adds the disagreement of configurations: errors that the readings of one
+state share, which the posterior does not contain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -24,19 +29,162 @@ from msgspec.structs import replace
 from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.identification import record
-from postproc.identification.candidates import AT_REST, GEARS, candidates, everything, has_compensator
-from postproc.identification.displacements import measured_displacements, unwhiten, visible, whiten, whitening
-from postproc.identification.evidence import Regression, learn
-from postproc.identification.fit import Fit
-from postproc.identification.linearised import Linearised, linearise
-from postproc.identification.measurements import Measurements
-from postproc.identification.observability import UNCERTAIN, is_physical
-from postproc.identification.placement import Placement
-from postproc.identification.prediction import predict
-from postproc.identification.priors import Prior, prior_of
-from postproc.identification.structure import Structure
+from postproc.identification.fit import Fit, Linearised, Prior, Regression, learn, linearise, prior_of
+from postproc.identification.joint_springs import UNCERTAIN, is_physical, unloaded
+from postproc.identification.measurement_model import (
+    Placement,
+    Structure,
+    joint_torques,
+    levels_of,
+    measured_displacements,
+    predict,
+    unwhiten,
+    visible,
+    whiten,
+    whitening,
+)
+from postproc.identification.readings import Measurements
 from postproc.program import Ints
-from postproc.robot import CompensatorStiffness, LinkSpring, Parameter, RobotModel
+from postproc.robot import (
+    BASE,
+    COMPENSATOR,
+    JOINT_COMPLIANCES,
+    JOINTS,
+    LINK_AXES,
+    Backlash,
+    CompensatorSize,
+    CompensatorStiffness,
+    FadingPart,
+    JointCompliance,
+    Knee,
+    LinkMass,
+    LinkSpring,
+    LostMotion,
+    Parameter,
+    RobotModel,
+)
+
+JOINT, COMPENSATOR_SPRING, LINK, END, AT_REST = "joint", "compensator", "link", "end", "at rest"
+FADING, KNEE, BACKLASH, LOST_MOTION = "fading", "breakpoint", "backlash", "lost motion"
+"""Kinds of parameters that form structures."""
+GEARS = (FADING, KNEE, BACKLASH, LOST_MOTION)
+"""Kinds of gears whose deflection is not proportional to the torque."""
+
+_FADE_AT = (0.2, 0.6, 2.0)
+"""Torque at which parts of a gear fade, over the largest measured on its joint."""
+_BREAKPOINTS_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
+"""Breakpoints of a gear, over the largest torque: milling torques are some hundredths of those of an experiment."""
+_TURNS_OVER_AT = (0.01,)
+"""Torque that moves a gear with backlash to its other flank, over the largest."""
+_ONE_LINE = 1e-3
+"""Distance [m] between axes that count as one line."""
+_LEAST_TORQUE = 1.0
+"""Largest torque [N·m] on a joint below which its gear has no parameters of its own."""
+
+
+def link_springs(robot: RobotModel, rich: bool) -> tuple[LinkSpring, ...]:
+    """Return the springs of links that differ from those of the joints.
+
+    :param rich: also springs where links end, and under the base.
+    """
+    along = _along_joints(robot)
+    springs = (LinkSpring(link, axis) for link in ((BASE, *JOINTS) if rich else JOINTS) for axis in LINK_AXES)
+    return tuple(spring for spring in springs if spring not in along and (rich or not spring.at_end))
+
+
+def _along_joints(robot: RobotModel) -> set[LinkSpring]:
+    """Return the rotations that are about a joint axis; for axes along X, Y or Z of the joint frames."""
+    found = set()
+    for index, joint in enumerate(JOINTS):
+        here = robot.nominal.axis[index]
+        before = robot.nominal.placement[index, :3, :3] @ here
+        found.add(LinkSpring(joint, LINK_AXES[3 + int(np.argmax(np.abs(here)))]))
+        link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(before)))
+        found.add(LinkSpring(link, LINK_AXES[6 + axis]))
+        if np.linalg.norm(np.cross(before, robot.nominal.placement[index, :3, 3])) < _ONE_LINE:
+            found.add(LinkSpring(link, LINK_AXES[3 + axis]))  # the link begins on the axis of the joint at its end
+    return found
+
+
+def _gears(
+    kind: type[FadingPart | Backlash], steps: Sequence[float], joints: Sequence[JointCompliance], largest: Array
+) -> Iterator[Parameter]:
+    for joint in joints:
+        if largest[joint.index] > _LEAST_TORQUE:
+            for step in steps:
+                yield kind(joint.joint, float(f"{step * largest[joint.index]:.2g}"))
+
+
+def everything(
+    robot: RobotModel, data: Measurements, in_gears: bool, compensator: bool
+) -> tuple[Structure, tuple[str, ...]]:
+    """Return the structure with all candidate parameters, and the kind of each.
+
+    :param in_gears: weights and compensator load the gears at rest.
+    :param compensator: K_c and s₀ are free.
+    """
+    bare = unloaded(robot, data)
+    joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
+    largest = np.abs(joint_torques(robot, data)).max(axis=0)
+    links, ends = link_springs(robot, rich=False), link_springs(robot, rich=True)
+    of_kind: dict[str, Iterable[Parameter]] = {
+        JOINT: JOINT_COMPLIANCES,
+        COMPENSATOR_SPRING: COMPENSATOR if compensator else (),
+        LINK: links,
+        END: (spring for spring in ends if spring not in links),
+        FADING: _gears(FadingPart, _FADE_AT, joints, largest),
+        KNEE: _gears(Knee, _BREAKPOINTS_AT, joints, largest),
+        BACKLASH: _gears(Backlash, _TURNS_OVER_AT, joints, largest),
+        # if the load alone acts on the gears, backlash is lost motion
+        LOST_MOTION: _gears(LostMotion, _TURNS_OVER_AT, joints, largest) if in_gears else (),
+        # a free compensator replaces the weights on joint 2: masses are not identifiable then
+        AT_REST: _at_rest(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
+    }
+    pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
+    return Structure(tuple(p for p, _ in pairs), robot, in_gears=in_gears), tuple(kind for _, kind in pairs)
+
+
+def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
+    """Yield the uncertain sources of torque on the gears at rest: masses and compensator."""
+    wanted: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
+    if robot.compensator is not None:
+        wanted.append(CompensatorSize())
+    return (parameter for parameter in wanted if robot.prior_sigma(parameter) > 0.0)
+
+
+def has_compensator(robot: RobotModel, data: Measurements) -> bool:
+    """Return whether K_c and s₀ can be identified: there is a compensator, and three levels of q2 or more."""
+    return robot.compensator is not None and int(levels_of(data).max()) >= 2
+
+
+def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the structures to try, from simple to rich: name, and kinds of parameters.
+
+    Masses and compensator at rest are part of every structure with gears that are not linear.
+    """
+    gears: list[tuple[str, tuple[str, ...]]] = [
+        ("", ()),
+        (", gears stiffen", (FADING,)),
+        (", gears with breakpoints", (KNEE,)),
+        (", gears stiffen, with breakpoints", (FADING, KNEE)),
+        (", gears stiffen, with backlash", (FADING, BACKLASH)),
+        (", gears with breakpoints and backlash", (KNEE, BACKLASH)),
+        (", gears stiffen, with breakpoints and backlash", (FADING, KNEE, BACKLASH)),
+        (", gears stiffen, with lost motion", (FADING, LOST_MOTION)),
+        (", gears with breakpoints and lost motion", (KNEE, LOST_MOTION)),
+        (", gears stiffen, with breakpoints and lost motion", (FADING, KNEE, LOST_MOTION)),
+    ]
+    rich = [gears[index] for index in (0, 1, 2, 3, 6, 9)]
+    arms: list[tuple[str, tuple[str, ...], list[tuple[str, tuple[str, ...]]]]] = [
+        ("joint springs", (JOINT,), gears[:2]),
+        ("link springs", (JOINT, LINK), gears),
+        ("link springs, link ends and base", (JOINT, LINK, END), rich),
+    ]
+    extra, label = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
+    return [
+        (arm + label + gear, (*kinds, *extra, *more)) for arm, kinds, with_gears in arms for gear, more in with_gears
+    ]
+
 
 _FOLDS = 10
 _LEAST_WEIGHT = 0.02
@@ -44,9 +192,9 @@ _LEAST_WEIGHT = 0.02
 CLEAR = 3.0
 """Gain of log evidence (odds of one in twenty) that a richer model must show."""
 _NOT_NARROWED = 0.9
-"""Posterior over prior standard deviation of a parameter that its prior holds, not the readings."""
+"""Least ratio of posterior to prior standard deviation of a parameter that only its prior determines."""
 _ROUNDS = 3
-"""Linearisations on the way to the fit of all parameters together."""
+"""Number of linearisations in the fit of all parameters together."""
 
 
 class Candidate(Struct, frozen=True):
@@ -73,7 +221,7 @@ class Candidate(Struct, frozen=True):
 
     @property
     def recorded(self) -> record.Tried:
-        """The structure as `identification.json` holds it."""
+        """The structure as `identification.json` contains it."""
         return record.Tried(
             structure=self.name,
             parameters=self.parameters,
@@ -114,7 +262,7 @@ class Choice(Struct, frozen=True, eq=False):
 
 
 class Member(Struct, frozen=True, eq=False):
-    """A structure: its regression, and what it leaves (rows,) of configurations left out.
+    """A structure: its regression, and its residuals `left` (rows,) of configurations left out.
 
     `nonlinear`: its gears do not deflect in proportion to the torque.
     """
@@ -135,7 +283,7 @@ class Mean(Struct, frozen=True, eq=False):
 
     @property
     def by_configuration(self) -> Array:
-        """Mean squares (C,) of what the mean leaves of configurations left out."""
+        """Mean square cross-validation errors (C,) of the mean of structures."""
         left = sum(weight * member.left for weight, member in zip(self.weights, self.members, strict=True))
         return self.equations.mean_squares(np.asarray(left))
 
@@ -175,11 +323,11 @@ class _Settled(Struct, frozen=True, eq=False):
 
 
 def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choice:
-    """Fit all structures and return the mean of them that predicts best what was left out.
+    """Fit all structures, and return their mean with the least cross-validation error.
 
     :raises PostprocError: not even joint springs can be fitted.
     """
-    # where the geometry is a weightless robot's, the gears carry weights and compensator as they carry a load
+    # if the geometry is a weightless robot's, weights and compensator act on the gears like a load
     weights_matter = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
     found: list[_Settled] = []
     for in_gears in (False, True) if weights_matter else (False,):
@@ -188,7 +336,7 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
         except PostprocError:
             if not found and in_gears == weights_matter:
                 raise
-    # gears that carry the load alone are the simpler model
+    # gears under the load alone are the simpler model
     best = found[-1] if found[-1].whole.evidence > found[0].whole.evidence + CLEAR else found[0]
     if has_compensator(robot, data):
         try:
@@ -230,7 +378,7 @@ def _settled(
 
 
 def _mean(settled: _Settled, compensator: bool) -> Mean:
-    """Return the mean of structures that predicts best what was left out."""
+    """Return the mean of structures with the least cross-validation error."""
     equations, kinds = settled.equations, np.array(settled.kinds)
     fold = np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
     members = []
@@ -257,7 +405,7 @@ def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Arra
 
 
 def _stacked(equations: Linearised, members: Sequence[Member], among: Ints) -> Array:
-    """Return the weights, not negative, their sum one, with which some members predict best what was left out."""
+    """Return non-negative weights with sum one that minimise the cross-validation error of some members."""
     from scipy.optimize import nnls
 
     left = np.array([members[index].left for index in among]) * np.sqrt(equations.weight)
@@ -325,7 +473,7 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
 def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:
     """Return (kept, p) the combination of kept parameters that best replaces each of all parameters.
 
-    :param spread: (p,) prior standard deviations: nothing is imitated by more than the prior of what imitates it.
+    :param spread: (p,) prior standard deviations, which limit the kept parameters.
     """
     square = spread[keep, None] * equations.normal(np.arange(len(spread)))[0][keep]
     normal = square[:, keep] * spread[keep] + np.eye(len(keep))

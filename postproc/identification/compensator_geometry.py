@@ -29,7 +29,7 @@ _Groups = dict[tuple[str, float], Ints]
 _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
 _WIDE = 0.05
-"""Half width of a_x or a_y over the distance P0 … P2 from which on it is warned of."""
+"""Warn if the half width of a_x or a_y exceeds this share of the distance P0 … P2."""
 _WORTH = 0.8
 """Half width with evenly spread markers over the present one below which spreading them is advised."""
 
@@ -59,7 +59,7 @@ class MarkerReadings(Struct, frozen=True, eq=False):
 
 
 class MarkerPlacement(Struct, frozen=True, eq=False):
-    """How the markers sit around the swivel axis P0, and what that costs. Body-fixed polar coordinates about P0.
+    """Placement of the markers around the swivel axis P0, and its effect. Body-fixed polar coordinates about P0.
 
     The condition of the paper, Σ R cos β = Σ R sin β = 0, concerns the bias of Eq. (7), which grows with the square of
     the noise; the intervals depend on how evenly the directions of the markers are spread.
@@ -67,7 +67,7 @@ class MarkerPlacement(Struct, frozen=True, eq=False):
     :param names: of the k markers.
     :param radius: (k,) R [m].
     :param angle: (k,) β from the line P0 → P1, positive as q2 [rad].
-    :param bias: (3,) of L, a_x, a_y that this placement leaves [m]; contained in their intervals.
+    :param bias: (3,) of L, a_x, a_y due to this placement [m]; contained in their intervals.
     :param ci95_even: (3,) half widths with as many markers spread evenly around P0, all else equal [m].
     """
 
@@ -96,8 +96,8 @@ class CompensatorGeometry(Struct, frozen=True, eq=False):
     :param ci95: (3,) half widths of the 95 % intervals [m].
     :param sigma: noise of one coordinate of one reading [m], and `dof` its degrees of freedom.
     :param turn: angle by which the compensator turned [rad].
-    :param markers: how the markers sit around P0.
-    :param warnings: what the user should know.
+    :param markers: their placement around P0.
+    :param warnings: for the user.
     """
 
     value: Array
@@ -241,7 +241,7 @@ def even_angles(count: int) -> Array:
 
     From three markers on evenly around: Σ cos β = Σ sin β = 0 (no bias) and Σ cos 2β = Σ sin 2β = 0 (all directions
     determined alike), so four are the paper's two opposite pairs, a quarter turn apart. Two markers cannot do both;
-    opposite ones leave the direction of their line open, so they are a quarter turn apart.
+    opposite ones do not determine the direction of their line, so they are a quarter turn apart.
     """
     return np.asarray(np.arange(count) * (np.pi / 2.0 if count < 3 else 2.0 * np.pi / count), dtype=np.float64)
 
@@ -261,7 +261,7 @@ def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, va
 
 
 def degrees_of_freedom(angles: int, markers: int) -> int:
-    """Return the degrees of freedom that the two circle fits leave.
+    """Return the degrees of freedom of the residuals of the two circle fits.
 
     Unknowns: 7 of the circle of P1; radius and height of each marker, and together centre (2) and tilt (2).
     """
@@ -342,7 +342,9 @@ def _unit(angle: Array) -> Array:
 
 
 def _residuals(readings: MarkerReadings) -> tuple[Array, Array]:
-    """Return what the fits leave: of P1 (m, 3), of the other markers (k, m, 2): radial and along the normal [m]."""
+    """Return the residuals of the fits: of P1 (m, 3); of the other markers (k, m, 2), radial and along the normal
+    [m].
+    """
     length, axes, centre_p2 = joint_axis_radius(readings.q2, readings.p1)
     left_p1 = readings.p1 - centre_p2 - length * _unit(readings.q2) @ axes.T
     centre_p0, normal = swivel_axis(readings.p0)
@@ -518,7 +520,7 @@ def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
 
 
 def text_lines(result: CompensatorGeometry) -> list[str]:
-    """Return the values with their intervals, and what the places of the markers cost, for a terminal."""
+    """Return the values with their intervals, and the effect of the marker placement, for a terminal."""
     lines = [
         f"{name.removesuffix('_mm'):>4} = {value * MM_PER_M:8.3f} ± {half * MM_PER_M:.3f} mm"
         for name, value, half in zip(_KEYS, result.value, result.ci95, strict=True)

@@ -1,8 +1,8 @@
-"""Torques that readings cover: on each joint, how far in which direction, and whether a job stays inside.
+"""Torques that readings cover: on each joint the range in each direction, and the share of a job inside it.
 
-Gears with lost motion, friction or breakpoints deflect otherwise when a torque changes its sign or leaves the range
-that was measured. What a model was compared with therefore says something of a job only as far as the torques of its
-cutting forces are inside the ranges covered. Torques are those of the load alone, without weights and compensator.
+Gears with lost motion, friction or breakpoints deflect differently if a torque changes its sign or leaves the measured
+range. So a validation is valid for a job only as far as the torques of its cutting forces are inside the covered
+ranges. Torques are those of the load alone, without weights and compensator.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from msgspec import Struct
 
 from postproc.frames import Array
 from postproc.identification import record
-from postproc.identification.measurements import Measurements
-from postproc.identification.observability import joint_torques
+from postproc.identification.measurement_model import joint_torques
+from postproc.identification.readings import Measurements
 from postproc.program import Bools, Ints
 from postproc.robot import JOINTS, RobotModel
 
@@ -133,7 +133,7 @@ def _level(sides: Array, largest: Array) -> Array:
 
 
 def as_record(covered: Coverage) -> list[record.TorqueRange]:
-    """Return the torques as `identification.json` holds them."""
+    """Return the torques as `identification.json` contains them."""
     return [
         record.TorqueRange(name, float(-sides[0]) + 0.0, float(sides[1]), int(count[0]), int(count[1]))
         for name, sides, count in zip(JOINTS, covered.largest, covered.configurations, strict=True)

@@ -1,18 +1,60 @@
-"""Weighted least squares for the parameters of the elastic model: Gauss–Newton, free or with bounds and a ridge."""
+"""Fits of the elastic parameters: weighted least squares, and Bayesian regression with priors of physical size.
+
+**Least squares** (`gauss_newton`): Gauss–Newton on the equilibrium, free or with bounds and a ridge.
+
+**Linear equations** (`linearise`): the model is linear in its parameters to 0.3 %, so the derivatives at one point
+predict fits without some configurations; no new models are needed.
+
+**Priors** (`prior_of`): readings excite some parameters and not others. Each parameter is normal about a mean with a
+spread of physical size. A parameter that the readings do not excite keeps that size and counts with it in the bound:
+
+- compliance of a joint: about the stated one;
+- parts of a gear (fading, up to a breakpoint) and rotations of links: a tenth of the joint's compliance;
+- translations of links: 0.01 µm/N; backlash and lost motion: 20 µrad;
+- masses, size of the compensator's torque: about the model's values, with the spread that the model states;
+- K_c and K_c·s₀, where they are free: 10⁶ N/m, 10⁶ N.
+
+**Regression** (`learn`): a size is common to all parameters of a kind, and is known to a factor only. Given readings y
+of unit variance, derivatives D and a prior N(m, S²), y is normal about D·m with covariance φ·1 + D S² Dᵀ. The factors
+in S and the noise factor φ ≥ 1 (residual beyond noise) maximise the density of y times that of the factors (evidence,
+type-II maximum likelihood: MacKay, Neural Computation 4, 1992). The values are the most probable ones that are not
+negative. The posterior covariance (DᵀD/φ + S⁻²)⁻¹ never exceeds S².
+"""
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 from msgspec import Struct
 
-from postproc.errors import MeasurementError, NotConvergedError
+from postproc.errors import MeasurementError, NotConvergedError, PostprocError
 from postproc.frames import Array
-from postproc.identification.displacements import measured_displacements, visible, whiten, whitening
-from postproc.identification.measurements import Measurements
-from postproc.identification.placement import Placement
-from postproc.identification.prediction import predict
-from postproc.identification.structure import Structure
-from postproc.robot import Parameter, RobotModel, file_slopes
+from postproc.identification.measurement_model import (
+    Placement,
+    Structure,
+    measured_displacements,
+    predict,
+    visible,
+    whiten,
+    whitening,
+)
+from postproc.identification.readings import Measurements
+from postproc.program import Bools, Ints
+from postproc.robot import (
+    BASE,
+    JOINTS,
+    Backlash,
+    CompensatorTorque,
+    FadingPart,
+    JointCompliance,
+    Knee,
+    LinkSpring,
+    LostMotion,
+    Parameter,
+    RobotModel,
+    file_slopes,
+)
 
 NORMAL_95 = 1.959964
 """Half width of a 95 % interval of a normal distribution, in standard deviations."""
@@ -29,12 +71,12 @@ _DEAD = 1e-6
 class Fit(Struct, frozen=True, eq=False):
     """Parameters that minimise the weighted squares of the residuals.
 
-    :param structure: what was fitted.
+    :param structure: the structure fitted.
     :param values: (p,) SI.
-    :param covariance: (p, p), for noise σ as stated; infinite where the data say nothing.
+    :param covariance: (p, p), for noise σ as stated; infinite where the readings do not determine a value.
     :param residual: (L, P, 3) measured − predicted displacements [m], root axes.
     :param chi2: sum of squares of the whitened residuals, and `dof` its degrees of freedom.
-    :param design: (rows, p) whitened derivatives at the solution, and `target` (rows,) what they should give.
+    :param design: (rows, p) whitened derivatives at the solution, and `target` (rows,) the right side.
     """
 
     structure: Structure
@@ -140,7 +182,7 @@ def solve(design: Array, target: Array, ridge: Array | None = None) -> Array:
 
 
 def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> Array:
-    """Return (DᵀD + R²)⁻¹; directions that the data leave open get infinite variance.
+    """Return (DᵀD + R²)⁻¹; directions that the data do not determine get infinite variance.
 
     :param typical: (p,) usual sizes of the parameters: one that then moves the readings by less than 10⁻⁶ σ is dead.
     """
@@ -162,7 +204,7 @@ def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> 
 
 
 def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
-    """Return parameters, values and covariance of a fit as `model.toml` holds them, in its units.
+    """Return parameters, values and covariance of a fit in the units of `model.toml`.
 
     k1…k6 are compliances at small torque, fading parts included; s₀ comes from K_c·s₀.
 
@@ -181,3 +223,304 @@ def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
         )
     covariance = slopes @ fit.covariance @ slopes.T
     return parameters, values, 0.5 * (covariance + covariance.T)
+
+
+_HUBER = 3.5
+"""Residual of a point, over the usual one, beyond which it is weighted down (Huber 1964)."""
+_MEDIAN_OF_THREE = 1.538
+"""Median length of a vector of three standard normal numbers."""
+
+
+class Linearised(Struct, frozen=True, eq=False, dict=True):
+    """Whitened equations design·values = target.
+
+    :param design: (rows, p), per SI unit of each parameter; rows are states, points, axes.
+    :param target: (rows,).
+    :param config: (rows,) row of the configuration of each.
+    :param weight: (rows,) of each in the sum of squares; less than one for gross residuals.
+    """
+
+    design: Array
+    target: Array
+    config: Ints
+    weight: Array
+
+    @property
+    def configs(self) -> int:
+        """Number of configurations."""
+        return int(self.config.max()) + 1
+
+    @cached_property
+    def count(self) -> int:
+        """Number of equations that contain a reading."""
+        return int(np.count_nonzero(np.linalg.norm(self.design, axis=1) > 0.0))
+
+    @cached_property
+    def by_configuration(self) -> tuple[Array, Array, Array]:
+        """DᵀWD (C, p, p), DᵀWy (C, p) and yᵀWy (C,) of the equations of each configuration."""
+        weighted = self.design * self.weight[:, None]
+        here = [self.config == index for index in range(self.configs)]
+        return (
+            np.array([weighted[rows].T @ self.design[rows] for rows in here]),
+            np.array([weighted[rows].T @ self.target[rows] for rows in here]),
+            np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in here]),
+        )
+
+    def normal(self, columns: Ints, without: Ints | None = None) -> tuple[Array, Array, float]:
+        """Return DᵀWD (n, n), DᵀWy (n,) and yᵀWy of some columns.
+
+        :param without: configurations to leave out.
+        """
+        square, right, own = self._whole
+        if without is not None:
+            out = [part[without].sum(axis=0) for part in self.by_configuration]
+            square, right, own = square - out[0], right - out[1], own - float(out[2])
+        return square[np.ix_(columns, columns)], right[columns], own
+
+    @cached_property
+    def _whole(self) -> tuple[Array, Array, float]:
+        square, right, own = self.by_configuration
+        return square.sum(axis=0), right.sum(axis=0), float(own.sum())
+
+    def residual(self, values: Array, rows: Array | slice = slice(None)) -> Array:
+        """Return target − design·values of some rows."""
+        return np.asarray(self.target[rows] - self.design[rows] @ values)
+
+    def mean_squares(self, residual: Array) -> Array:
+        """Return the weighted mean squares (C,) of residuals (rows,) of each configuration."""
+        count = np.bincount(self.config)
+        return np.asarray(np.bincount(self.config, weights=self.weight * residual**2) / count)
+
+
+def linearise(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Linearised:
+    """Return the equations at some values of the parameters; gross residuals there are weighted down.
+
+    :raises PostprocError: the springs have no equilibrium under a measured load.
+    """
+    displacement, w = measured_displacements(data, placement), whitening(data)
+    moved, slopes = predict(structure, values, data, placement)
+    finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(moved).all(axis=(1, 2))
+    if not finite.all():
+        state = int(data.loaded[np.argmin(finite)])
+        raise PostprocError(
+            f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: these springs have no "
+            "equilibrium under this load"
+        )
+    design = whiten(w, slopes).reshape(-1, len(values))
+    white = whiten(w, (displacement - moved) * visible(data))
+    size = np.linalg.norm(white, axis=2)
+    usual = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
+    weight = np.minimum(1.0, _HUBER * max(usual, 1e-12) / np.maximum(size, 1e-300))
+    seen = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
+    rows = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
+    design = design * seen[:, None]
+    return Linearised(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))
+
+
+_LEAST_COMPLIANCE = 1e-9
+"""Smallest compliance of a joint [rad/(N·m)] that sets a scale."""
+_OF_JOINT = 0.1
+"""Usual compliance of a part of a gear, and of a link's rotation, over that of the joint."""
+
+JOINT, FIXED = "joint", ""
+FACTORS: dict[str, tuple[float, float]] = {
+    JOINT: (0.0, 0.7),
+    "link translation": (0.0, 1.0),
+    "link rotation": (0.0, 1.0),
+    "end rotation": (-1.0, 1.5),
+    "base translation": (-1.0, 1.5),
+    "base rotation": (-2.0, 1.5),
+    "fading": (0.0, 1.5),
+    "breakpoint": (-1.0, 2.0),
+    "backlash": (-2.0, 2.0),
+    "lost motion": (-2.0, 2.0),
+    "compensator": (1.0, 1.0),
+}
+"""Factor on the size of each kind: mean and standard deviation of its logarithm."""
+
+
+class Prior(Struct, frozen=True, eq=False):
+    """Prior of p parameters, SI.
+
+    :param mean: (p,).
+    :param size: (p,) standard deviation at a factor of one.
+    :param kind: (p,) index into `kinds` of the factor on the size; −1 where the size is stated.
+    :param kinds: names in `FACTORS`.
+    :param signed: (p,) parameters that may have either sign; the others are ≥ 0.
+    """
+
+    mean: Array
+    size: Array
+    kind: Ints
+    kinds: tuple[str, ...]
+    signed: Bools
+
+
+def prior_of(structure: Structure) -> Prior:
+    """Return the prior of the parameters of a structure."""
+    robot = structure.prior
+    entries = [_entry(parameter, robot) for parameter in structure.parameters]
+    kinds = tuple(name for name in FACTORS if any(name == kind for kind, _ in entries))
+    stated = structure.start()
+    about = np.array([kind in (JOINT, FIXED) for kind, _ in entries], dtype=bool)
+    return Prior(
+        mean=np.where(about, stated, 0.0),
+        size=np.array([size for _, size in entries]),
+        kind=np.array([kinds.index(kind) if kind in kinds else -1 for kind, _ in entries], dtype=np.int64),
+        kinds=kinds,
+        signed=np.array([kind == FIXED for kind, _ in entries], dtype=bool),
+    )
+
+
+def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
+    """Return the kind of a parameter and its size, SI; `FIXED` where the robot states the spread."""
+    stated = robot.prior_sigma(parameter)
+    if not isinstance(parameter, JointCompliance) and np.isfinite(stated):
+        return FIXED, stated
+    joints = np.maximum(robot.compliance[list(robot.actuated)], _LEAST_COMPLIANCE)
+    match parameter:
+        case JointCompliance():
+            return JOINT, float(joints[parameter.index])
+        case LinkSpring():
+            part = "base" if parameter.link == BASE else "end" if parameter.at_end else "link"
+            if parameter.slides:
+                return f"{part} translation", parameter.usual
+            of_joint = joints[0 if parameter.link == BASE else JOINTS.index(parameter.link)]
+            return f"{part} rotation", float(_OF_JOINT * of_joint)
+        case LostMotion() | Backlash():
+            return "lost motion" if isinstance(parameter, LostMotion) else "backlash", parameter.usual
+        case FadingPart():
+            kind = "breakpoint" if isinstance(parameter, Knee) else "fading"
+            return kind, float(_OF_JOINT * joints[JOINTS.index(parameter.joint)])
+        case CompensatorTorque():
+            return "compensator", parameter.usual
+    return FIXED, parameter.usual
+
+
+_NARROWEST, _WIDEST = -6.0, 4.0
+"""Limits of the logarithms of factors."""
+_MOST_NOISE = 4.0
+"""Largest logarithm of φ; its prior is normal about 0 with standard deviation `_NOISE_SPREAD`."""
+_NOISE_SPREAD = 0.5
+
+
+class Regression(Struct, frozen=True, eq=False):
+    """Regression of the readings on n of the p parameters.
+
+    :param columns: (n,) their indices among the p parameters of the equations.
+    :param mean: (n,) prior mean, SI.
+    :param spread: (n,) prior standard deviation, SI.
+    :param signed: (n,) whether the parameter may be negative.
+    :param noise: φ.
+    :param evidence: logarithm of the density of the readings and the factors.
+    :param size: p.
+    """
+
+    columns: Ints
+    mean: Array
+    spread: Array
+    signed: Bools
+    noise: float
+    evidence: float
+    size: int
+
+    def solve(self, equations: Linearised, without: Ints | None = None) -> Array:
+        """Return the most probable values (p,), SI; zero for parameters that are not among the columns.
+
+        Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Signed parameters come first, and
+        are eliminated by the triangle of Cholesky.
+
+        :param without: configurations to leave out.
+        """
+        from scipy.optimize import nnls
+
+        normal, right = self._normal(equations, without)
+        order, free = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
+        factor = np.linalg.cholesky(normal[np.ix_(order, order)])
+        left, upper = np.linalg.solve(factor, right[order]), factor.T
+        found = np.empty(len(order))
+        found[free:], _ = nnls(upper[free:, free:], left[free:], maxiter=100 * len(order))
+        found[:free] = np.linalg.solve(upper[:free, :free], left[:free] - upper[:free, free:] @ found[free:])
+        values = np.zeros(self.size)
+        values[self.columns[order]] = found * self.spread[order]
+        return values
+
+    def covariance(self, equations: Linearised) -> Array:
+        """Return the posterior covariance (p, p), SI."""
+        normal, _ = self._normal(equations)
+        out = np.zeros((self.size, self.size))
+        out[np.ix_(self.columns, self.columns)] = np.linalg.inv(normal) * np.outer(self.spread, self.spread)
+        return out
+
+    def influence(self, equations: Linearised, values: Array) -> Array:
+        """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero."""
+        on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
+        normal, _ = self._normal(equations)
+        rows = equations.design[:, self.columns[on]] * self.spread[on] * (equations.weight / self.noise)[:, None]
+        out = np.zeros((self.size, len(equations.target)))
+        out[self.columns[on]] = self.spread[on, None] * np.linalg.solve(normal[np.ix_(on, on)], rows.T)
+        return out
+
+    def degrees_of_freedom(self, equations: Linearised, values: Array) -> float:
+        """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero."""
+        on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
+        normal, _ = self._normal(equations)
+        return float(len(on) - np.trace(np.linalg.inv(normal[np.ix_(on, on)])))
+
+    def _normal(self, equations: Linearised, without: Ints | None = None) -> tuple[Array, Array]:
+        """Return the normal equations (n, n), (n,) for the values divided by their prior standard deviation."""
+        square, right, _ = equations.normal(self.columns, without)
+        normal = square * np.outer(self.spread, self.spread) / self.noise + np.eye(len(self.columns))
+        return normal, right * self.spread / self.noise + self.mean / self.spread
+
+
+def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
+    """Return the regression whose prior widths and noise factor maximise the evidence.
+
+    :param columns: (n,) indices of the parameters to use, among those of the equations.
+    """
+    from scipy.optimize import minimize
+
+    size, mean = prior.size[columns], prior.mean[columns]
+    kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
+    members = [np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds]
+    square, right, own = equations.normal(columns)
+    own = own - 2.0 * float(mean @ right) + float(mean @ square @ mean)
+    right = (right - square @ mean) * size
+    square = square * np.outer(size, size)
+    count = equations.count
+    middle = np.array([*(FACTORS[name][0] for name in kinds), 0.0])
+    wide = np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD])
+
+    def factors(logs: Array) -> Array:
+        factor = np.ones(len(columns))
+        for log, rows in zip(logs, members, strict=False):
+            factor[rows] = np.exp(log)
+        return factor
+
+    def cost(logs: Array) -> tuple[float, Array]:
+        """Return −log evidence, up to a constant, and its derivatives by the logarithms of factors and φ."""
+        factor, noise = factors(logs), float(np.exp(logs[-1]))
+        normal = np.eye(len(columns)) + factor[:, None] * square * factor / noise
+        lower = np.linalg.cholesky(normal)
+        inverse = np.linalg.inv(normal)
+        found = inverse @ (factor * right) / noise
+        left = own - 2.0 * float(factor * found @ right) + float((factor * found) @ square @ (factor * found))
+        value = 0.5 * (left / noise + found @ found + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
+        known = 1.0 - np.diag(inverse)
+        slope = [float((known[rows] - found[rows] ** 2).sum()) for rows in members]
+        slope.append(0.5 * (count - float(known.sum())) - 0.5 * left / noise)
+        off = (logs - middle) / wide
+        return value + 0.5 * float(off @ off), np.array(slope) + off / wide
+
+    limits = [*([(_NARROWEST, _WIDEST)] * len(kinds)), (0.0, _MOST_NOISE)]
+    found = minimize(cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
+    return Regression(
+        columns=columns,
+        mean=mean,
+        spread=size * factors(found.x),
+        signed=prior.signed[columns],
+        noise=float(np.exp(found.x[-1])),
+        evidence=0.5 * float(np.log(equations.weight).sum()) - float(found.fun),
+        size=len(prior.size),
+    )

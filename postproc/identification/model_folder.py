@@ -1,4 +1,7 @@
-"""Writing the identified robot: a model folder with robot.urdf, model.toml and identification.json."""
+"""The identified robot as a model folder: robot.urdf, model.toml, identification.json, report.html.
+
+`identify_folder` and `geometry_folder` go from measured files to the folder.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,32 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import files
+from postproc import robot as robots
+from postproc.compensator import Compensator
 from postproc.errors import InputError, MeasurementError, ModelError
-from postproc.frames import MM_PER_M
-from postproc.identification import record
-from postproc.identification.experiment import Payload
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
+from postproc.identification import calibration, compensator_geometry, coverage, plausibility, record
 from postproc.identification.fit import NORMAL_95, to_file_units
-from postproc.identification.observability import joint_torques
-from postproc.identification.procedure import Identification
-from postproc.identification.structure import LEAST
-from postproc.robot import JOINT_COMPLIANCES, WITH_LINKS, JointCompliance, urdf
+from postproc.identification.joint_springs import Levels, SpringOfJoint2
+from postproc.identification.measurement_model import LEAST, describe, describe_points, joint_torques
+from postproc.identification.plausibility import check_frames, check_points
+from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
+from postproc.identification.readings import Measurements, Payload, read, read_experiment
+from postproc.identification.uncertainty import Discrepancy, verdict_line
+from postproc.robot import (
+    COMPENSATOR,
+    JOINT_COMPLIANCES,
+    PER_URAD,
+    WITH_LINKS,
+    JointCompliance,
+    Parameter,
+    RobotModel,
+    urdf,
+)
 from postproc.robot.model_file import (
     CompensatorEntry,
     CovarianceTable,
@@ -183,7 +201,7 @@ def require_finite(content: Any, name: str) -> None:
 
 
 def protect(folder: Path) -> None:
-    """Refuse a folder that holds a model which was not identified, or was changed since.
+    """Refuse a folder with a model that was not identified by postproc, or was changed since.
 
     :raises InputError: it does.
     """
@@ -191,9 +209,9 @@ def protect(folder: Path) -> None:
 
 
 def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
-    """Return the content of the prior's `model.toml`, the flange carrying what the experiment says.
+    """Return the content of the prior's `model.toml`, with the payload of the experiment.
 
-    :param source: the file that says so.
+    :param source: file that states the payload.
     """
     content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
     carried = None
@@ -205,9 +223,321 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
 
 
 def without_found_springs(content: ModelFile) -> ModelFile:
-    """Return a model with joint springs alone: those of links, and what fades of the gears, are looked for anew."""
+    """Return a model with linear joint springs alone: springs of links and nonlinear parts of gears are removed."""
     joints = {
         name: msgspec.structs.replace(spring, stiffening=[], knees=[], backlash=None, lost_motion=None)
         for name, spring in content.joints.items()
     }
     return msgspec.structs.replace(content, joints=joints, links={}, covariance=None, discrepancy=None, measured=None)
+
+
+def report_data(result: Identification) -> record.Identified:
+    """Return the content of `identification.json`."""
+    known, values, covariance = to_file_units(result.fit)
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    pairs = zip(known, values.tolist(), half.tolist(), strict=True)
+    entries = _entries_of(result, {p: (value, reach) for p, value, reach in pairs if value > 0.0 or not p.sparse})
+    return record.Identified(
+        verdict=record.Verdict(bool(result.distrust), verdict_line(result.distrust)),
+        method=result.method,
+        robot=result.prior.name,
+        parameters=entries,
+        k2_levels=_levels(result.levels),
+        k2_curve=_k2_curve(result),
+        from_levels=_from_levels(result.spring),
+        residual=_residual(result),
+        discrepancy=_unexplained(result.discrepancy),
+        workspace=[
+            record.InWorkspace(level.load, level.deflection * MM_PER_M, level.bound * MM_PER_M, level.worst)
+            for level in result.workspace.levels
+        ],
+        workspace_line=result.workspace.line,
+        structure=None
+        if result.choice is None
+        else record.Structure(result.choice.reason, [candidate.recorded for candidate in result.choice.candidates]),
+        sigma_mm=result.data.sigma * MM_PER_M,
+        base=describe(result.placement),
+        points=describe_points(result.placement, result.data.points),
+        unloaded_rms_mm=result.placement.rms * MM_PER_M,
+        not_observable=[record.Missing(entry.name, entry.reason, entry.advice) for entry in result.missing],
+        held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
+        outliers=list(result.left_out),
+        warnings=list(result.warnings),
+        correlation=record.Correlation([parameter.name for parameter in known], _correlation(covariance)),
+        states=_states(result.data),
+        torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
+        torques=coverage.as_record(coverage.of_readings(result.prior, result.data)),
+    )
+
+
+def _levels(levels: Levels | None) -> list[record.Level]:
+    if levels is None:
+        return []
+    deviation = np.sqrt(np.diag(levels.covariance))
+    return [
+        record.Level(
+            float(q * DEG_PER_RAD), float(k * PER_URAD), float(NORMAL_95 * d * PER_URAD) if np.isfinite(d) else None
+        )
+        for q, k, d in zip(levels.q2, levels.compliance, deviation, strict=True)
+    ]
+
+
+def _from_levels(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] | None:
+    if spring is None:
+        return None
+    half = (NORMAL_95 * np.sqrt(np.diag(spring.covariance))).tolist()
+    return {
+        name: record.FromLevels(value, reach)
+        for name, value, reach in zip(("K_theta2_0", "K_c", "K_c*s_0"), spring.values.tolist(), half, strict=True)
+    }
+
+
+def _residual(result: Identification) -> record.Residual:
+    before, after = before_and_after(result)
+    return record.Residual(
+        rms_mm=result.fit.rms * MM_PER_M,
+        max_mm=float(norm(result.fit.residual).max()) * MM_PER_M,
+        before_rms_mm=float(np.sqrt(np.mean(before**2))) * MM_PER_M,
+        chi2=result.fit.chi2,
+        degrees_of_freedom=result.fit.dof,
+        per_configuration=[
+            record.OfConfiguration(float(c), float(b) * MM_PER_M, float(a) * MM_PER_M)
+            for c, b, a in zip(result.data.config, before, after, strict=True)
+        ],
+    )
+
+
+def _unexplained(off: Discrepancy) -> list[record.Unexplained]:
+    lengths = np.stack([off.held_out, off.noise, off.own, off.u95], axis=1) * MM_PER_M
+    return [record.Unexplained(load, *row) for load, row in zip(off.load.tolist(), lengths.tolist(), strict=True)]
+
+
+def _states(data: Measurements) -> list[record.State]:
+    angles = (data.q[data.state_config[data.loaded]] * DEG_PER_RAD).round(6).tolist()
+    return [
+        record.State(tuple(q), tuple(load)) for q, load in zip(angles, data.wrench[data.loaded].tolist(), strict=True)
+    ]
+
+
+def _entries_of(result: Identification, given: dict[Parameter, tuple[float, float]]) -> dict[str, record.Parameter]:
+    """Return the parameters of `identification.json`: k1…k6, K⁰_θ2, K_c, s₀ always, the others if identified."""
+    prior, unknown = result.prior, {entry.parameter for entry in result.missing}
+    springs = COMPENSATOR if prior.compensator is not None else ()
+    of_prior: dict[Parameter, float] = {p: prior.value(p) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
+    about = {p: prior.value(p) for p in given if np.isfinite(prior.prior_sigma(p))}
+    always = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
+    entries: dict[str, record.Parameter] = {}
+
+    def put(
+        name: str, found: tuple[float, float] | None, unit: str, before: float | None, source: str | None = None
+    ) -> None:
+        if found is None:
+            entries[name] = record.Parameter(before, None, unit, observable=False, prior=before, source="prior")
+        else:
+            determined = bool(found[1] <= found[0])
+            entries[name] = record.Parameter(*found, unit, True, determined, before, source)
+
+    for parameter in dict.fromkeys((*always, *given)):
+        found = None if parameter in unknown else given.get(parameter)
+        before = parameter.in_file(of_prior | about)[0] if parameter in always or parameter in about else None
+        put(parameter.name, found, parameter.unit, before, record.ABOUT_THE_PRIOR if parameter in about else None)
+        if parameter == JOINT_COMPLIANCES[-1]:
+            k2 = entries[JOINT_COMPLIANCES[1].name]
+            if k2.value is not None and k2.prior is not None:
+                reach = None if k2.ci95 is None else (PER_URAD / k2.value, PER_URAD * k2.ci95 / k2.value**2)
+                put("K_theta2_0", reach, "N·m/rad", PER_URAD / k2.prior)
+    return entries
+
+
+def _k2_curve(result: Identification) -> list[tuple[float, float]]:
+    """Return equivalent compliance of joint 2 of the model over q2: [deg, µrad/(N·m)]."""
+    if result.levels is None:
+        return []
+    model = result.robot()
+    q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
+    stiffness = 1.0 / model.compliance[model.actuated[1]]
+    added = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
+    return [(float(a), float(c)) for a, c in zip(q2 * DEG_PER_RAD, PER_URAD / (stiffness + added), strict=True)]
+
+
+def _correlation(covariance: Array) -> list[list[float]]:
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    safe = np.where(deviation > 0.0, deviation, 1.0)
+    return [[round(float(v), 4) for v in row] for row in covariance / np.outer(safe, safe)]
+
+
+_NOT_DETERMINED = "   (not determined: the interval is larger than the value)"
+
+
+class Choices(Struct, frozen=True, kw_only=True):
+    """Inputs and options of an identification.
+
+    :param compensator: file of `identify compensator`, whose geometry is taken; None = that of the robot.
+    :param method: see `procedure.identify`.
+    :param structure: "auto" also tries springs of links and stiffening gears.
+    :param geometry: calibrate the geometry too, with the springs found.
+    """
+
+    compensator: Path | None = None
+    method: Method = "enhanced"
+    structure: Depth = "auto"
+    geometry: bool = False
+
+
+class IdentifiedFolder(Struct, frozen=True, eq=False):
+    """An identification as it was written.
+
+    :param result: the identification of the compliances, if there was one.
+    :param data: content of `identification.json`.
+    :param text: summary for a terminal.
+    """
+
+    result: Identification | None
+    data: record.Identified
+    text: str
+
+
+def with_compensator_geometry(robot: RobotModel, path: Path) -> RobotModel:
+    """Return the robot with L, a_x, a_y from a file of `identify compensator`."""
+    length, ax, ay = compensator_geometry.load(path)
+    old = robot.compensator
+    law = Compensator(
+        stiffness=0.0 if old is None else old.stiffness,
+        free_length=0.0 if old is None else old.free_length,
+        L=float(length),
+        ax=float(ax),
+        ay=float(ay),
+    )
+    return replace(robot, compensator=law)
+
+
+def identify_folder(
+    measurements: Path,
+    experiment: Path,
+    output: Path,
+    choices: Choices = Choices(),
+    progress: Callable[[str], None] = lambda _: None,
+    render: Callable[[record.Identified, str], bytes] | None = None,
+) -> IdentifiedFolder:
+    """Read measurements, identify, write the model folder.
+
+    :param progress: called with the name of each step.
+    :param render: makes `report.html` from the content of `identification.json` and the name of the model.
+    :raises MeasurementError: the files are unusable.
+    :raises InputError: the folder cannot be written.
+    """
+    setup = read_experiment(experiment)
+    prior_folder = robots.find(setup.robot, experiment.parent)
+    shipped = robots.load(prior_folder)
+    before = without_found_springs(read_prior(prior_folder, setup.payload, experiment.name))
+    prior = robots.assemble(shipped.name, before, shipped.nominal)
+    marked = None
+    if choices.compensator is not None:
+        prior = with_compensator_geometry(prior, choices.compensator)
+        marked = f"identified from markers ({choices.compensator.name})"
+    result = identify(prior, read(measurements, setup), choices.method, choices.structure, progress)
+    data = report_data(result)
+    source = f"identified from {measurements.name}, {choices.method}"
+    content = model_file(result, before, source, marked)
+    if choices.geometry:
+        progress("geometry")
+        found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
+        content = found.content
+        data = msgspec.structs.replace(
+            data,
+            geometry=calibration.report_data(found),
+            warnings=[*data.warnings, *calibration.contradictions(found)],
+        )
+    write(output, content, data, prior_folder, render)
+    return IdentifiedFolder(result, data, summary(data))
+
+
+def geometry_folder(
+    measurements: Path,
+    experiment: Path,
+    output: Path,
+    model: Path | None = None,
+    render: Callable[[record.Identified, str], bytes] | None = None,
+) -> IdentifiedFolder:
+    """Calibrate the geometry from readings without load and write the model folder.
+
+    :param model: folder of the model whose springs predict the sag; the robot of the experiment by default.
+    :raises MeasurementError: the files are unusable.
+    :raises InputError: the folder cannot be written.
+    """
+    setup = read_experiment(experiment)
+    folder = model or robots.find(setup.robot, experiment.parent)
+    content = read_prior(folder, setup.payload, experiment.name)
+    nominal = robots.load(folder).nominal
+    robot = robots.assemble(folder.resolve().name, content, nominal)
+    data = read(measurements, setup, loads=False)
+    check_points(data)
+    check_frames(robot, data)
+    data, left_out = plausibility.without_gross_errors(data)
+    found = calibration.identify_geometry(content, nominal, robot.name, data)
+    report = record.Identified(
+        method="geometry",
+        robot=robot.name,
+        geometry=calibration.report_data(found),
+        sigma_mm=setup.sigma_mm,
+        base=describe(found.placement),
+        points=describe_points(found.placement, data.points),
+        unloaded_rms_mm=found.placement.rms * MM_PER_M,
+        outliers=left_out,
+        warnings=[*(f"outlier: {name}" for name in left_out), *calibration.contradictions(found)],
+    )
+    write(output, found.content, report, folder, render)
+    return IdentifiedFolder(None, report, summary(report))
+
+
+def summary(data: record.Identified) -> str:
+    """Return the identified values as a table for a terminal."""
+    lines = [] if data.verdict is None else [data.verdict.line]
+    together = 0
+    for name, entry in (data.parameters or {}).items():
+        if entry.determined is False and entry.prior is None:
+            together += 1
+            continue
+        half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
+        mark = _NOT_DETERMINED if entry.determined is False else ""
+        if not entry.observable:
+            mark = "   (prior: not observable)"
+        elif entry.source == record.ABOUT_THE_PRIOR:
+            mark = f"   (about the prior's {entry.prior:.4g})"
+        lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
+    if together:
+        lines.append(
+            f"{together} more parameters of links and gears are not determined one by one, only what they predict "
+            "together: identification.json"
+        )
+    if data.parameters:
+        lines.append(f"{robots.WITH_LINKS}: the intervals are of that sum")
+    if data.structure is not None:
+        lines.append(data.structure.reason)
+    lines += [level.line for level in data.discrepancy or ()]
+    if data.workspace_line is not None:
+        lines.append(data.workspace_line)
+    if data.torque_Nm is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
+        lines.append(f"the loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated")
+    if data.residual is not None:
+        residual = data.residual
+        lines.append(
+            f"residual {residual.rms_mm:.3f} mm RMS, {residual.max_mm:.3f} mm max; "
+            f"displacements {residual.before_rms_mm:.3f} mm RMS"
+        )
+    if data.geometry is not None:
+        for name, entry in data.geometry.parameters.items():
+            mark = _NOT_DETERMINED if entry.determined is False else ""
+            if not entry.observable:
+                mark = "   (not narrowed by the readings)"
+            lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")
+        for label, rms in data.geometry.variants.items():
+            mark = "  <- chosen" if label == data.geometry.chosen else ""
+            lines.append(
+                f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{mark}"
+            )
+        lines.append(
+            f"95 % of the errors of the geometry are below {data.geometry.u95_mm:.3f} mm; that is in the bound"
+        )
+    return "\n".join(lines)

@@ -1,4 +1,11 @@
-"""Checks that need the robot: swapped points, a moved tracker, wrong angles, forces in kg or with the wrong sign."""
+"""Plausibility of readings: gross errors, swapped names, a moved tracker, wrong units and signs of forces, hysteresis.
+
+Single gross errors are left out and listed: first without a model, against the other repeats and against the distances
+between points of one rigid body; then, in a fit that is good but for a few points, against the model. Errors of whole
+sets (names, frames, angles, forces) are refused with their line.
+
+Hysteresis: loads that are applied on the way up and again on the way down show the backlash and friction of each joint.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +13,143 @@ from itertools import permutations
 
 import numpy as np
 
+from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, PostprocError
-from postproc.frames import MM_PER_M, Array
-from postproc.identification.displacements import measured_displacements
-from postproc.identification.measurements import Measurements
-from postproc.identification.placement import Placement, locate
-from postproc.identification.prediction import predict
-from postproc.identification.structure import Structure
+from postproc.frames import MM_PER_M, Array, norm
+from postproc.identification.fit import Fit
+from postproc.identification.measurement_model import (
+    Placement,
+    Structure,
+    joint_torques,
+    locate,
+    measured_displacements,
+    predict,
+    visible,
+    whiten,
+    whitening,
+)
+from postproc.identification.readings import Measurements
 from postproc.program import Ints
-from postproc.robot import JOINT_COMPLIANCES, RobotModel
+from postproc.robot import JOINT_COMPLIANCES, JOINTS, RobotModel
+
+_GROSS = 6.0
+"""Standard deviations beyond which a reading counts as a gross error."""
+
+
+def without_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
+    """Return the measurements without readings that contradict their repeats or the rigid body, and a line for each."""
+    found: list[str] = []
+    sigma = max(data.sigma, _robust_sigma(data))
+    bad: list[int] = []
+    for state in range(len(data.load)):
+        for point in range(len(data.points)):
+            rows = np.flatnonzero((data.state == state) & (data.point == point))
+            if len(rows) < 3:
+                continue
+            off = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
+            wrong = rows[off > _GROSS * 1.5 * sigma]
+            if 0 < len(wrong) < 0.5 * len(rows):
+                bad += wrong.tolist()
+                found += [
+                    f"{data.name(int(row))} is {far * MM_PER_M:.2f} mm from its repeats: left out"
+                    for row, far in zip(wrong, off[off > _GROSS * 1.5 * sigma], strict=True)
+                ]
+    data = data.without(bad)
+    if len(data.points) >= 3:
+        bad, names = _rigid_body(data, sigma)
+        data, found = data.without(bad), found + names
+    return data, found
+
+
+def _robust_sigma(data: Measurements) -> float:
+    """Return the noise of one coordinate from the repeats, insensitive to outliers [m]."""
+    mean, count = data.means()
+    many = count[data.state, data.point] >= 2
+    if not many.any():
+        return 0.0
+    left = (data.position - mean[data.state, data.point])[many]
+    shrink = np.sqrt(1.0 - 1.0 / np.median(count[count >= 2]))
+    return float(np.median(np.abs(left)) / 0.6745 / shrink)
+
+
+def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
+    """Return readings with wrong distances to the other points of their set, if the others agree; and a line for
+    each.
+    """
+    bad, names = [], []
+    sets = []
+    for state in range(len(data.load)):
+        for repeat in np.unique(data.repeat[data.state == state]):
+            rows = np.flatnonzero((data.state == state) & (data.repeat == repeat) & data.used)
+            if len(rows) == len(data.points):
+                sets.append(rows[np.argsort(data.point[rows])])
+    if len(sets) < 3:
+        return [], []
+    position = data.position[np.array(sets)]
+    apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=3)
+    off = np.abs(apart - np.median(apart, axis=0))
+    limit = _GROSS * np.sqrt(2.0) * sigma
+    for rows, here in zip(sets, off, strict=True):
+        wrong = (here > limit).sum(axis=1)
+        worst = int(np.argmax(here.sum(axis=1)))
+        others = np.delete(np.delete(here, worst, axis=0), worst, axis=1)
+        if wrong[worst] >= 1 and others.max() <= limit:
+            row = int(rows[worst])
+            bad.append(row)
+            names.append(
+                f"{data.name(row)} is {here[worst].max() * MM_PER_M:.2f} mm off in its distance to the other points: "
+                "left out"
+            )
+    return bad, names
+
+
+def without_worst_residual(data: Measurements, placement: Placement, fit: Fit) -> tuple[Measurements, list[str]]:
+    """Return the measurements without the reading of the largest residual of a fit if it is a gross error, and its
+    line.
+
+    A residual is gross if it exceeds six standard deviations and six times what the others usually are. Whether the
+    loaded or the unloaded reading is wrong follows from the unloaded one's distance from the geometry.
+    """
+    white = whiten(whitening(data), fit.residual)
+    size = np.linalg.norm(white, axis=2)
+    usual = float(np.median(np.abs(white))) / 0.6745
+    row, point = np.unravel_index(int(np.argmax(size)), size.shape)
+    if size[row, point] <= _GROSS * max(1.0, usual) * 1.3:
+        return data, []
+    state = int(data.loaded[row])
+    config = int(data.state_config[state])
+    rest = int(data.unloaded[config])
+    expected = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
+    rest_off = float(np.linalg.norm(expected[config]))
+    rest_usual = float(np.median(np.linalg.norm(expected, axis=1)))
+    others = np.flatnonzero((data.state_config == config) & (data.load != 0))
+    shared = len(others) > 1 and all(
+        size[np.flatnonzero(data.loaded == other)[0], point] > _GROSS * max(1.0, usual) for other in others
+    )
+    gross = float(np.linalg.norm(fit.residual[row, point]))
+    culprit = rest if shared or rest_off > max(0.5 * gross, 3.0 * rest_usual) else state
+    candidates = np.flatnonzero((data.state == culprit) & (data.point == point) & data.used)
+    wrong = _worst_repeat(data, candidates, fit.residual[row, point], placement, culprit == state)
+    names = [
+        f"{data.name(int(reading))} is {gross * MM_PER_M:.2f} mm from what the model predicts: left out"
+        for reading in wrong
+    ]
+    return data.without([int(reading) for reading in wrong]), names
+
+
+def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Placement, loaded: bool) -> list[int]:
+    """Return the repeats with the error: the one that deviates most in its direction, or all if they agree."""
+    if len(rows) == 1:
+        return [int(rows[0])]
+    direction = placement.root_in_device[:3, :3] @ (residual / np.linalg.norm(residual)) * (1.0 if loaded else -1.0)
+    along = (data.position[rows] - data.position[rows].mean(axis=0)) @ direction
+    if np.ptp(along) > _GROSS * data.sigma:
+        return [int(rows[np.argmax(along)])]
+    return [int(row) for row in rows]
+
 
 _BODY = 2e-3
-"""Change of the distance between two points of one rigid body [m] that is no noise."""
+"""Change of the distance between two points of one rigid body [m] that exceeds any noise."""
 _FAR = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains."""
 _MOST_DEFLECTION = 0.1
@@ -28,7 +160,7 @@ _KILOGRAMS = (6.0, 16.0)
 
 
 def check_points(data: Measurements) -> None:
-    """Refuse sets of readings (one state, one repeat) in which two points carry each other's name.
+    """Refuse sets of readings (one state, one repeat) in which the names of two points are swapped.
 
     :raises MeasurementError: names the rows.
     """
@@ -63,7 +195,7 @@ def _distances(points: Array) -> Array:
 
 
 def check_frames(robot: RobotModel, data: Measurements) -> Placement:
-    """Return the placement, or say why the unloaded readings do not fit the robot's geometry.
+    """Return the placement; refuse unloaded readings that do not fit the robot's geometry.
 
     :raises MeasurementError: one configuration has wrong angles, the tracker was moved, or it is another robot.
     """
@@ -106,7 +238,7 @@ def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
 
 
 def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> None:
-    """Compare displacements with what the prior robot would show: units and signs of the forces.
+    """Check units and signs of the forces: compare displacements with those of the prior robot.
 
     :raises MeasurementError: names the configuration, or all.
     """
@@ -136,16 +268,16 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             file=data.file,
             advice="Give Fx, Fy, Fz in N, Mx, My, Mz in N·m, X, Y, Z in mm.",
         )
-    # along the expected direction and by size: where links deflect other than the joints, one of the two is far off
+    # two ratios, along the expected direction and by length: where links deflect unlike the joints, one is far off
     far = np.sqrt(np.sum(seen**2, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2)))
     # against the force only if it is nearly opposite: links may deflect across what the joints would
     far = np.where(ratio < _OPPOSITE * far, -far, far)
-    # deflection per newton: where the joints would hardly deflect, links may deflect by many times as much
-    softness = size / np.maximum(np.linalg.norm(data.wrench[data.loaded, :3], axis=1), 1e-9)
+    # if the joints would hardly deflect, links may deflect by many times as much
+    per_newton = size / np.maximum(np.linalg.norm(data.wrench[data.loaded, :3], axis=1), 1e-9)
     for row in range(len(ratio)):
         relative = far[row] / usual
-        others = np.delete(softness, row)
-        if relative > 0.0 and len(others) and others.min() < softness[row] < others.max():
+        others = np.delete(per_newton, row)
+        if relative > 0.0 and len(others) and others.min() < per_newton[row] < others.max():
             continue
         if not any(_SAME_UNIT[0] < each < _SAME_UNIT[1] for each in (relative, ratio[row] / usual)):
             state = int(data.loaded[row])
@@ -165,3 +297,70 @@ def _state_name(data: Measurements, state: int) -> str:
 
 def _first_line(data: Measurements, state: int) -> int:
     return int(data.line[np.flatnonzero(data.state == state)[0]])
+
+
+_SAME_LOAD, _LARGER = 0.02, 1.2
+"""Relative difference below which two loads are equal, and from which one is larger."""
+_TORQUE = 0.05
+"""Share of the largest torque on a joint above which the flank of its gear is known."""
+_CERTAIN = 4.0
+"""Standard errors beyond which a loop is no noise."""
+_LEAST = 1e-5
+"""Smallest half width of a loop [rad] that is reported."""
+
+
+def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
+    """Return the hysteresis of each joint in sentences; none if no load was measured before and after a larger one."""
+    from scipy.optimize import nnls
+
+    up, down = up_and_down(data)
+    if len(up) == 0:
+        return []
+    moved, seen = measured_displacements(data, placement), visible(data)[..., 0]
+    both = (seen[up] * seen[down]).astype(bool)
+    count = np.maximum(data.means()[1][data.loaded], 1.0)
+    noise = data.sigma * np.sqrt(1.0 / count[up] + 1.0 / count[down])
+    torque = joint_torques(robot, data)
+    flank = np.sign(torque[up]) * (np.abs(torque[up]) > _TORQUE * np.abs(torque).max(axis=0))
+    x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded[up]]])
+    columns = np.empty((*both.shape, 3, 6))
+    for index, point in enumerate(placement.points):
+        tool = np.eye(4)
+        tool[:3, 3] = point
+        jacobian = kinematics.tcp(robot.actual, x, tool)[1][:, :3, list(robot.actuated)]
+        columns[:, index] = jacobian * flank[:, None]
+    rows = (columns / noise[..., None, None])[both].reshape(-1, 6)
+    target = ((moved[down] - moved[up]) / noise[..., None])[both].ravel()
+    scale = norm(rows.T)
+    reached = np.flatnonzero(scale > 0.0)
+    found, _ = nnls(rows[:, reached] / scale[reached], target)
+    inverse = np.linalg.pinv((rows[:, reached] / scale[reached]).T @ (rows[:, reached] / scale[reached]))
+    clear = found > _CERTAIN * np.sqrt(np.diag(inverse))
+    half = 0.5 * found / scale[reached]
+    return [
+        f"loads up and down differ: looks like {half[row] * MM_PER_M:.3f} mrad of backlash or friction in "
+        f"{JOINTS[joint]}"
+        for row, joint in enumerate(reached.tolist())
+        if clear[row] and half[row] > _LEAST
+    ]
+
+
+def up_and_down(data: Measurements) -> tuple[Ints, Ints]:
+    """Return pairs of rows of the loaded states: the same load of a configuration before and after a larger one."""
+    load, config = data.wrench[data.loaded], data.state_config[data.loaded]
+    number, size = data.load[data.loaded], norm(load)
+    pairs = [
+        (first, second)
+        for first in range(len(load))
+        for second in np.flatnonzero(config == config[first]).tolist()
+        if number[first] < number[second]
+        and norm(load[first] - load[second]) < _SAME_LOAD * size[first]
+        and _larger_between(size, number, config, first, second)
+    ]
+    up, down = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return up, down
+
+
+def _larger_between(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:
+    between = (config == config[first]) & (number > number[first]) & (number < number[second])
+    return bool((size[between] > _LARGER * size[first]).any())

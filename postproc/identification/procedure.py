@@ -1,4 +1,4 @@
-"""From measurements to an identified robot: the steps in their order, and what follows if one fails."""
+"""From measurements to an identified robot: the steps in their order, and the fallback of each."""
 
 from __future__ import annotations
 
@@ -11,27 +11,33 @@ from msgspec.structs import replace
 
 from postproc import robot as robots
 from postproc.frames import MM_PER_M, Array
-from postproc.identification import outliers
+from postproc.identification import plausibility
 from postproc.identification.choice import CLEAR, Choice, choose, evidence_of
-from postproc.identification.discrepancy import Discrepancy, discrepancy, left_out_of
-from postproc.identification.displacements import measured_displacements
-from postproc.identification.enhanced import (
+from postproc.identification.fit import Fit, to_file_units
+from postproc.identification.joint_springs import (
     Levels,
+    NotObservable,
     SpringOfJoint2,
     compensator_from_levels,
     extended_set,
     fit_joints,
+    fit_serial,
+    held_by_prior,
+    not_observable,
+    unloaded,
 )
-from postproc.identification.fit import Fit, to_file_units
-from postproc.identification.hysteresis import loops
-from postproc.identification.measurements import Measurements
-from postproc.identification.observability import NotObservable, held_by_prior, not_observable, unloaded
-from postproc.identification.placement import Placement, locate
-from postproc.identification.plausibility import check_frames, check_loads, check_points
-from postproc.identification.serial import fit_serial
-from postproc.identification.stated_errors import with_stated_errors
-from postproc.identification.trust import judge
-from postproc.identification.workspace import Workspace, over_workspace
+from postproc.identification.measurement_model import Placement, locate, measured_displacements
+from postproc.identification.plausibility import check_frames, check_loads, check_points, loops
+from postproc.identification.readings import Measurements
+from postproc.identification.uncertainty import (
+    Discrepancy,
+    Workspace,
+    discrepancy,
+    judge,
+    left_out_of,
+    over_workspace,
+    with_stated_errors,
+)
 from postproc.robot import (
     CompensatorPreload,
     CompensatorSize,
@@ -49,7 +55,7 @@ _WORTH_A_LOOK = 1.0
 
 
 class Identification(Struct, frozen=True, eq=False):
-    """What was identified, from which readings, and how well.
+    """Identified parameters with the readings used, their placement and their uncertainty.
 
     :param method: enhanced or serial.
     :param prior: the robot whose geometry, masses and compensator geometry were used, and whose values are kept where
@@ -65,7 +71,7 @@ class Identification(Struct, frozen=True, eq=False):
     :param workspace: bound over deflection where work may be done.
     :param distrust: why the model should not be used; empty if it may.
     :param left_out: readings left out.
-    :param warnings: what the user should know.
+    :param warnings: for the user.
     """
 
     method: Method
@@ -106,7 +112,7 @@ def identify(
     check_points(data)
     placement = check_frames(prior, data)
     check_loads(prior, data, placement)
-    data, left_out = outliers.model_free(data)
+    data, left_out = plausibility.without_gross_errors(data)
     data, warnings = _noise(data)
     if left_out:
         placement = check_frames(prior, data)
@@ -175,7 +181,7 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
     choice = choose(prior, data, placement)
     left_out: list[str] = []
     for _ in range(3):
-        cleaned, names = outliers.against_model(data, placement, choice.fit)
+        cleaned, names = plausibility.without_worst_residual(data, placement, choice.fit)
         if not names:
             break
         data, left_out = cleaned, left_out + names
@@ -267,7 +273,7 @@ def _cleaned(
     if not _explained_without(fit, most * (len(data.loaded) // len(data.q))):
         return data, fit, names
     for _ in range(most):
-        cleaned, found = outliers.against_model(data, placement, fit)
+        cleaned, found = plausibility.without_worst_residual(data, placement, fit)
         if not found:
             break
         data, names = cleaned, names + found

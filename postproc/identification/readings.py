@@ -1,22 +1,262 @@
-"""`measurements.csv`, read and checked.
+"""`experiment.toml` and `measurements.csv`, read and checked: the set-up of a measurement, and readings of its points.
 
-Formats: docs/reference. What the numbers alone show is checked here; what needs the robot's
-kinematics (swapped points, a moved tracker, forces in kg) in `plausibility`.
+Set-up: mm and degrees as in the file; positions and boxes in the robot root. Readings: SI. Formats: docs/reference.
+Only the numbers themselves are checked here; checks that need the robot (swapped points, a moved tracker, forces in kg)
+are in `plausibility`.
 """
+
+# ruff: noqa: N815 - keys of the file carry their unit
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import files
+from postproc.cell import Frame
 from postproc.errors import MeasurementError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
-from postproc.identification.experiment import Experiment
-from postproc.identification.measurements import Measurements
-from postproc.program import WRENCH, Ints
+from postproc.program import WRENCH, Bools, Ints
 from postproc.robot import JOINTS
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
+
+class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The load on the arm: a hanging weight, or one that pulls over a pulley at up to `max_angle_deg` from the
+    vertical.
+
+    `rope_mm` and `weight_radius_mm` give the space that rope and weight need at the load point; a rope over a pulley
+    (`max_angle_deg` > 0) needs `rope_mm` of free run. `max_torque_Nm`: static torque limits of A1…A6, if the URDF has
+    none.
+    """
+
+    mass_kg: Positive
+    max_angle_deg: Annotated[float, msgspec.Meta(ge=0, le=90)] = 0.0
+    rope_mm: NotNegative = 400.0
+    weight_radius_mm: NotNegative = 200.0
+    max_torque_Nm: tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = None
+
+
+class Tracker(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Position of the measuring device; the largest angle between a marker (with a normal) and the line of sight."""
+
+    X: float
+    Y: float
+    Z: float
+    acceptance_deg: Annotated[float, msgspec.Meta(gt=0, le=180)] = 45.0
+
+
+class Floor(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Height of the floor."""
+
+    Z: float = 0.0
+
+
+class Box(Frame, frozen=True, kw_only=True):
+    """A box to stay clear of: its centre as a frame (A, B, C turn it) and its size along its own axes."""
+
+    size: tuple[Positive, Positive, Positive]
+    name: str = ""
+
+
+class MeshFile(Frame, frozen=True, kw_only=True):
+    """A mesh to stay clear of (STL, OBJ, PLY …; path relative to the experiment), placed by a frame."""
+
+    file: str
+    scale: Positive = 1.0
+
+
+class Body(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Simple shape of the arm: radii of capsules along base column, link 2, link 3 with its hump, forearm, hand; of
+    the parts to load point and markers; and the clearance to everything.
+    """
+
+    radius_mm: tuple[Positive, Positive, Positive, Positive, Positive] | None = None
+    tool_radius_mm: Positive = 40.0
+    clearance_mm: NotNegative = 30.0
+
+
+class FlangePoint(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A point in the flange frame [mm]."""
+
+    X: float
+    Y: float
+    Z: float
+
+    def position(self) -> Array:
+        """Return the point (3,) [m]."""
+        return np.array([self.X, self.Y, self.Z]) * M_PER_MM
+
+
+class Marker(FlangePoint, frozen=True):
+    """A reference point; `normal` (flange frame): direction of its reflector, for `plan`; none: turned by hand."""
+
+    normal: tuple[float, float, float] | None = None
+
+
+class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Payload in all readings, in addition to the load: kg, and its centre of mass in the flange frame, mm."""
+
+    mass_kg: Positive
+    X: float = 0.0
+    Y: float = 0.0
+    Z: float = 0.0
+
+
+class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`.
+
+    `load_error_percent`: 95 % bound of the common relative error of all loads; `load_point_sigma_mm`: standard
+    deviation of the load point, in each direction.
+    """
+
+    robot: str
+    sigma_mm: Positive
+    load_point: FlangePoint
+    points: dict[str, Marker]
+    payload: Payload | None = None
+    load_error_percent: NotNegative = 0.0
+    load_point_sigma_mm: NotNegative = 0.0
+    rig: Rig | None = None
+    tracker: Tracker | None = None
+    floor: Floor = Floor()
+    boxes: list[Box] = []
+    meshes: list[MeshFile] = []
+    body: Body = Body()
+
+    @property
+    def sigma(self) -> float:
+        """Noise of one coordinate of one reading [m]."""
+        return self.sigma_mm * M_PER_MM
+
+
+def read_experiment(path: Path) -> Experiment:
+    """Read `experiment.toml`.
+
+    :raises MeasurementError: unknown or missing keys, values out of range, fewer than three points.
+    """
+    experiment = files.read_toml(path, Experiment, MeasurementError)
+    if not experiment.points:
+        raise MeasurementError("no [points.NAME]", file=str(path), advice="Give the reference points on the tool.")
+    return experiment
+
+
+class Measurements(Struct, frozen=True, eq=False):
+    """Readings of P reference points in S states (a configuration without load, or with one of its loads).
+
+    :param file: name of the file.
+    :param config: (C,) numbers of the configurations as in the file.
+    :param q: (C, 6) joint angles [rad].
+    :param state_config: (S,) row of the configuration of each state.
+    :param load: (S,) number of the load; 0 without load.
+    :param wrench: (S, 6) force [N] and moment [N·m] at the load point, root axes.
+    :param points: names of the reference points.
+    :param guess: (P, 3) their approximate positions in the flange frame [m].
+    :param load_point: (3,) in the flange frame [m].
+    :param sigma: noise of one coordinate of one reading [m], as stated.
+    :param state: (n,) state of each reading.
+    :param point: (n,) point of each reading.
+    :param repeat: (n,) number of the repeat.
+    :param position: (n, 3) in the frame of the measuring device [m].
+    :param line: (n,) line in the file.
+    :param used: (n,) False for readings left out as outliers.
+    :param load_error: 95 % bound of the common relative error of all loads.
+    :param load_point_error: standard deviation of the load point, in each direction [m].
+    """
+
+    file: str
+    config: Array
+    q: Array
+    state_config: Ints
+    load: Array
+    wrench: Array
+    points: tuple[str, ...]
+    guess: Array
+    load_point: Array
+    sigma: float
+    state: Ints
+    point: Ints
+    repeat: Array
+    position: Array
+    line: Array
+    used: Bools
+    load_error: float = 0.0
+    load_point_error: float = 0.0
+
+    @property
+    def loaded(self) -> Ints:
+        """States with load."""
+        return np.flatnonzero(self.load != 0)
+
+    @property
+    def unloaded(self) -> Ints:
+        """(C,) the state without load of each configuration."""
+        rest = np.flatnonzero(self.load == 0)
+        order = np.empty(len(self.q), dtype=np.int64)
+        order[self.state_config[rest]] = rest
+        return order
+
+    def means(self) -> tuple[Array, Array]:
+        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P)."""
+        shape = (len(self.load), len(self.points))
+        key = (self.state * shape[1] + self.point)[self.used]
+        count = np.bincount(key, minlength=shape[0] * shape[1]).astype(float)
+        total = np.stack(
+            [np.bincount(key, weights=self.position[self.used, axis], minlength=len(count)) for axis in range(3)]
+        )
+        mean = (total / np.maximum(count, 1.0)).T
+        return mean.reshape(*shape, 3), count.reshape(shape)
+
+    def scatter(self) -> tuple[float, int]:
+        """Return the sum of squares of the repeats about their means [m²] and its degrees of freedom."""
+        mean, count = self.means()
+        left = (self.position - mean[self.state, self.point])[self.used]
+        return float(np.sum(left**2)), int(3 * np.sum(np.maximum(count - 1, 0)))
+
+    def name(self, reading: int) -> str:
+        """Return line, configuration, load, repeat and point of a reading, for messages."""
+        state = self.state[reading]
+        return (
+            f"line {int(self.line[reading])}: config {self.config[self.state_config[state]]:g}, "
+            f"load {self.load[state]:g}, repeat {self.repeat[reading]:g}, point {self.points[self.point[reading]]}"
+        )
+
+    def without(self, readings: list[int]) -> Measurements:
+        """Return the measurements with some readings left out."""
+        used = self.used.copy()
+        used[readings] = False
+        return replace(self, used=used)
+
+    def only(self, configurations: Ints) -> Measurements:
+        """Return the measurements of some configurations (rows of `q`)."""
+        new_config = np.full(len(self.q), -1)
+        new_config[configurations] = np.arange(len(configurations))
+        states = np.flatnonzero(new_config[self.state_config] >= 0)
+        new_state = np.full(len(self.load), -1)
+        new_state[states] = np.arange(len(states))
+        rows = np.flatnonzero(new_state[self.state] >= 0)
+        return replace(
+            self,
+            config=self.config[configurations],
+            q=self.q[configurations],
+            state_config=new_config[self.state_config[states]],
+            load=self.load[states],
+            wrench=self.wrench[states],
+            state=new_state[self.state[rows]],
+            point=self.point[rows],
+            repeat=self.repeat[rows],
+            position=self.position[rows],
+            line=self.line[rows],
+            used=self.used[rows],
+        )
+
 
 COLUMNS = (
     *("config", "load", "repeat", "point"),

@@ -15,7 +15,7 @@ from postproc.frames import RAD_PER_DEG, Array
 
 NAME = "identification.json"
 ABOUT_THE_PRIOR = "about the prior"
-"""Source of values that were looked for about what the prior states of them."""
+"""Source of values that were fitted with the prior's value as their mean."""
 
 
 class Verdict(Struct, frozen=True):
@@ -26,7 +26,7 @@ class Verdict(Struct, frozen=True):
 
 
 class Parameter(Struct, frozen=True, omit_defaults=True):
-    """A value with the half width of its 95 % interval; None where it is the prior one.
+    """A value with the half width of its 95 % interval; None for a value of the prior.
 
     `determined`: the interval is not larger than the value; `source`: "prior" where that is kept, or
     `ABOUT_THE_PRIOR`.
@@ -70,7 +70,7 @@ class OfConfiguration(Struct, frozen=True):
 
 
 class Residual(Struct, frozen=True):
-    """What the model leaves of the readings."""
+    """Residuals of the model."""
 
     rms_mm: float
     max_mm: float
@@ -109,7 +109,7 @@ class InWorkspace(Struct, frozen=True):
 
 
 class Missing(Struct, frozen=True):
-    """A parameter that the readings do not show."""
+    """A parameter that the readings do not determine."""
 
     name: str
     reason: str
@@ -213,7 +213,7 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 
 class Measured(Struct, frozen=True):
-    """What a model was identified from: its states, and the torques of its loads (empty where it does not say)."""
+    """States and torques that a model was identified with; empty if the folder does not record them."""
 
     states: list[State] = []
     torques: list[TorqueRange] = []
@@ -225,7 +225,7 @@ class Measured(Struct, frozen=True):
 
 
 def measured(folder: Path) -> Measured:
-    """Return what the model of a folder was identified from; nothing without `identification.json`.
+    """Return states and torques that the model of a folder was identified with; empty without `identification.json`.
 
     :raises MeasurementError: the file is damaged.
     """

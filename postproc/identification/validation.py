@@ -4,8 +4,8 @@ The share of displacements inside the bound is estimated from a limited number o
 of Clopper and Pearson (Biometrika 26, 1934) for the number of independent displacements that the scatter between
 configurations implies (Korn and Graubard, Survey Methodology 24, 1998): an error of a configuration shows at all its
 points. They have 95 % confidence for all levels of loads together (Bonferroni). A model does not hold if the upper
-limit is below the promised share; it holds if nearly all displacements are inside and the lower limit leaves most of
-them; otherwise more configurations are needed.
+limit is below the promised share; it holds if nearly all displacements are inside and the lower limit is above a half;
+otherwise more configurations are needed.
 
 The verdict is valid for the torques that the loads put on the joints (`coverage`), and for the share of a job that
 stays inside them.
@@ -23,32 +23,28 @@ from postproc import elastostatics
 from postproc import robot as robots
 from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.identification import outliers, record
+from postproc.identification import plausibility, record
 from postproc.identification.coverage import LEAST_TORQUE, Coverage, JobShare, coverage, job_lines, signed
 from postproc.identification.coverage import table as torque_lines
-from postproc.identification.discrepancy import levels, noise_of
-from postproc.identification.displacements import measured_displacements, visible
-from postproc.identification.experiment import read_experiment
 from postproc.identification.fit import LENGTH_95
-from postproc.identification.measurements import Measurements
-from postproc.identification.observability import joint_torques
-from postproc.identification.placement import Placement
+from postproc.identification.measurement_model import Placement, joint_torques, measured_displacements, visible
 from postproc.identification.plausibility import check_frames, check_points
-from postproc.identification.readings import read
+from postproc.identification.readings import Measurements, read, read_experiment
+from postproc.identification.uncertainty import levels, noise_of
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
 _PROMISED = 0.95
 _HELD, _MOST = 0.9, 0.5
-"""Share of displacements inside from which on a bound counts as held, and what may at least be left of it by chance."""
+"""A bound is kept if this share of the displacements is inside, and the lower limit of the share exceeds the second."""
 _DOUBT = 0.05
 _NARROW = 2.0
-"""Errors over the bound up to which it is just too narrow."""
+"""Up to this ratio of errors to bound, the bound is merely too narrow."""
 _SEEN = 2.0
-"""Standard errors by which the residual must exceed the noise for a factor to be stated; else its least value is."""
+"""Standard errors by which the residual must exceed the noise for a factor; else its lower limit is stated."""
 _SAME_ANGLE = 1e-4
 _SAME_LOAD = 0.01
-"""Largest differences [rad, share] between states that are one."""
+"""Largest differences [rad, relative] between equal states."""
 
 
 class ValidatedLevel(Struct, frozen=True, eq=False):
@@ -56,7 +52,7 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
 
     :param load: force [N] and moment [N·m] in one, median.
     :param measured: RMS of the displacements measured [m].
-    :param left: RMS of what the model leaves of them [m].
+    :param left: RMS of their prediction errors [m].
     :param noise: RMS of the noise in that [m].
     :param doubt: standard error of the mean square residual, by configurations [m²].
     :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
@@ -82,19 +78,19 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
 
     @property
     def held(self) -> bool:
-        """Whether the displacements show that the bound was kept."""
+        """Whether enough displacements are inside the bound."""
         return not self.refuted and self.inside >= _HELD and self.limits[0] >= _MOST
 
     @property
-    def told_from_noise(self) -> bool:
-        """Whether what the model leaves exceeds the noise: a factor is known, and not only its least value."""
+    def above_noise(self) -> bool:
+        """Whether the prediction errors exceed the noise; else only a lower limit of the factor is known."""
         return self.left**2 - self.noise**2 > _SEEN * self.doubt
 
     @property
     def factor(self) -> float:
-        """Displacement over what the model leaves beyond noise; its least value where noise hides that."""
+        """Displacement over prediction error without noise; a lower limit if noise hides the error."""
         rest = self.left**2 - self.noise**2
-        if not self.told_from_noise:
+        if not self.above_noise:
             rest = max(rest, 0.0) + _SEEN * self.doubt
         return float(self.measured / np.sqrt(rest)) if rest > 0.0 else float("inf")
 
@@ -106,7 +102,7 @@ class Validation(Struct, frozen=True, eq=False):
     :param configurations: number of configurations compared.
     :param covered: torques that the loads put on the joints.
     :param identified: torques that the model was identified with; empty where it does not record them.
-    :param warnings: gross errors of the readings, and what else was left out.
+    :param warnings: gross errors of the readings, and states left out.
     :param jobs: share of each program that is covered; empty if no job was given.
     """
 
@@ -119,12 +115,12 @@ class Validation(Struct, frozen=True, eq=False):
 
     @property
     def held(self) -> bool:
-        """Whether the bound was kept at every level, as far as the readings show."""
+        """Whether the bound was kept at every level."""
         return all(level.held for level in self.levels)
 
     @property
     def holds(self) -> bool:
-        """Whether the bound was kept, and the readings cover the job where one was given."""
+        """Whether the bound was kept, and the readings cover the jobs if any."""
         return self.held and all(job.share >= _PROMISED for job in self.jobs)
 
     @property
@@ -188,7 +184,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     robot = robots.load(folder)
     data = read(measurements, setup)
     check_points(data)
-    data, left_out = outliers.model_free(data)
+    data, left_out = plausibility.without_gross_errors(data)
     warnings = [f"outlier: {name}" for name in left_out]
     placement = check_frames(robot, data)
     own = record.measured(folder)
@@ -226,7 +222,7 @@ class _Compared(Struct, frozen=True, eq=False):
 
     :param seen: (L, P) which are compared.
     :param config: (L,) configuration, and `load` (L,) force and moment in one [N, N·m].
-    :param moved: (L, P) measured, `left` what the model leaves of it, and its `bound` [m].
+    :param moved: (L, P) measured, `left` prediction error, and its `bound` [m].
     :param noise: (L, P) mean square of the noise [m²].
     :param scaled: (L, P) residual over bound and noise.
     :param stated: whether the model states a bound.
@@ -286,7 +282,7 @@ def _levels(found: _Compared) -> list[ValidatedLevel]:
 
 
 def _coverage(torque: Array, found: _Compared) -> Coverage:
-    """Return the torques covered; readings of one direction may contradict a model that holds on the whole.
+    """Return the torques covered; readings of one direction may contradict a model that is valid otherwise.
 
     :param torque: (L, 6) of the loads on the joints [N·m].
     """
@@ -373,7 +369,7 @@ def table(result: Validation) -> str:
         inside, of_all = "–", "–"
         if not np.isnan(level.inside):
             inside, of_all = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
-        factor = f"{'' if level.told_from_noise else '> '}{level.factor:.3g}"
+        factor = f"{'' if level.above_noise else '> '}{level.factor:.3g}"
         lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}{of_all:>14}")
     lines += [*torque_lines(result.covered, result.identified), *job_lines(result.jobs)]
     return "\n".join(lines)

@@ -17,19 +17,17 @@ from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.forces import ForceSource
 from postproc.frames import RAD_PER_DEG
-from postproc.identification.experiment import read_experiment
-from postproc.identification.readings import read
+from postproc.identification.readings import read, read_experiment
 from postproc.jobs.conversion import read_program
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import find_jobs
 from postproc.jobs.settings import load_robot
 from postproc.plan import Options, PlanResult, compensator, milling, plan_measurements
 from postproc.plan.compensator import CompensatorOptions, CompensatorPlan, plan_compensator
-from postproc.plan.krl_program import krl_program
 from postproc.plan.milling import TestPoses
 from postproc.plan.planning import Progress
 from postproc.plan.site import site_of
-from postproc.report.plan import plan_csv, plan_json, plan_page
+from postproc.report.plan import krl_program, plan_csv, plan_json, plan_page
 from postproc.robot import RobotModel
 
 

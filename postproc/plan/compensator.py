@@ -39,7 +39,7 @@ class CompensatorOptions(Struct, frozen=True):
 
 
 class CompensatorPlan(Struct, frozen=True, eq=False):
-    """Angles and places to measure, and what they will determine.
+    """Angles and marker places to measure, and the expected intervals.
 
     :param robot: name of the model whose compensator is the prior.
     :param options: size of the plan.

@@ -106,7 +106,7 @@ def arm_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def tool_parts(site: Site, state: State) -> list[Capsule]:
-    """Return what carries the load point and the markers."""
+    """Return the parts from the flange to load point and markers."""
     start = state.posed.flange[:, :3, 3]
     ends = state.posed.point(np.vstack([site.load_point, site.points]))
     return [
@@ -125,7 +125,7 @@ def load_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def torques(site: Site, state: State) -> Array:
-    """Return static torques (N, 6) that hold weights, load and compensator [N·m]."""
+    """Return static torques (N, 6) that balance weights, load and compensator [N·m]."""
     torque = kinematics.gravity_torque(site.robot.nominal, state.q)
     if site.robot.compensator is not None:
         torque[:, 1] += site.robot.compensator.gradient(state.q[:, 1])
@@ -154,7 +154,7 @@ def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
         return
     pairs = _near_and_far(site, state)
     least = np.array([near.radius + other.radius + site.clearance for near, other in pairs])
-    # what comes that near with the arm stretched out is its coarse shape, no collision
+    # parts that are this near with the arm stretched out overlap by their coarse shape, not by a collision
     stretched = _stretched(site)
     least[: len(stretched)] = np.minimum(least[: len(stretched)], _STRETCHED * stretched)
     free = _gaps(pairs) >= least[:, None]
@@ -228,7 +228,7 @@ def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     parts = [*arm_parts(site, state), *load_parts(site, state)]
     start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
     radius = np.array([part.radius for part in parts])[:, None]
-    # the coarse shape of the hand may hold the marker itself: then it does not hide it
+    # the coarse shape of the hand may contain the marker itself: then it does not hide it
     inside = between_segments(marker[:, None], marker[:, None], start, end) < radius
     free = inside | (between_segments(eye[:, None], marker[:, None], start, end) >= radius)
     good = np.asarray(free.all(axis=1))

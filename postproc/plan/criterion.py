@@ -1,19 +1,24 @@
-"""What a plan is worth: the error expected after compensation at the test poses.
+"""Criterion of a plan: expected error after compensation at the test poses; expected accuracy; directions of torques.
 
 Source: Klimchik et al., second Eq. (10): trace(A₀ Σ_j (Σ_i A_iʲᵀ A_iʲ)⁻¹ A₀ᵀ), summed over the test poses with weights.
 
 *Grouped* is this formula as printed: each level of q2 is a group identified alone.
 
-*Pooled* (the default) is what the identification does with the data: Eq. (8) shares k1, k3…k6 between the groups and
-has one k2 per level, so the covariance is the inverse of one pooled matrix of the extended set; k2 at a test pose comes
-from the levels by Eq. (9), (10): K⁰_θ2, K_c, s₀K_c by least squares, then Eq. (4) at the q2 of the test pose. Where K_c
-is kept at the robot's prior (it is rarely observable), K⁰_θ2 alone is the mean over the levels.
+*Pooled* (the default) is how the identification uses the data: Eq. (8) shares k1, k3…k6 between the groups and has one
+k2 per level, so the covariance is the inverse of one pooled matrix of the extended set; k2 at a test pose comes from
+the levels by Eq. (9), (10): K⁰_θ2, K_c, s₀K_c by least squares, then Eq. (4) at the q2 of the test pose. Where K_c is
+kept at the robot's prior (it is rarely observable), K⁰_θ2 alone is the mean over the levels.
 
 Both are in m²: the mean over the test poses of the squared distance that remains. Compliances are in units of the
 robot's own (`Readings.scale`).
 
-`Joint2` is the compliance of joint 2 between the levels of q2 where it is measured: second step of the paper, Eq. (4),
-(9), (10). `Measured` is what was measured already, on its own levels of q2.
+`expected_accuracy` uses the parameters that the identification ends with: k1…k6, and K_c, s₀K_c where they can be
+determined, all readings weighted by their noise (Gauss–Markov): Cov = (Σ DᵀBᵀB D)⁻¹. The criterion, which follows the
+paper's two steps, is never smaller.
+
+`directions`: the plan must load each joint in both directions, as far as the rig can, with torques near those of the
+work. Gears with lost motion, friction or a preload deflect differently in the other direction. The criterion contains
+linear springs alone, so the directions are a condition on the plan.
 """
 
 from __future__ import annotations
@@ -24,12 +29,15 @@ from msgspec.structs import replace
 
 from postproc.compensator import Compensator
 from postproc.frames import Array
-from postproc.identification.measurements import Measurements
-from postproc.identification.observability import levels_of
+from postproc.identification.coverage import ENOUGH, LEAST_TORQUE, SIGNS, signed
+from postproc.identification.fit import NORMAL_95
+from postproc.identification.joint_springs import UNCERTAIN
+from postproc.identification.measurement_model import levels_of
+from postproc.identification.readings import Measurements
 from postproc.plan.milling import TestPoses
 from postproc.plan.sensitivity import Readings
-from postproc.program import Ints
-from postproc.robot import RobotModel
+from postproc.program import Bools, Ints
+from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, JOINTS, Parameter, RobotModel
 
 _LEVELS = 3
 
@@ -104,7 +112,7 @@ class Measured(Struct, frozen=True, eq=False):
 def measured(data: Measurements, readings: Readings, sigma: float) -> Measured:
     """Weigh each loaded state by how often it and its unloaded state were read.
 
-    :param readings: with the compliances looked for.
+    :param readings: with the compliances to be identified.
     :param sigma: noise of one coordinate of one reading [m].
     """
     level_of_config = levels_of(data)
@@ -123,10 +131,10 @@ class Criterion(Struct, frozen=True, eq=False):
     """The criterion for given levels of q2. Its plans are arrays: information (n, p, p) and level (n,) of each pose.
 
     :param grouped: as printed, or pooled.
-    :param two: place of k2 among the p compliances looked for.
+    :param two: index of k2 among the p compliances to be identified.
     :param weight: pooled: (p − 1 + m, p − 1 + m) Σ w A₀ᵀA₀ of the extended set; grouped: (p, p).
     :param spread: (m, p) index of each compliance of a group in the extended set.
-    :param before: information of what was measured already: pooled in the extended set, grouped (m, p, p).
+    :param before: information of earlier readings: pooled in the extended set, grouped (m, p, p).
     """
 
     grouped: bool
@@ -145,7 +153,7 @@ class Criterion(Struct, frozen=True, eq=False):
         grouped: bool,
         measured: Measured | None = None,
     ) -> Criterion:
-        """Make the criterion for levels q2 (m,) [rad]; `measured` is what was measured already."""
+        """Make the criterion for levels q2 (m,) [rad]; `measured`: earlier readings."""
         keep, levels = list(readings.keep), len(q2)
         two = keep.index(1)
         a = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
@@ -181,7 +189,7 @@ class Criterion(Struct, frozen=True, eq=False):
         return out
 
     def value(self, information: Array, level: Ints) -> float:
-        """Return the criterion of a plan [m²]; infinite if it leaves something open."""
+        """Return the criterion of a plan [m²]; infinite if a parameter is not determined."""
         return float(self.of_totals(self.total(information, level)[None])[0])
 
     def of_totals(self, total: Array) -> Array:
@@ -196,7 +204,7 @@ class Criterion(Struct, frozen=True, eq=False):
     def exchanged(self, total: Array, old: Array, new: Array, level: int) -> Array:
         """Return the criterion (K,) if in one group information `old` (p, p) is replaced by each of `new` (K, p, p).
 
-        :param total: normal matrix of the plan as it is.
+        :param total: normal matrix of the present plan.
         """
         candidates = np.repeat(total[None], len(new), axis=0)
         if self.grouped:
@@ -214,3 +222,181 @@ class Criterion(Struct, frozen=True, eq=False):
             return np.asarray(slope[level])
         where = self.spread[level]
         return np.asarray(slope[where[:, :, None], where[:, None, :]])
+
+
+_OPEN = 1e-9
+
+
+class Accuracy(Struct, frozen=True, eq=False):
+    """Expected error of the tool tip after compensation, over the test poses with their weights.
+
+    :param rms: root of the expected mean square [m].
+    :param interval: 95 % interval of the RMS that one identification with this plan reaches [m].
+    :param poses: (T,) expected RMS at each test pose [m].
+    :param parameters: P of them.
+    :param relative: (P,) half widths of their 95 % intervals over the robot's values.
+    """
+
+    rms: float
+    interval: tuple[float, float]
+    poses: Array
+    parameters: tuple[Parameter, ...]
+    relative: Array
+
+    @property
+    def uncertain(self) -> tuple[Parameter, ...]:
+        """Parameters that the identification would not take from such measurements."""
+        return tuple(p for p, half in zip(self.parameters, self.relative, strict=True) if not half <= UNCERTAIN)
+
+
+def expected_accuracy(
+    tests: TestPoses, readings: Readings, joint2: Joint2, q: Array, information: Array, measured: Measured | None = None
+) -> Accuracy:
+    """Return the expected accuracy of a plan.
+
+    :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
+    :param measured: earlier readings.
+    """
+    keep = list(readings.keep)
+    if measured is not None:
+        q, information = np.vstack([q, measured.q]), np.concatenate([information, measured.information])
+    spread = _parameters(joint2, keep, q)
+    normal = np.einsum("nia,nij,njb->ab", spread, information, spread)
+    a = (tests.regressor[:, :, keep] * readings.scale[keep]) @ _parameters(joint2, keep, tests.q)
+    covariance = _inverse(normal)
+    each = np.einsum("tka,ab,tkb->t", a, covariance, a)
+    moment = np.einsum("t,tka,tkb->ab", tests.weight, a, a)
+    mean = float(tests.weight @ each)
+    # the mean square error of one identification is a sum of squares of normal numbers: g·χ²_h (Satterthwaite 1946)
+    product = covariance @ moment
+    square = float(np.sum(product * product.T))
+    h, g = mean**2 / square, square / mean
+    interval = tuple(float(np.sqrt(g * _chi2(h, z))) for z in (-NORMAL_95, NORMAL_95))
+    parameters = (*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if joint2.free else ()))
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    if joint2.free and joint2.compensator is not None:
+        stiffness = joint2.compensator.stiffness * joint2.compliance
+        half[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
+    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(each), parameters, half)
+
+
+def not_visible(readings: Readings, information: Array, count: int) -> tuple[int, ...]:
+    """Return the joints whose compliance no plan of `count` poses could determine.
+
+    :param information: (N, 6, 6) of many poses that can be measured.
+    """
+    most = np.diagonal(information, axis1=1, axis2=2).max(axis=0) * count
+    return tuple(int(j) for j in np.flatnonzero(most < (NORMAL_95 / UNCERTAIN) ** 2))
+
+
+def _parameters(joint2: Joint2, keep: list[int], q: Array) -> Array:
+    """Return D (n, p, P): how the compliances at configurations q depend on the parameters."""
+    size = len(keep)
+    own = joint2.parameters(q[:, 1])
+    out = np.zeros((len(q), size, size + own.shape[1] - 1))
+    out[:, range(size), range(size)] = 1.0
+    two = keep.index(1)
+    out[:, two, two] = own[:, 0]
+    out[:, two, size:] = own[:, 1:]
+    return out
+
+
+def _inverse(normal: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
+    return np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+
+
+def _chi2(freedom: float, z: float) -> float:
+    """Return the quantile of χ² at z standard deviations."""
+    from scipy.special import gammaincinv, ndtr
+
+    return float(2.0 * gammaincinv(0.5 * freedom, ndtr(z)))
+
+
+_OF_POSES = 3
+"""One of this many poses at least must load a joint in each direction; `ENOUGH` poses cover a direction."""
+_TYPICAL = 0.95
+_RARE = 0.01
+"""Share of poses below which a direction counts as out of reach."""
+_SMALLEST, _LARGEST = 0.1, 0.5
+"""Limits of the torque from which on a pose counts, over the typical largest torque of candidates."""
+
+
+class Directions(Struct, frozen=True, eq=False):
+    """Number of poses that must load each joint in each direction (column 0 negative, 1 positive).
+
+    :param need: (6, 2) number of poses, without those of earlier readings; 0 where the rig cannot.
+    :param least: (6, 2) torque from which on a pose counts [N·m].
+    :param reached: (6, 2) typical largest torque of poses that can be measured; 0 where too few reach any [N·m].
+    :param work: (6, 2) typical largest torque of the work [N·m].
+    """
+
+    need: Ints
+    least: Array
+    reached: Array
+    work: Array
+
+    def counted(self, torque: Array) -> Bools:
+        """Return which sides (..., 6, 2) poses with torques (..., 6) [N·m] load."""
+        return np.asarray(signed(torque) >= self.least)
+
+    def missing(self, count: Ints) -> Ints:
+        """Return how many poses lack (...), summed over joints and sides, for numbers of poses (..., 6, 2)."""
+        return np.asarray(np.maximum(self.need - count, 0).sum(axis=(-2, -1)))
+
+
+def directions(torque: Array, tests: TestPoses, poses: int, measured: Array | None = None) -> Directions:
+    """Return the directions to load.
+
+    :param torque: (N, 6) of many poses that can be measured [N·m].
+    :param tests: the work.
+    :param poses: number of poses of the plan.
+    :param measured: (m, 6) torques of configurations measured already [N·m].
+    """
+    sides = signed(torque)
+    reached = _typical(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
+    work = _typical(signed(tests.torque), tests.weight)
+    least = np.clip(work, _SMALLEST * reached, _LARGEST * reached)
+    before = np.zeros((0, 6)) if measured is None else measured
+    need = np.where(reached > 0.0, min(ENOUGH, (poses + len(before)) // _OF_POSES), 0)
+    empty = Directions(need, np.maximum(least, LEAST_TORQUE), reached, work)
+    left = np.maximum(need - empty.counted(before).sum(axis=0), 0)
+    return Directions(left, empty.least, reached, work)
+
+
+def _typical(sides: Array, weight: Array) -> Array:
+    """Return the weighted 95 % quantile (6, 2) of the torques on each side that are any; 0 where fewer than 1 % are."""
+    out = np.zeros((6, 2))
+    for joint, side in np.ndindex(6, 2):
+        values = sides[:, joint, side]
+        rows = np.flatnonzero(values > LEAST_TORQUE)
+        if weight[rows].sum() > _RARE:
+            rows = rows[np.argsort(values[rows])]
+            share = np.cumsum(weight[rows]) / weight[rows].sum()
+            out[joint, side] = values[rows[np.searchsorted(share, _TYPICAL)]]
+    return out
+
+
+def out_of_reach(found: Directions, vertical: bool) -> tuple[str, ...]:
+    """Return a sentence on the joints whose torque the rig cannot turn to one side or the other; none if it can.
+
+    :param vertical: whether every load hangs vertically.
+    """
+    parts = []
+    for joint, name in enumerate(JOINTS):
+        missing = [sign for side, sign in enumerate(SIGNS) if found.reached[joint, side] == 0.0]
+        work = [f"{found.work[joint, side]:.0f} N·m {sign}" for side, sign in enumerate(SIGNS) if sign in missing]
+        worked = [text for text, sign in zip(work, missing, strict=True) if found.work[joint, SIGNS.index(sign)] > 0.0]
+        if missing:
+            note = f"; the work has up to {' and '.join(worked)}" if worked else ""
+            parts.append(f"{name} ({' and '.join(missing)}{note})")
+    if not parts:
+        return ()
+    advice = "another load point, or [rig] max_angle_deg if a pulley can turn the pull, may reach it"
+    if not vertical:
+        advice = "another load point or a larger [rig] max_angle_deg may reach it"
+    return (
+        f"with this rig the load cannot turn the torque on {', '.join(parts)}: lost motion to that side stays unknown, "
+        f"and `identify validate` covers no job that needs it; {advice}",
+    )

@@ -35,8 +35,8 @@ class TestPoses(Struct, frozen=True, eq=False):
     :param weight: (T,) shares of the work, sum 1.
     :param torque: (T, 6) that the wrench puts on the joints [N·m].
     :param regressor: (T, 3, 6) A₀ of Eq. (2), positions: ∂(tool tip)/∂(joint compliance) [m per rad/(N·m)].
-    :param deflection: (T,) what the force does when nothing is corrected [m].
-    :param source: where they come from.
+    :param deflection: (T,) due to the force, without correction [m].
+    :param source: names of their files.
     """
 
     __test__ = False  # not a test of pytest
@@ -54,7 +54,7 @@ class TestPoses(Struct, frozen=True, eq=False):
 
     @property
     def second_moment(self) -> Array:
-        """Σ w A₀ᵀA₀ (6, 6): all that the criterion knows of the test poses, but for their q2."""
+        """Σ w A₀ᵀA₀ (6, 6): the criterion depends on the test poses by this and by q2 alone."""
         return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
 
     def take(self, rows: Ints, weight: Array) -> TestPoses:
@@ -88,7 +88,7 @@ def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: A
 
 
 def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceSource | None = None) -> TestPoses:
-    """Return test poses all along the cutting moves of a program, weighted by the way cut.
+    """Return test poses all along the cutting moves of a program, weighted by the length of cut.
 
     :param source: forces; they take precedence over the comments of the program.
     :raises PlanError: no cutting move carries a force, or the robot cannot reach one.
@@ -116,7 +116,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
 
 
 def _merged(rows: Ints, way: Array) -> tuple[Ints, Array]:
-    """Keep every n-th sample of a long path; it takes the way of those left out."""
+    """Keep every n-th sample of a long path; it gets the length of those left out."""
     step = -(-len(rows) // _SAMPLES)
     begin = np.arange(0, len(rows), step)
     return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(way, begin)
@@ -157,7 +157,7 @@ def joined(parts: Sequence[TestPoses]) -> TestPoses:
 def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
     """Return at most `count` poses that represent all, with weights.
 
-    Clusters (k-means, Lloyd 1982) of what the criterion sees of a pose: A₀ᵀA₀ in units of the robot's compliances, and
+    Clusters (k-means, Lloyd 1982) of the criterion's inputs: A₀ᵀA₀ in units of the robot's compliances, and
     q2. Of each cluster the pose nearest to its mean represents it with the weight of all; then the weights are set so
     that Σ w A₀ᵀA₀ keeps its trace.
     """

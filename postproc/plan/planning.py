@@ -1,28 +1,234 @@
-"""From test poses and a site to a plan: what is asked for, the steps, and the result."""
+"""From test poses and a site to a plan: options, order of travel, warnings, and the result.
+
+The poses are visited in the order of least travel, without a straight joint motion into an obstacle. Warnings state
+what the rig cannot excite, what stays uncertain, and what was not checked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.errors import PlanError
-from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, norm
-from postproc.identification.measurements import Measurements
-from postproc.plan import accuracy, baselines, order
-from postproc.plan.accuracy import Accuracy
-from postproc.plan.candidate_poses import draw_candidates
-from postproc.plan.criterion import Criterion, Joint2, Measured, measured
-from postproc.plan.directions import Directions, directions, out_of_reach
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm
+from postproc.identification.readings import Measurements
+from postproc.plan import constraints
+from postproc.plan.criterion import (
+    Accuracy,
+    Criterion,
+    Directions,
+    Joint2,
+    Measured,
+    directions,
+    expected_accuracy,
+    measured,
+    not_visible,
+    out_of_reach,
+)
 from postproc.plan.milling import TestPoses, thinned
-from postproc.plan.remarks import NO_TORQUES, NO_TRACKER, VERTICAL, hidden_by_rig, left_uncertain, second_load
-from postproc.plan.search import Plan, Task, exchange, improved
+from postproc.plan.search import Plan, Task, by_number, draw_candidates, exchange, improved, random_values, serial_plan
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
-from postproc.program import Ints
-from postproc.robot import CompensatorStiffness
+from postproc.program import Bools, Ints
+from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness, JointCompliance
+
+NO_TORQUES = (
+    "static joint torques are not checked: robot.urdf states no limits (effort) and [rig] no max_torque_Nm; see that "
+    "the robot may carry the load"
+)
+NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
+VERTICAL = 0.02
+"""Largest angle [rad] of a load that counts as vertical."""
+_LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
+"""Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
+
+
+def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
+    """Return warnings on compliances that the rig does not excite: reason, remedy, and their share of the milling
+    deflection.
+
+    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param missing: joints, counted from 0.
+    :raises PlanError: the load excites no compliance.
+    """
+    if 1 in missing:
+        raise PlanError(
+            "the load is too small: not even the compliance of A2 can be seen in the readings",
+            advice="Use a heavier weight ([rig] mass_kg) or a better measuring device (sigma_mm).",
+        )
+    out = []
+    for joint in missing:
+        moved = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
+        share = float(np.sqrt(tests.weight @ moved)) * scale[joint] * MM_PER_M
+        reason, advice = "the load puts too little torque on it", "Use a heavier weight."
+        if joint == 0 and site.rig.largest_tilt < VERTICAL:
+            reason = "every load it can apply hangs vertically, parallel to the axis of A1"
+            advice = "Pull sideways too, by a cable over a pulley ([rig] max_angle_deg)."
+        elif joint == 5:
+            reason = "the load acts on the axis of A6"
+            advice = "Hang the load at a distance from that axis, on a bracket ([load_point])."
+        name = JOINT_COMPLIANCES[joint].name
+        out.append(
+            f"{name} is not observable with this rig: {reason}. {advice} As it is, the identification keeps the "
+            f"robot's own value; {share:.3g} mm (RMS) of the deflection at the test poses rest on it, and the expected "
+            "accuracy does not count how wrong it may be"
+        )
+    return tuple(out)
+
+
+def second_load(site: Site, tests: TestPoses) -> float:
+    """Return the second load of each pose over its first: as near to the force of the work as makes sense.
+
+    Gears that stiffen, knees and backlash show in how displacements under two loads differ, and near the force of the
+    work as the work feels them.
+    """
+    work = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
+    return float(np.clip(work / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
+
+
+def left_uncertain(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:
+    """Return warnings on parameters that stay uncertain with the plan, and on blocked moves.
+
+    :param blocked: rows that the robot cannot reach without an obstacle.
+    """
+    out = []
+    uncertain = [p.name for p in found.uncertain if isinstance(p, JointCompliance)]
+    if uncertain:
+        out.append(
+            f"{', '.join(uncertain)}: the 95 % interval will be wider than half the value, so that the identification "
+            "keeps the robot's own. If the programs need it, plan more poses, more weight or more repeats"
+        )
+    if joint2.compensator is not None and not joint2.free:
+        out.append(
+            "the spring of the gravity compensator (K_c, s_0) cannot be determined from such measurements: the "
+            "identification keeps the robot's values"
+        )
+    if len(blocked):
+        rows = ", ".join(str(row + 1) for row in blocked)
+        out.append(f"the robot would hit something on its way to configuration {rows}: jog it there by hand")
+    return out
+
+
+_STEP = 4.0 * RAD_PER_DEG
+_SHAPES = 400
+_BLOCKED = 1e3
+"""Added seconds of a move that would hit something."""
+
+
+def travel_times(site: Site, q: Array) -> Array:
+    """Return (n, n) seconds from each configuration (n, 6) to each other: PTP, the slowest joint decides."""
+    return np.asarray((np.abs(q[:, None] - q[None]) / site.robot.speed).max(axis=2))
+
+
+def free_moves(site: Site, q: Array) -> Bools:
+    """Return (n, n) True where the joint interpolation between two configurations stays clear of everything."""
+    count = len(q)
+    first, last = np.triu_indices(count, 1)
+    free = np.ones((count, count), dtype=bool)
+    between, owner = [], []
+    for pair, (a, b) in enumerate(zip(q[first], q[last], strict=True)):
+        steps = int(np.ceil(np.abs(b - a).max() / _STEP))
+        t = np.linspace(0.0, 1.0, steps + 1)[1:-1, None]
+        between.append(a * (1.0 - t) + b * t)
+        owner.append(np.full(len(t), pair))
+    if between:
+        places = np.concatenate(between)
+        hit = np.zeros(len(first), dtype=bool)
+        hit[np.concatenate(owner)[~constraints.passable(site, places)]] = True
+        free[first, last] = free[last, first] = ~hit
+    return free
+
+
+def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
+    """Return the order (n,) of least travel from where the robot starts, its seconds, and the blocked moves.
+
+    Nearest neighbour, then 2-opt and or-opt until nothing improves (Croes 1958, Or 1976).
+
+    :returns: order, seconds, and the places k in it where the move to order[k] would hit something.
+    """
+    every = np.vstack([site.start, q])
+    seconds = travel_times(site, every)
+    blocked = ~free_moves(site, every)
+    cost = seconds + _BLOCKED * blocked
+    tour = [0]
+    while len(tour) < len(every):
+        left = [node for node in range(len(every)) if node not in tour]
+        tour.append(min(left, key=lambda node: (cost[tour[-1], node], node)))
+    while True:
+        better = _improved(tour, cost)
+        if better is None:
+            break
+        tour = better
+    order = np.array(tour[1:]) - 1
+    steps = list(pairwise(tour))
+    length = float(sum(seconds[a, b] for a, b in steps))
+    return order, length, np.array([k for k, (a, b) in enumerate(steps) if blocked[a, b]], dtype=np.int64)
+
+
+def _length(tour: list[int], cost: Array) -> float:
+    return float(cost[tour[:-1], tour[1:]].sum())
+
+
+def _improved(tour: list[int], cost: Array) -> list[int] | None:
+    now = _length(tour, cost)
+    for i in range(1, len(tour)):
+        for j in range(i + 1, len(tour) + 1):
+            turned = tour[:i] + tour[i:j][::-1] + tour[j:]
+            if _length(turned, cost) < now - 1e-9:
+                return turned
+    for i in range(1, len(tour)):
+        for size in (1, 2, 3):
+            piece, rest = tour[i : i + size], tour[:i] + tour[i + size :]
+            for j in range(1, len(rest) + 1):
+                moved = rest[:j] + piece + rest[j:]
+                if _length(moved, cost) < now - 1e-9:
+                    return moved
+    return None
+
+
+def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
+    """Return the via configurations (k, 6) to each pose, and the rows without a free path.
+
+    A blocked move goes through the start position, or with the arm as there, or folded, turned by A1 to where it
+    comes from and to where it goes.
+
+    :param hit: rows whose direct move is blocked.
+    """
+    start = site.start
+    passed = [np.zeros((0, 6)) for _ in q]
+    blocked = []
+    shapes = [start, folded(site)] if len(hit) else []
+    for row in hit:
+        here, there = start if row == 0 else q[row - 1], q[row]
+        options = [start[None]]
+        for shape in shapes:
+            from_here, to_there = shape.copy(), shape.copy()
+            from_here[0], to_there[0] = here[0], there[0]
+            options += [to_there[None], from_here[None], np.array([from_here, to_there])]
+        for between in options:
+            stops = np.vstack([here, between, there])
+            if constraints.passable(site, between).all() and np.diag(free_moves(site, stops), 1).all():
+                passed[row] = between
+                break
+        else:
+            blocked.append(int(row))
+    return tuple(passed), np.array(blocked, dtype=np.int64)
+
+
+def folded(site: Site) -> Array:
+    """Return joint angles (6,) [rad] with the smallest horizontal reach of arm and tool, A1 = 0, among random ones."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
+    q[:, 0] = np.clip(0.0, site.lower[0], site.upper[0])
+    posed = site.arm.pose(q)
+    places = np.concatenate([posed.origin, posed.point(np.vstack([site.load_point, site.points]))], axis=1)
+    reach = np.linalg.norm(places[..., :2], axis=2).max(axis=1)
+    alone = replace(site, obstacles=())
+    return np.asarray(q[np.argmin(np.where(constraints.passable(alone, q), reach, np.inf))])
 
 
 class Options(Struct, frozen=True):
@@ -32,7 +238,7 @@ class Options(Struct, frozen=True):
     :param levels: number of levels of q2.
     :param seed: the same seed gives the same plan.
     :param grouped: the criterion as printed instead of pooled.
-    :param test_poses: how many poses stand for the programs.
+    :param test_poses: number of poses that represent the programs.
     :param repeats: readings of each point in each state.
     :param starts: starts of the search.
     :param rounds: of refinement, at most.
@@ -51,7 +257,7 @@ class Options(Struct, frozen=True):
 
 
 class Size(Struct, frozen=True, eq=False):
-    """What other numbers of poses would give: criterion of the best plan found, and median of random plans [m²]."""
+    """Another number of poses: criterion of the best plan found, and median of random plans [m²]."""
 
     configurations: int
     value: float
@@ -59,28 +265,28 @@ class Size(Struct, frozen=True, eq=False):
 
 
 class PlanResult(Struct, frozen=True, eq=False):
-    """A plan in the order of least travel, and what it is worth. Row i is the same pose in all arrays.
+    """A plan in the order of least travel, with its expected accuracy. Row i is the same pose in all arrays.
 
-    :param options: what was asked for.
+    :param options: of the plan.
     :param robot: name of the model.
-    :param site: where it is measured.
+    :param site: place of the measurement.
     :param tests: the test poses.
     :param represented: how far Σ w A₀ᵀA₀ of the test poses is from that of all cutting samples, relative.
     :param plan: the poses; angles and forces as written to the file.
     :param force: (n, 3) at the load point, root axes [N].
-    :param second_load: over the first, in the same direction; what to expect counts the first alone.
+    :param second_load: over the first, in the same direction; `accuracy` counts the first alone.
     :param torque: (n, 6) of the load on the joints [N·m].
-    :param directions: to which sides joints were to be loaded.
-    :param accuracy: what to expect of the plan (with what was measured already).
-    :param before: the same with what was measured already alone, or None.
+    :param directions: required directions of the joint torques.
+    :param accuracy: expected of the plan (together with earlier readings).
+    :param before: the same of the earlier readings alone, or None.
     :param random: (R,) criterion of random plans [m²].
     :param serial: the semi-intuitive plan of the serial approach, or None.
     :param sizes: other numbers of poses.
     :param seconds: least travel time, the slowest joint at full speed.
-    :param via: for each pose the configurations (k, 6) that the robot passes on its way there, none if straight.
-    :param blocked: rows to which no free way was found.
+    :param via: for each pose the via configurations (k, 6) before it, none if the move is direct.
+    :param blocked: rows without a free path to them.
     :param compensator_free: K_c and s₀ can be determined too; else they stay at the robot's values.
-    :param warnings: what the user should know before measuring.
+    :param warnings: for the user, before measuring.
     :param interrupted: the search was stopped; the plan is the best found so far.
     """
 
@@ -111,11 +317,11 @@ _KEPT = 3
 _ANGLE_DECIMALS, _FORCE_DECIMALS = 3, 1
 
 Progress = Callable[[str, float, float], None]
-"""Called with what is done, how far it is (0…1), and the square root of the criterion of the best plan so far [m]."""
+"""Called with the present step, the share done (0…1), and the root of the criterion of the best plan so far [m]."""
 
 
 class _Problem(Struct, frozen=True, eq=False):
-    """Task and what it was made of."""
+    """The search task and its inputs."""
 
     task: Task
     readings: Readings
@@ -136,37 +342,37 @@ def plan_measurements(
     Ctrl-C (`KeyboardInterrupt`) ends the search; the best plan so far is the result.
 
     :param tests: poses and forces at which the accuracy counts.
-    :param data: what was measured so far; the plan says what to measure next.
-    :param progress: told how far the work is.
-    :raises PlanError: no pose can be measured, or more is asked for than can be determined.
+    :param data: earlier readings; the plan adds to them.
+    :param progress: called at each step.
+    :raises PlanError: no pose can be measured, or the readings are fewer than the unknowns.
     """
     if data is None and options.levels > options.configurations:
         raise PlanError(
             f"{options.levels} levels of q2 for {options.configurations} configurations",
             advice="Each level needs at least one: ask for fewer with --q2-levels.",
         )
-    tell = progress or (lambda *_: None)
+    report = progress or (lambda *_: None)
     scale = site.robot.compliance[list(site.robot.actuated)]
     few = thinned(tests, scale, options.test_poses, options.seed)
-    tell("drawing poses that can be measured", 0.0, np.nan)
+    report("drawing poses that can be measured", 0.0, np.nan)
     problem = _problem(site, few, scale, options, data)
-    plan, interrupted = _searched(problem.task, options, tell)
+    plan, interrupted = _searched(problem.task, options, report)
     plan, force, seconds, via, blocked = _ordered(problem, plan)
     information = problem.readings.information_of(plan.q, force)
-    found = accuracy.expected(few, problem.readings, problem.joint2, plan.q, information, problem.known)
+    found = expected_accuracy(few, problem.readings, problem.joint2, plan.q, information, problem.known)
     before = None
     if problem.known is not None:
         none = np.zeros((0, *information.shape[1:]))
-        before = accuracy.expected(few, problem.readings, problem.joint2, np.zeros((0, 6)), none, problem.known)
+        before = expected_accuracy(few, problem.readings, problem.joint2, np.zeros((0, 6)), none, problem.known)
     random, serial, sizes = np.zeros(0), None, []
     if options.comparisons and not interrupted:
         try:
-            tell("comparing with other plans", 0.7, np.sqrt(plan.value))
-            random = baselines.random_values(problem.task, options.seed)
-            serial = baselines.serial_plan(problem.task)
-            for count, value, median in baselines.by_number(problem.task, options.seed, plan):
+            report("comparing with other plans", 0.7, np.sqrt(plan.value))
+            random = random_values(problem.task, options.seed)
+            serial = serial_plan(problem.task)
+            for count, value, median in by_number(problem.task, options.seed, plan):
                 sizes.append(Size(count, value, median))
-                tell("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
+                report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
             interrupted = True
     warnings = (*problem.warnings, *left_uncertain(found, problem.joint2, blocked))
@@ -208,12 +414,12 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     if levels > len(candidates):
         raise PlanError(
             f"poses can be measured at {len(candidates)} of the levels of q2 tried only, {levels} are asked for",
-            advice="Ask for fewer with --q2-levels, or move what stands in the way.",
+            advice="Ask for fewer with --q2-levels, or move the obstacles.",
         )
     most = candidates.information.reshape(-1, 6, 6)
     if known is not None:
         most = np.concatenate([most, known.information])
-    missing = accuracy.not_visible(readings, most, options.configurations + (0 if known is None else len(known.q)))
+    missing = not_visible(readings, most, options.configurations + (0 if known is None else len(known.q)))
     warnings = hidden_by_rig(site, tests, scale, missing)
     if missing:
         keep = tuple(j for j in range(6) if j not in missing)
@@ -267,17 +473,17 @@ def _joint2(
     trial = exchange(task, np.random.default_rng([seed, 1 << 17]), spread=True)
     readings = task.readings
     information = readings.information(trial.q, trial.tilt)
-    found = accuracy.expected(tests, readings, free, trial.q, information, known)
+    found = expected_accuracy(tests, readings, free, trial.q, information, known)
     return prior if CompensatorStiffness() in found.uncertain else free
 
 
-def _searched(task: Task, options: Options, tell: Progress) -> tuple[Plan, bool]:
+def _searched(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
     best: Plan | None = None
     steps = options.starts + _KEPT * options.rounds // 2
     try:
         for step, plan in enumerate(improved(task, options.seed, options.starts, _KEPT, options.rounds)):
             best = plan
-            tell("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
+            report("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
     except KeyboardInterrupt:
         if best is None:
             raise
@@ -291,11 +497,11 @@ def _ordered(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[A
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
-    sequence, seconds, hit = order.shortest(site, q)
+    sequence, seconds, hit = least_travel(site, q)
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
     force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
-    via, blocked = order.ways(site, q, hit)
+    via, blocked = detours(site, q, hit)
     return Plan(q, tilt, level, q2, value), force, seconds, via, blocked
 
 

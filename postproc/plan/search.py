@@ -1,8 +1,13 @@
-"""The search for the best plan: many starts, exchange of poses and levels, then steps along the gradient.
+"""The search for the best plan: candidate poses, exchange, steps along the gradient; and plans to compare with.
+
+Candidates: poses that can be measured, level by level of q2, drawn at random. Joints are uniform within their limits,
+loads uniform over the directions that the rig allows; every candidate satisfies all constraints.
 
 Exchange (Fedorov 1972; Mitchell 1974): each pose in turn is replaced by the candidate that lowers the criterion most,
-each level of q2 with its whole group by another one. From the best few, poses move freely: steps along the gradient and
-at random, the best of those that can be measured is taken. Nothing depends on time: the same seed gives the same plan.
+each level of q2 with its whole group by another one. From the best few, poses move freely: of steps along the gradient
+and at random the best that can be measured is taken. Nothing depends on time: the same seed gives the same plan.
+
+A plan is compared with random plans, with the semi-intuitive plan of the serial approach, and with other sizes.
 """
 
 from __future__ import annotations
@@ -13,14 +18,120 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.errors import PlanError
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.plan import constraints
-from postproc.plan.candidate_poses import Candidates
-from postproc.plan.criterion import Criterion
-from postproc.plan.directions import Directions
+from postproc.plan.criterion import Criterion, Directions
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Bools, Ints
+
+_GRID = 24
+_PER_LEVEL = 100
+_ROUND = 400
+_ROUNDS = 40
+_LOOK = 4000
+"""Poses at random by which constraints are judged when there is no candidate."""
+
+
+class Candidates(Struct, frozen=True, eq=False):
+    """Feasible poses at L levels of q2, C each; levels with none are left out.
+
+    :param q2: (L,) [rad].
+    :param q: (L, C, 6) [rad].
+    :param tilt: (L, C, 2) of the load [rad].
+    :param information: (L, C, p, p).
+    :param torque: (L, C, 6) of the load on the joints; 0 where there is no pose [N·m].
+    """
+
+    q2: Array
+    q: Array
+    tilt: Array
+    information: Array
+    torque: Array
+
+    def only(self, keep: tuple[int, ...]) -> Candidates:
+        """Return the candidates with the information on some compliances only."""
+        return replace(self, information=self.information[:, :, keep][:, :, :, keep])
+
+    def __len__(self) -> int:
+        return len(self.q2)
+
+
+def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = None) -> tuple[Array, Array]:
+    """Return random joint angles (count, 6) [rad] within ±180° and tilts of the load (count, 2), feasible or not."""
+    lower, upper = np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi)
+    q = rng.uniform(lower, upper, (count, 6))
+    if q2 is not None:
+        q[:, 1] = q2
+    # uniform over the cap of the sphere: cos(angle) is uniform
+    angle = np.arccos(rng.uniform(np.cos(site.rig.largest_tilt), 1.0, count))
+    heading = rng.uniform(-np.pi, np.pi, count)
+    return q, angle[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+
+
+def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return up to `count` feasible configurations and tilts at one level of q2."""
+    found_q, found_tilt, have = [], [], 0
+    for _ in range(_ROUNDS):
+        q, tilt = draw(site, _ROUND, rng, q2)
+        good = constraints.feasible(site, q, tilt)
+        found_q.append(q[good])
+        found_tilt.append(tilt[good])
+        have += int(good.sum())
+        if have >= count or (have == 0 and len(found_q) >= _ROUNDS // 4):
+            break
+    return np.concatenate(found_q)[:count], np.concatenate(found_tilt)[:count]
+
+
+def draw_candidates(site: Site, readings: Readings, rng: np.random.Generator, fixed: Array | None = None) -> Candidates:
+    """Draw candidates on a grid of levels over the range of q2, and at `fixed` levels (first among them).
+
+    :param readings: with all six compliances.
+
+    :raises PlanError: no pose can be measured; the message names the constraints that block.
+    """
+    lower, upper = site.lower[1], site.upper[1]
+    levels = np.concatenate([np.zeros(0) if fixed is None else fixed, np.linspace(lower, upper, _GRID)])
+    drawn = [feasible_at(site, float(level), _PER_LEVEL, rng) for level in levels]
+    enough = np.array([len(q) >= _PER_LEVEL // 10 for q, _ in drawn])
+    if not enough.any():
+        raise PlanError(*blocking(site, rng))
+    known = 0 if fixed is None else len(fixed)
+    kept = [index for index in range(len(levels)) if enough[index] or index < known]
+    q, tilt = np.zeros((len(kept), _PER_LEVEL, 6)), np.zeros((len(kept), _PER_LEVEL, 2))
+    real = np.zeros((len(kept), _PER_LEVEL), dtype=bool)
+    for place, index in enumerate(kept):
+        found_q, found_tilt = drawn[index]
+        if len(found_q):
+            row = np.arange(_PER_LEVEL) % len(found_q)  # repeated where there are fewer
+            q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
+    information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
+    information *= real[:, :, None, None]  # no information from a level at which nothing can be measured any more
+    load = readings.force * direction(tilt.reshape(-1, 2))
+    torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * real[:, :, None]
+    return Candidates(levels[kept], q, tilt, information, torque)
+
+
+def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
+    """Return the error text if no pose is feasible: share that each constraint forbids, and poses possible without
+    it.
+    """
+    q, tilt = draw(site, _LOOK, rng)
+    found = constraints.failures(site, q, tilt)
+    count = sum(found.values(), np.zeros(_LOOK, dtype=int))
+    lines = []
+    for name, forbidden in sorted(found.items(), key=lambda entry: -entry[1].mean()):
+        without = int(np.count_nonzero((count == 1) & forbidden))
+        if forbidden.any():
+            note = f", without it {without} poses were possible" if without else ""
+            lines.append((without, forbidden.mean(), f"{name} forbids {100 * forbidden.mean():.1f} %{note}"))
+    alone = [line for line in lines if line[1] > 0.999]
+    freeing = sorted((line for line in lines if line[0]), reverse=True)
+    culprit = (freeing or alone or lines)[0][2].split(" forbids")[0]
+    shown = "; ".join(text for _, _, text in lines[:6])
+    return (f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {shown}",)
+
 
 _APART = 8.0 * RAD_PER_DEG
 """Least distance of two levels of q2: the identification takes angles within 2° for one level."""
@@ -59,7 +170,7 @@ class Task(Struct, frozen=True, eq=False):
 
     :param site: constraints.
     :param readings: information of the measurements.
-    :param criterion_at: what a plan with given levels is worth.
+    :param criterion_at: criterion of plans with given levels.
     :param candidates: to choose from; their first `fixed` levels are kept (they were measured).
     :param count: number of poses.
     :param levels: number of levels of q2, the fixed ones included.
@@ -109,7 +220,7 @@ def improved(task: Task, seed: int, starts: int, kept: int, rounds: int) -> Iter
 
 
 class _Choice(Struct, frozen=True, eq=False):
-    """Candidates chosen, and what they are worth together.
+    """Candidates chosen, and the criterion of their plan.
 
     :param row: (m,) levels of q2, rows of the candidates.
     :param level: (n,) level of each pose, a place in `row`.
@@ -325,3 +436,75 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
             if plan.q2[group] == q2[group]:
                 break
     return plan
+
+
+RANDOM_PLANS = 200
+_BEST_SHARE = 0.2
+_FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
+
+
+def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
+    """Return the criterion (count,) [m²] of plans whose levels, poses and loads are random but can be measured."""
+    rng = np.random.default_rng([seed, 1 << 20])
+    candidates, out = task.candidates, np.empty(count)
+    for index in range(count):
+        row = first_levels(task, rng, spread=False)
+        level = task.group_of_each(rng)
+        pick = rng.integers(0, candidates.q.shape[1], task.count)
+        out[index] = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
+    return out
+
+
+def serial_plan(task: Task) -> Plan:
+    """Return the semi-intuitive plan of the serial approach: poses chosen by a kinematic performance measure.
+
+    After Dumas et al. 2011 as quoted in the paper: evenly spaced levels of q2; on each, of the fifth of poses in which
+    the Jacobian is best conditioned (lengths over the characteristic one), those farthest apart in joint space.
+    """
+    candidates = task.candidates
+    row = first_levels(task, np.random.default_rng(0), spread=True)
+    level = task.group_of_each(np.random.default_rng(0))
+    pick = np.zeros(task.count, dtype=np.int64)
+    for group in range(task.levels):
+        members = np.flatnonzero(level == group)
+        dexterity = _dexterity(task, candidates.q[row[group]])
+        count = max(len(members), int(_BEST_SHARE * len(dexterity)))
+        pick[members] = _far_apart(
+            candidates.q[row[group]], np.argsort(-dexterity, kind="stable")[:count], len(members)
+        )
+    value = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
+    return Plan(candidates.q[row[level], pick], candidates.tilt[row[level], pick], level, candidates.q2[row], value)
+
+
+def _dexterity(task: Task, q: Array) -> Array:
+    """Return 1/condition (C,) of the Jacobian of the load point, lengths over their mean (Angeles and López-Cajún)."""
+    posed = task.site.arm.pose(q)
+    linear = posed.velocity(posed.point(task.site.load_point[None]))[:, 0]
+    length = np.sqrt(np.mean(linear**2)) * np.sqrt(3.0)
+    jacobian = np.concatenate([linear / length, posed.axis], axis=2)
+    singular = np.linalg.svd(jacobian, compute_uv=False)
+    return np.asarray(singular[:, -1] / singular[:, 0])
+
+
+def _far_apart(q: Array, rows: Ints, count: int) -> list[int]:
+    chosen = [int(rows[0])]
+    while len(chosen) < count:
+        distance = np.linalg.norm(q[rows][:, None] - q[chosen][None], axis=2).min(axis=1)
+        distance[np.isin(rows, chosen)] = -1.0
+        chosen.append(int(rows[np.argmax(distance)]))
+    return chosen
+
+
+def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, float]]:
+    """Yield (number of poses, criterion of the best plan found, median of random plans) [m²] for several sizes.
+
+    A short search: good to some per cent. The size of the plan itself takes its own value.
+    """
+    least = 1 if task.fixed else task.levels
+    for count in sorted({max(least, round(factor * task.count)) for factor in _FACTORS}):
+        other = replace(task, count=count)
+        value = best.value
+        if count != task.count:
+            for plan in improved(other, seed, starts=2, kept=1, rounds=8):
+                value = plan.value
+        yield count, value, float(np.median(random_values(other, seed, 60)))

@@ -1,4 +1,4 @@
-"""What a measurement of loaded and unloaded reference points says about the joint compliances.
+"""Sensitivity of readings to the joint compliances.
 
 `Arm` gives joint axes and origins in many thousand configurations at once, by the controller's geometry; `Readings` the
 sensitivity of the readings. Source: Klimchik et al., Eq. (2), (8): the displacement of a point is A k with columns
@@ -27,7 +27,7 @@ class Arm(Struct, frozen=True, eq=False):
         return cls(robot.nominal)
 
     def pose(self, q: Array) -> Posed:
-        """Return where everything is at configurations q (N, 6) [rad]."""
+        """Return joint origins, axes and flange poses at configurations q (N, 6) [rad]."""
         state = kinematics.posture(self.chain, q.T)
         origin, axis = (
             np.array([np.broadcast_to(vector, (3, len(q))) for vector in vectors]).transpose(2, 0, 1)
@@ -54,7 +54,7 @@ class Posed(Struct, frozen=True, eq=False):
         return placed
 
     def velocity(self, point: Array) -> Array:
-        """Return how points (N, P, 3) move per radian of each joint: (N, P, 6, 3) [m/rad], ω × (p − o)."""
+        """Return the derivatives (N, P, 6, 3) [m/rad] of points (N, P, 3) by the joint angles, ω × (p − o)."""
         return np.asarray(np.cross(self.axis[:, None], point[:, :, None] - self.origin[:, None]))
 
 
@@ -85,7 +85,7 @@ def direction_slope(tilt: Array) -> Array:
 
 
 class Readings(Struct, frozen=True, eq=False):
-    """Arm, load and reference points: what a measurement in any configuration would show.
+    """Arm, load and reference points of a measurement.
 
     :param arm: geometry.
     :param load_point: (3,) in the flange frame [m].
@@ -93,7 +93,7 @@ class Readings(Struct, frozen=True, eq=False):
     :param force: size of the load [N].
     :param noise: standard deviation of one coordinate of a measured displacement [m].
     :param scale: (6,) unit of each compliance [rad/(N·m)]: the robot's own values, so that results are relative.
-    :param keep: (p,) joints whose compliance is looked for.
+    :param keep: (p,) joints whose compliance is to be identified.
     """
 
     arm: Arm
@@ -124,7 +124,7 @@ class Readings(Struct, frozen=True, eq=False):
         return np.asarray(np.einsum("nij,nj->ni", at_load, load))
 
     def information(self, q: Array, tilt: Array) -> Array:
-        """Return what each measurement adds to the normal matrix: (N, p, p), for tilts (N, 2) of the load."""
+        """Return the information matrix (N, p, p) of each measurement, for tilts (N, 2) of the load."""
         return self.information_of(q, self.force * direction(tilt))
 
     def information_of(self, q: Array, load: Array) -> Array:

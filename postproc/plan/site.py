@@ -1,4 +1,4 @@
-"""Where the robot is measured, in SI units: rig, shape of the arm, obstacles, tracker, limits.
+"""The site of a measurement, in SI units: rig, shape of the arm, obstacles, tracker, limits.
 
 Obstacles are boxes and meshes; their distances from many points or segments are computed at once.
 """
@@ -13,7 +13,7 @@ from msgspec import Struct
 from postproc import files
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, inverse
-from postproc.identification.experiment import Box, Experiment, MeshFile
+from postproc.identification.readings import Box, Experiment, MeshFile
 from postproc.kinematics.forward import GRAVITY
 from postproc.plan.sensitivity import Arm
 from postproc.program import Bools
@@ -117,7 +117,9 @@ class MeshShape(Struct, frozen=True, eq=False):
         return cls(f"mesh {mesh.file}", placed, edge / np.sqrt(3.0), cKDTree(placed))
 
     def distance(self, point: Array) -> Array:
-        """Return distances (...) of points (..., 3) [m] from the surface, at most what they are."""
+        """Return distances (...) of points (..., 3) [m] from the surface, or less by at most the clearance
+        `between`.
+        """
         found, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
         return np.asarray(found).reshape(point.shape[:-1]) - self.between
 
@@ -145,7 +147,7 @@ arms of this class, rounded up. `[body] radius_mm` replaces them.
 
 
 class Rig(Struct, frozen=True, eq=False):
-    """What loads the arm.
+    """The load on the arm.
 
     :param force: size of the load [N].
     :param largest_tilt: largest angle of the load from straight down [rad].
@@ -160,16 +162,16 @@ class Rig(Struct, frozen=True, eq=False):
 
 
 class Site(Struct, frozen=True, eq=False):
-    """Everything that limits where the robot can be measured. Root frame where nothing else is said.
+    """Limits on poses that can be measured. Root frame unless stated otherwise.
 
     :param robot: masses, compensator.
     :param arm: geometry.
-    :param rig: what loads it.
+    :param rig: its load.
     :param start: (6,) joint angles at the start [rad].
     :param lower: (6,) joint limits with margin [rad].
     :param upper: (6,) joint limits with margin [rad].
     :param radius: (5,) of column, link 2, elbow, forearm, hand [m].
-    :param tool_radius: of the parts that carry load point and markers [m].
+    :param tool_radius: of the parts from the flange to load point and markers [m].
     :param clearance: to be kept from everything [m].
     :param load_point: (3,) in the flange frame [m].
     :param points: (P, 3) markers in the flange frame [m].
@@ -205,12 +207,12 @@ class Site(Struct, frozen=True, eq=False):
 
 
 def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Array, margin: float) -> Site:
-    """Put a robot into the place where it is measured.
+    """Return the site of a robot from an experiment.
 
     :param start: (6,) joint angles at the start [rad].
     :param folder: of the experiment; meshes are relative to it.
     :param margin: distance to keep from joint limits [rad].
-    :raises PlanError: there is no [rig], a normal is zero, a mesh cannot be read, the margin leaves nothing.
+    :raises PlanError: there is no [rig], a normal is zero, a mesh cannot be read, the margin exceeds the joint range.
     """
     rig, tracker, body = experiment.rig, experiment.tracker, experiment.body
     if rig is None:

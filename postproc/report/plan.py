@@ -1,4 +1,4 @@
-"""A plan of measurements as CSV, JSON, text and page."""
+"""A plan of measurements as CSV, KRL program, JSON, text and page."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from postproc.cell import Cell as CellFile
+from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
 from postproc.identification.coverage import SIGNS
 from postproc.plan import PlanResult
 from postproc.plan.site import BoxShape
-from postproc.program import Ints
+from postproc.program import WRENCH, Document, Ints
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -36,6 +38,8 @@ from postproc.report.kit.parts import Colour
 from postproc.robot import JOINTS, WITH_LINKS
 
 _HEADER = "config,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz"
+_SPEED_PERCENT = 10
+_ANGLE_DECIMALS = 3
 
 
 def plan_csv(result: PlanResult) -> bytes:
@@ -45,6 +49,42 @@ def plan_csv(result: PlanResult) -> bytes:
         angles = ",".join(_fixed(value, 3) for value in q)
         rows.append(f"{number},{angles},{','.join(_fixed(value, 1) for value in force)}")
     return ("\n".join(rows) + "\n").encode()
+
+
+def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
+    """Return the program: for each pose PTP, a halt to measure without load, one for each of the two loads.
+
+    :param name: of the program, as KRL allows it.
+    """
+    lines = [
+        *head(name, cell.output.controller),
+        f";{len(result.plan)} poses to measure, in the order of least travel (postproc plan)",
+        ";Run it in T1: ways between the poses were checked by coarse shapes only.",
+        "BAS (#INITMOV,0 )",
+        f"BAS (#VEL_PTP,{_SPEED_PERCENT} )",
+        axis_motion(cell.start.joints, _ANGLE_DECIMALS),
+    ]
+    for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
+        lines += [
+            axis_motion(angles, _ANGLE_DECIMALS) + " ;on the way, the straight one is blocked"
+            for angles in result.via[row] * DEG_PER_RAD
+        ]
+        if row in result.blocked:
+            lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
+        lines += [
+            f";configuration {row + 1}: load {_vector(force)} N, root axes, at the load point",
+            f";second load {_vector(result.second_load * force)} N",
+            axis_motion(angles, _ANGLE_DECIMALS),
+            "HALT ;measure all points WITHOUT load, then put the second, small load on",
+            "HALT ;measure all points WITH the second load, then put the whole load on",
+            "HALT ;measure all points WITH the whole load, then take it off",
+        ]
+    lines.append(axis_motion(cell.start.joints, _ANGLE_DECIMALS))
+    return document(name, lines)
+
+
+def _vector(force: Array) -> str:
+    return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))
 
 
 def plan_summary(result: PlanResult) -> dict[str, object]:

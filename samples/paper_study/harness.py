@@ -6,9 +6,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc import elastostatics, robot
-from postproc.identification.experiment import read_experiment
 from postproc.identification.fit import to_file_units
-from postproc.identification.readings import read
+from postproc.identification.readings import read, read_experiment
 
 PRIOR = robot.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)
@@ -57,7 +56,7 @@ def share_within_bound(true, result, jobs):
 
 def placed(model, data):
     """A placement with the points where the experiment guesses them."""
-    from postproc.identification.placement import Placement
+    from postproc.identification.measurement_model import Placement
 
     size = 6 + 3 * len(data.points)
     return Placement(np.eye(4), data.guess, np.eye(size), np.zeros((len(data.q), len(data.points), 3)))

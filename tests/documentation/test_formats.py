@@ -17,9 +17,7 @@ from postproc import cell, forces, machining, robot
 from postproc.cli import main
 from postproc.errors import InputError
 from postproc.identification import compensator_geometry
-from postproc.identification.experiment import Experiment, read_experiment
-from postproc.identification.measurements import Measurements
-from postproc.identification.readings import read
+from postproc.identification.readings import Experiment, Measurements, read, read_experiment
 from postproc.machining.process import ProcessFile
 from postproc.plan import milling
 from postproc.program import parse_force_note

@@ -12,8 +12,8 @@ from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import Choices, calibration, geometry_folder, identify_folder
+from postproc.identification.measurement_model import kabsch
 from postproc.identification.model_folder import read_prior
-from postproc.identification.placement import kabsch
 from samples.paper_study import harness, simulator
 
 

@@ -7,13 +7,9 @@ from msgspec.structs import replace
 from postproc import robot
 from postproc.errors import MeasurementError, NotConvergedError
 from postproc.identification.choice import Mean, Member, projection
-from postproc.identification.evidence import Regression, learn
-from postproc.identification.linearised import Linearised
+from postproc.identification.fit import FACTORS, Linearised, Prior, Regression, learn, prior_of
+from postproc.identification.measurement_model import Structure, locate, predict
 from postproc.identification.model_folder import require_finite
-from postproc.identification.placement import locate
-from postproc.identification.prediction import predict
-from postproc.identification.priors import FACTORS, Prior, prior_of
-from postproc.identification.structure import Structure
 from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
 

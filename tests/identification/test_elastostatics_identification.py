@@ -13,7 +13,7 @@ from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
 from postproc.identification.fit import to_file_units
-from postproc.identification.placement import locate
+from postproc.identification.measurement_model import locate
 from postproc.identification.plausibility import check_loads
 from postproc.identification.procedure import identify
 from samples.paper_study import harness, simulator

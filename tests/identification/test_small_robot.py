@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from postproc import elastostatics, robot
 from postproc.cli import main
-from postproc.identification.structure import Structure
+from postproc.identification.measurement_model import Structure
 from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
 

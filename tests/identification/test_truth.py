@@ -13,11 +13,11 @@ from postproc import elastostatics, kinematics, robot
 from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
-from postproc.identification.candidates import link_springs
+from postproc.identification.choice import link_springs
 from postproc.identification.coverage import coverage
-from postproc.identification.discrepancy import left_out_of, levels, unmodelled
 from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
+from postproc.identification.uncertainty import left_out_of, levels, unmodelled
 from postproc.identification.validation import ValidatedLevel, Validation, limits, table, validate
 from samples.paper_study import harness, simulator
 from tests import fabricated

@@ -8,8 +8,7 @@ from postproc import elastostatics, kinematics, robot
 from postproc.elastostatics import balance
 from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.identification import identify_folder, model_folder
-from postproc.identification.prediction import predict
-from postproc.identification.structure import Structure
+from postproc.identification.measurement_model import Structure, predict
 from postproc.robot.model_file import BacklashEntry, PayloadEntry
 from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator

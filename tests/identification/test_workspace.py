@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import robot
-from postproc.identification.workspace import over_workspace
+from postproc.identification.uncertainty import over_workspace
 from samples.paper_study import harness, simulator
 
 

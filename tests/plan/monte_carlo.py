@@ -11,9 +11,8 @@ from msgspec.structs import replace
 
 from postproc import elastostatics
 from postproc.errors import PostprocError
-from postproc.identification.experiment import read_experiment
 from postproc.identification.procedure import identify
-from postproc.identification.readings import read
+from postproc.identification.readings import read, read_experiment
 from samples.paper_study import simulator
 from tests.plan import setting
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc import cell as cells
 from postproc import robot
-from postproc.identification.experiment import read_experiment
+from postproc.identification.readings import read_experiment
 from postproc.plan import Options, milling, plan_measurements
 from postproc.plan.site import site_of
 from tests.oracle.arm import Arm as Oracle

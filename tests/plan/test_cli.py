@@ -103,9 +103,8 @@ def test_the_page_is_self_contained_and_draws_every_pose(written):
 
 def test_the_plan_can_be_measured_and_identified_by_its_own_files(written, tmp_path):
     """Poses of the CSV through the simulator into `identify`: all compliances come out."""
-    from postproc.identification.experiment import read_experiment
     from postproc.identification.procedure import identify
-    from postproc.identification.readings import read
+    from postproc.identification.readings import read, read_experiment
     from samples.paper_study import simulator
     from tests.plan.monte_carlo import true_robot
 

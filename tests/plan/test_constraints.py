@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from postproc.errors import PlanError
-from postproc.plan import candidate_poses, constraints
+from postproc.plan import constraints, search
 from postproc.plan.sensitivity import direction
 from tests.plan import setting
 from tests.plan.setting import BASIC, RIG
@@ -29,7 +29,7 @@ def test_random_poses_that_pass_keep_every_limit_by_an_independent_forward_kinem
     """Markers, load point, wrist and weight above the floor and out of the box; limits with margin; load in cone."""
     site = setting.site(tmp_path)
     rng = np.random.default_rng(0)
-    q, tilt = candidate_poses.draw(site, 1500, rng)
+    q, tilt = search.draw(site, 1500, rng)
     good = constraints.feasible(site, q, tilt)
     assert 0.05 < good.mean() < 0.9
     turn = np.radians(20)
@@ -144,4 +144,4 @@ def test_the_coarse_shape_leaves_a_small_arm_room_too(tmp_path, monkeypatch):
 
     monkeypatch.setattr(setting, "ROBOT", robot.load(robot.find("kuka_kr16_2")))
     site = setting.site(tmp_path, BASIC.replace("kr270", "kr16_2") + "\n[rig]\nmass_kg = 16\nmax_angle_deg = 30\n")
-    assert constraints.feasible(site, *candidate_poses.draw(site, 500, np.random.default_rng(0))).mean() > 0.1
+    assert constraints.feasible(site, *search.draw(site, 500, np.random.default_rng(0))).mean() > 0.1

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.plan import candidate_poses
+from postproc.plan import search
 from postproc.plan.criterion import Criterion, Joint2
 from postproc.plan.sensitivity import Readings, direction, direction_slope
 from tests.plan import setting
@@ -22,7 +22,7 @@ def readings(tmp_path_factory):
 def plan(site, levels=(-2.2, -1.4, -0.5, -0.2), each=3, seed=1):
     rng = np.random.default_rng(seed)
     level = np.repeat(np.arange(len(levels)), each)
-    q, tilt = candidate_poses.draw(site, len(level), rng)
+    q, tilt = search.draw(site, len(level), rng)
     q[:, 1] = np.array(levels)[level]
     return q, tilt, level, np.array(levels)
 
@@ -70,7 +70,7 @@ def test_an_exchange_is_worth_what_the_changed_plan_is(readings):
     readings, site = readings
     q, tilt, level, q2 = plan(site)
     information = readings.information(q, tilt)
-    new = readings.information(*candidate_poses.draw(site, 4, np.random.default_rng(9)))
+    new = readings.information(*search.draw(site, 4, np.random.default_rng(9)))
     for grouped in (False, True):
         criterion = Criterion.of(setting.job(), readings, Joint2.of(setting.ROBOT, True), q2, grouped=grouped)
         values = criterion.exchanged(criterion.total(information, level), information[7], new, int(level[7]))

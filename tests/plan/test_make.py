@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from postproc.errors import PlanError
-from postproc.identification.experiment import read_experiment
-from postproc.identification.readings import read
-from postproc.plan import Options, candidate_poses, constraints, plan_measurements, remarks, search
+from postproc.identification.readings import read, read_experiment
+from postproc.plan import Options, constraints, plan_measurements, planning, search
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness
 from samples.paper_study import simulator
 from tests.plan import setting
@@ -45,7 +44,7 @@ def random_poses(place, rng):
     q2, found = [], []
     while len(q2) < 16:
         level = rng.uniform(place.lower[1], place.upper[1])
-        q, tilt = candidate_poses.draw(place, 120, rng, q2=level)
+        q, tilt = search.draw(place, 120, rng, q2=level)
         good = np.flatnonzero(constraints.feasible(place, q, tilt))[:12]
         if len(good) == 12:
             q2.append(level)
@@ -119,7 +118,7 @@ def test_the_second_load_is_as_near_to_the_work_as_makes_sense(tmp_path, mass):
     site = setting.site(tmp_path, BASIC + f"\n[rig]\nmass_kg = {mass}\n")
     tests = setting.job()
     work = np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1))
-    second = remarks.second_load(site, tests) * mass * 9.81
+    second = planning.second_load(site, tests) * mass * 9.81
     # between a tenth of the weight, which noise does not hide, and two fifths of it
     assert second == pytest.approx(min(max(work, 0.1 * mass * 9.81), 0.4 * mass * 9.81), rel=1e-3)
 
@@ -184,7 +183,7 @@ def test_next_poses_help_more_than_the_same_number_planned_without_the_measureme
     place = setting.site(tmp_path)
     random = []
     for _ in range(30):
-        drawn = candidate_poses.draw(place, 3, rng)
+        drawn = search.draw(place, 3, rng)
         drawn[0][:, 1] = np.radians(rng.choice([-40.0, -100.0], 3))
         both = np.vstack([force, place.rig.force * search_direction(drawn[1])])
         random.append(setting.pooled(np.vstack([q, drawn[0]]), both, next_ones.tests, VARIANCE))

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from postproc.errors import PlanError
-from postproc.identification.experiment import Box, MeshFile
+from postproc.identification.readings import Box, MeshFile
 from postproc.plan.site import BoxShape, MeshShape, along, between_segments
 
 

@@ -1,0 +1,363 @@
+"""Model of the measurement: the readings that a robot with given parameters would show.
+
+1. Placement: base transform and reference points, from readings without load by the robot's geometry (paper,
+   section 4). Positions of points only, no orientations (partial pose).
+2. Measured displacements, loaded − unloaded, and their noise.
+3. Structure: the springs of the model, and the parameters to be identified.
+4. Predicted displacements with derivatives. The prediction is the equilibrium of `elastostatics.deflect`, so that
+   nothing is linearised in the load (Eq. (8) alone is off by 0.2–0.3 % at 2.7 kN). The derivatives are those of the
+   equilibrium θ = c(τ(θ); p), c being the compliance law:
+
+       ∂t/∂p = J (I − C_t H)⁻¹ ∂c/∂p        with C_t = ∂c/∂τ, H = ∂τ/∂θ (load, weights, compensator)
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import elastostatics, kinematics
+from postproc.errors import MeasurementError, NotConvergedError
+from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, displaced, hat, inverse, xyzabc_from_pose
+from postproc.identification.readings import Measurements
+from postproc.program import Ints
+from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
+
+_STEPS = 20
+_SAME_LEVEL = 2.0 * RAD_PER_DEG
+
+
+class Placement(Struct, frozen=True, eq=False):
+    """Base transform and reference points.
+
+    :param root_in_device: (4, 4) maps robot root coordinates to the frame of the device [m].
+    :param points: (P, 3) in the flange frame [m].
+    :param covariance: (6 + 3P, 6 + 3P) of (twist of the root in device axes, points), for unit noise [1/1].
+    :param residual: (C, P, 3) reading minus model without load, device axes [m].
+    """
+
+    root_in_device: Array
+    points: Array
+    covariance: Array
+    residual: Array
+
+    @property
+    def rms(self) -> float:
+        """RMS distance of the unloaded readings from the model [m]."""
+        squares = np.sum(self.residual**2, axis=-1)
+        return float(np.sqrt(squares.sum() / max(1, np.count_nonzero(squares))))
+
+
+def kabsch(source: Array, target: Array) -> Array:
+    """Return the rigid transform (4, 4) that carries points (n, 3) best to others (Kabsch 1976)."""
+    a, b = source.mean(axis=0), target.mean(axis=0)
+    u, _, vt = np.linalg.svd((source - a).T @ (target - b))
+    sign = np.diag([1.0, 1.0, np.linalg.det(vt.T @ u.T)])
+    pose = np.eye(4)
+    pose[:3, :3] = vt.T @ sign @ u.T
+    pose[:3, 3] = b - pose[:3, :3] @ a
+    return pose
+
+
+def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -> Placement:
+    """Locate the root in the device frame and the points in the flange frame by the readings without load.
+
+    :param flange: (C, 4, 4) poses of the flange without load in the root frame, if not those of the geometry.
+    :raises MeasurementError: fewer readings than unknowns, or points and configurations that do not determine the
+        frames.
+    """
+    if flange is None:
+        flange = unloaded_flange(robot, data.q)
+    mean, count = data.means()
+    seen, weight = mean[data.unloaded], count[data.unloaded]
+    configs, points = seen.shape[:2]
+    if configs * points * 3 < 6 + 3 * points:
+        raise MeasurementError(
+            f"{configs} configurations of {points} points are {configs * points * 3} coordinates for "
+            f"{6 + 3 * points} unknowns of base and points",
+            file=data.file,
+            advice="Measure more configurations.",
+        )
+    position = data.guess.copy()
+    model = _place(flange, position)
+    known = weight.ravel() > 0.0
+    pose = kabsch(model.reshape(-1, 3)[known], seen.reshape(-1, 3)[known])
+    normal = np.eye(6 + 3 * points)
+    for _ in range(_STEPS):
+        model = _place(pose @ flange, position)
+        left = seen - model
+        jacobian = np.zeros((configs, points, 3, 6 + 3 * points))
+        jacobian[..., 0:3] = np.eye(3)
+        jacobian[..., 3:6] = -hat(model - pose[:3, 3])
+        turned = pose[:3, :3] @ flange[:, :3, :3]
+        for index in range(points):
+            jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = turned
+        rows = (jacobian * np.sqrt(weight)[..., None, None]).reshape(-1, 6 + 3 * points)
+        normal = rows.T @ rows
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        if np.linalg.cond(normal * np.outer(scale, scale)) > 1e10:
+            raise MeasurementError(
+                "base transform and reference points cannot be separated with these configurations",
+                file=data.file,
+                advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
+            )
+        step = np.linalg.solve(normal, rows.T @ (left * np.sqrt(weight)[..., None]).ravel())
+        pose = displaced(pose, step[:6])
+        position = position + step[6:].reshape(points, 3)
+        if np.abs(step).max() < 1e-11:
+            break
+    left = (seen - _place(pose @ flange, position)) * (weight > 0.0)[..., None]
+    return Placement(pose, position, np.asarray(np.linalg.inv(normal)), left)
+
+
+def unloaded_flange(robot: RobotModel, q: Array) -> Array:
+    """Return the pose (C, 4, 4) of the flange without load [m]: sagged, if the geometry is a weightless robot's."""
+    if robot.subtract_reference:
+        return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0]
+    return elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6))).pose
+
+
+def in_root_axes(placement: Placement, vectors: Array) -> Array:
+    """Turn vectors (..., 3) from device axes to root axes."""
+    return np.asarray(vectors @ placement.root_in_device[:3, :3])
+
+
+def describe(placement: Placement) -> dict[str, float]:
+    """Return the base transform as a KUKA frame [mm, deg]: the root in the device frame."""
+    values = xyzabc_from_pose(placement.root_in_device)
+    return {name: float(value) for name, value in zip("XYZABC", values, strict=True)}
+
+
+def describe_points(placement: Placement, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """Return the reference points in the flange frame [mm]."""
+    return {
+        name: {axis: float(v * MM_PER_M) for axis, v in zip("XYZ", p, strict=True)}
+        for name, p in zip(names, placement.points, strict=True)
+    }
+
+
+def device_to_root(placement: Placement, positions: Array) -> Array:
+    """Return positions (..., 3) of the device frame in the root frame [m]."""
+    back = inverse(placement.root_in_device)
+    return np.asarray(positions @ back[:3, :3].T + back[:3, 3])
+
+
+def _place(frames: Array, points: Array) -> Array:
+    placed: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
+    return placed
+
+
+_NOTHING = 1e-12
+"""Weight of a point whose readings are all left out."""
+
+
+def measured_displacements(data: Measurements, placement: Placement) -> Array:
+    """Return loaded − unloaded mean positions (L, P, 3) [m] in root axes, L loaded states."""
+    mean, _ = data.means()
+    rest = data.unloaded[data.state_config[data.loaded]]
+    return visible(data) * in_root_axes(placement, mean[data.loaded] - mean[rest])
+
+
+def visible(data: Measurements) -> Array:
+    """Return (L, P, 1) one where a loaded point and its unloaded counterpart have readings, zero elsewhere."""
+    _, count = data.means()
+    rest = data.unloaded[data.state_config[data.loaded]]
+    return np.asarray(((count[data.loaded] > 0) & (count[rest] > 0)).astype(float)[..., None])
+
+
+def whitening(data: Measurements) -> Array:
+    """Return (P, L, L) that turns displacements into unit variance: W Σ Wᵀ = I.
+
+    Loads of one configuration share its unloaded reading: Σ = σ²·(1/n_l on the diagonal, 1/n_0 added everywhere).
+    """
+    count = np.maximum(data.means()[1], _NOTHING)
+    loaded, config = data.loaded, data.state_config[data.loaded]
+    same = config[:, None] == config[None]
+    rest = data.unloaded[config]
+    out = np.empty((len(data.points), len(loaded), len(loaded)))
+    for point in range(len(data.points)):
+        covariance = np.diag(1.0 / count[loaded, point]) + same / count[rest, point][:, None]
+        out[point] = np.linalg.inv(np.linalg.cholesky(covariance)) / data.sigma
+    return out
+
+
+def whiten(w: Array, values: Array) -> Array:
+    """Apply (P, L, L) to the states of values (L, P, …)."""
+    return np.asarray(np.einsum("plm,mp...->lp...", w, values))
+
+
+def unwhiten(w: Array, values: Array) -> Array:
+    """Undo `whiten` for values (L, P, …)."""
+    return np.stack(
+        [
+            np.linalg.solve(w[point], values[:, point].reshape(len(values), -1)).reshape(values[:, point].shape)
+            for point in range(values.shape[1])
+        ],
+        axis=1,
+    )
+
+
+LEAST = 1e-12
+"""Smallest joint compliance [rad/(N·m)] for which the equilibrium is solved; fits may pass through zero."""
+
+
+class LevelCompliance(JointCompliance, frozen=True):
+    """Equivalent compliance of joint 2, compensator included, at one level of q2: the paper's extended set, Eq. (8)."""
+
+    level: int
+
+    @property
+    def name(self) -> str:
+        """Return e.g. ``k2#3``; used in messages only, never in files."""
+        return f"k{self.index + 1}#{self.level}"
+
+
+class Structure(Struct, frozen=True, eq=False, dict=True):
+    """The springs of a model and the parameters to be identified.
+
+    :param parameters: (p,) to be identified.
+    :param prior: robot, without springs of links, that gives all other values (and geometry, masses, compensator).
+    :param levels: (C,) level of q2 of each configuration, for `LevelCompliance`.
+    :param in_gears: stiffening gears follow the torque of weights and compensator too, not the load alone.
+    """
+
+    parameters: tuple[Parameter, ...]
+    prior: RobotModel
+    levels: Ints | None = None
+    in_gears: bool = False
+
+    @cached_property
+    def template(self) -> RobotModel:
+        """The prior with a coordinate for every spring to be identified, and linear gears."""
+        plain = replace(self.prior, terms=(), carries_weight=self.in_gears)
+        return plain.with_link_springs(p for p in self.parameters if isinstance(p, LinkSpring))
+
+    def active(self, level: int | None) -> list[int]:
+        """Return the indices of the parameters that act at a level of q2."""
+        return [
+            index
+            for index, parameter in enumerate(self.parameters)
+            if not isinstance(parameter, LevelCompliance) or parameter.level == level
+        ]
+
+    def robot(self, values: Array, level: int | None = None) -> RobotModel:
+        """Return the robot with these values of the parameters.
+
+        :param values: (p,) SI.
+        :param level: level of q2 whose `LevelCompliance` applies to joint 2; None: no levels.
+        """
+        robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active(level)})
+        joints = list(robot.actuated)
+        if (robot.compliance[joints] < LEAST).any():
+            stiffness = robot.stiffness.copy()
+            stiffness[joints, joints] = 1.0 / np.maximum(robot.compliance[joints], LEAST)
+            robot = replace(robot, stiffness=stiffness)
+        if level is None:
+            return robot
+        # the levels contain the compensator's part, about the state of rest as in Eq. (4)
+        return replace(robot, compensator=None, subtract_reference=True)
+
+    def usual(self) -> Array:
+        """Return typical magnitudes (p,) of the parameters, SI, for scaling."""
+        return np.array([parameter.usual for parameter in self.parameters])
+
+    @cached_property
+    def stated(self) -> tuple[Array, Array]:
+        """Prior means (p,) and prior standard deviations (p,), SI.
+
+        A parameter whose uncertainty the prior does not state has mean 0 and an infinite standard deviation.
+        """
+        spread = np.array([self.prior.prior_sigma(parameter) for parameter in self.parameters])
+        return np.where(np.isfinite(spread), self.start(), 0.0), spread
+
+    def start(self) -> Array:
+        """Return start values (p,), SI: those of the prior, 0 for springs that it does not have."""
+        return np.array([self.template.value(parameter) for parameter in self.parameters])
+
+
+def predict(structure: Structure, values: Array, data: Measurements, placement: Placement) -> tuple[Array, Array]:
+    """Return displacements of the points (L, P, 3) [m] in root axes and their derivatives (L, P, 3, p).
+
+    :raises NotConvergedError: the springs have no equilibrium under a load; the message names it.
+    """
+    config = data.state_config[data.loaded]
+    moved = np.empty((len(config), len(data.points), 3))
+    slopes = np.zeros((*moved.shape, len(structure.parameters)))
+    level = np.full(len(config), -1) if structure.levels is None else structure.levels[config]
+    for value in np.unique(level):
+        rows = np.flatnonzero(level == value)
+        at = None if structure.levels is None else int(value)
+        active = structure.active(at)
+        try:
+            moved[rows], of_active = _predict(
+                structure, structure.robot(values, at), active, data.loaded[rows], data, placement
+            )
+        except NotConvergedError as error:
+            state = int(data.loaded[rows[error.rows[0]]])
+            raise NotConvergedError(
+                f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: {error}", error.rows
+            ) from None
+        for column, index in enumerate(active):
+            slopes[rows, ..., index] = of_active[..., column]
+    return moved, slopes
+
+
+def _predict(
+    structure: Structure, robot: RobotModel, active: list[int], states: Ints, data: Measurements, placement: Placement
+) -> tuple[Array, Array]:
+    """Return displacements and derivatives by the active parameters of some loaded states."""
+    q = data.q[data.state_config[states]]
+    x0 = elastostatics.coordinates(robot, q)
+    wrench = data.wrench[states]
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    lever = placement.points - data.load_point
+    pose, twist = _equilibrium(structure, robot, active, q, tool, wrench)
+    loaded, slopes = _of_points(pose, twist, lever)
+    if robot.subtract_reference:
+        rest, _ = kinematics.tcp(robot.loaded, x0, tool)
+        unloaded, _ = _of_points(rest, twist, lever)
+    else:  # without load the robot sags by the same springs
+        rest, sag = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
+        unloaded, of_sag = _of_points(rest, sag, lever)
+        slopes = slopes - of_sag
+    return loaded - unloaded + (pose[:, :3, 3] - rest[:, :3, 3])[:, None], slopes
+
+
+def _of_points(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
+    """Return points (L, P, 3) from the load point, root axes, and how they move (L, P, 3, p) with twists (L, 6, p)."""
+    points = np.einsum("lij,pj->lpi", pose[:, :3, :3], lever)
+    turned = np.cross(np.swapaxes(twist[:, 3:], 1, 2)[:, None], points[:, :, None], axisa=3, axisb=3, axisc=3)
+    return points, twist[:, None, :3] + turned.swapaxes(2, 3)
+
+
+def _equilibrium(
+    structure: Structure, robot: RobotModel, active: list[int], q: Array, tool: Array, wrench: Array
+) -> tuple[Array, Array]:
+    """Return the pose (L, 4, 4) of the load point under load and its derivative (L, 6, p), a twist per parameter."""
+    parameters = [structure.parameters[index] for index in active]
+    found, twist = elastostatics.deflection_by_parameter(robot, q, tool, wrench, parameters)
+    return found.pose, twist
+
+
+def joint_torques(robot: RobotModel, data: Measurements) -> Array:
+    """Return the torques (L, 6) of the loads about the joint axes [N·m]."""
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    config = data.state_config[data.loaded]
+    x = elastostatics.coordinates(robot, data.q[config])
+    _, jacobian = kinematics.tcp(robot.actual, x, tool)
+    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded])
+    return np.asarray(torque[:, list(robot.actuated)])
+
+
+def levels_of(data: Measurements) -> Ints:
+    """Group the configurations (C,) by q2; angles within 2° share a level."""
+    order = np.argsort(data.q[:, 1])
+    steps = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])
+    level = np.empty(len(order), dtype=np.int64)
+    level[order] = steps
+    return level

@@ -1,0 +1,474 @@
+"""Uncertainty of an identified model: unmodelled error, errors of the set-up, bound in the workspace, verdict.
+
+**Unmodelled error** (`discrepancy`), by load level. Friction, or a breakpoint that the model lacks, shows on
+configurations left out, as an error beyond noise and parameter uncertainty. The error of a point is normal with a
+covariance V + δ²·1, V that of noise and parameters. δ is estimated from the errors, each configuration weighted by its
+precision. Before any reading δ is log-normal about half a thousandth of the displacements at its level, and one
+standard deviation is a factor of 4.5; so it is never zero, and few configurations leave it wide. The result is the 95 %
+quantile of the errors, integrated over the distribution of δ: a smooth function of the readings, without a threshold.
+
+**Errors of the set-up** (`with_stated_errors`) that no reading shows, as the experiment states them: of all loads, and
+of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
+the load point is a wrong lever, which looks like compliance. Both go into the covariance of the parameters.
+
+**Workspace** (`over_workspace`): does the model correct more than it may add, and where does it not? Readings are taken
+at some poses; work is done at others. The model is evaluated at random poses within the joint limits, under forces in
+random directions from a small share of the largest load measured up to all of it, smaller where a joint would get more
+torque than was measured. At small forces every model is worth less: the unmodelled error does not shrink with the
+force. The verdict counts loads that were measured.
+
+**Verdict** (`judge`): whether the model may be used, and notes on gaps of its readings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import elastostatics, kinematics
+from postproc.errors import NotConvergedError
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
+from postproc.identification.choice import Choice
+from postproc.identification.fit import NORMAL_95, Fit
+from postproc.identification.measurement_model import (
+    Placement,
+    joint_torques,
+    measured_displacements,
+    predict,
+    unwhiten,
+    visible,
+    whiten,
+    whitening,
+)
+from postproc.identification.readings import Measurements
+from postproc.program import Ints
+from postproc.robot import (
+    JOINTS,
+    Backlash,
+    CompensatorSize,
+    CompensatorTorque,
+    FadingPart,
+    JointCompliance,
+    Knee,
+    LinkMass,
+    LinkSpring,
+    LostMotion,
+    Parameter,
+    RobotModel,
+)
+
+_SAME_LEVEL = 1.25
+"""Sorted loads belong to one level while each is less than this times the one before."""
+_SHARE = 0.0005
+"""Median of δ over the displacements (RMS of a component) before any reading."""
+_WIDTH = 1.5
+"""Standard deviation of the logarithm of δ before any reading."""
+_STEPS, _SPAN = 241, (-5.0, 4.5)
+"""Values of δ that are tried, and between which standard deviations of its prior."""
+_CLEAR_SCATTER = 30
+"""Degrees of freedom from which the scatter of the repeats replaces the stated noise."""
+
+
+class Discrepancy(Struct, frozen=True, eq=False):
+    """Cross-validation errors at m load levels.
+
+    :param load: (m,) force [N] and moment [N·m] in one.
+    :param held_out: (m,) RMS distance of the mean of the points from its prediction [m].
+    :param noise: (m,) RMS of the noise in it [m].
+    :param own: (m,) RMS that the uncertainty of the parameters makes expect [m].
+    :param u95: (m,) bound of 95 % on the unmodelled error [m].
+    """
+
+    load: Array
+    held_out: Array
+    noise: Array
+    own: Array
+    u95: Array
+
+
+def discrepancy(data: Measurements, placement: Placement, fit: Fit, left_out: Array) -> Discrepancy:
+    """Return the unmodelled error beyond noise and the fit's own covariance.
+
+    :param left_out: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
+    """
+    seen = visible(data)[..., 0] > 0.0
+    count = seen.sum(axis=1)
+    share = seen / np.maximum(count, 1)[:, None]
+    slopes = unwhiten(whitening(data), fit.design.reshape((*left_out.shape, len(fit.values))))
+    noise = noise_of(data)
+    own = slopes @ fit.covariance @ np.swapaxes(slopes, 2, 3)
+    middle = np.einsum("lp,lpia->lia", share, slopes)
+    squares = np.array(
+        [
+            np.sum(np.einsum("lp,lpi->li", share, left_out) ** 2, axis=1),
+            np.sum(share**2 * noise, axis=1),
+            np.trace(middle @ fit.covariance @ np.swapaxes(middle, 1, 2), axis1=1, axis2=2),
+        ]
+    )
+    blur = own + noise[..., None, None] / 3.0 * np.eye(3)
+    moved = measured_displacements(data, placement)
+    level = levels(norm(data.wrench[data.loaded]))
+    at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
+    at_level = [rows for rows in at_level if len(rows) > 0]
+    load = np.array([np.median(norm(data.wrench[data.loaded[rows]])) for rows in at_level])
+    u95 = [
+        unmodelled(
+            left_out[rows][seen[rows]],
+            blur[rows][seen[rows]],
+            np.repeat(1.0 / count[rows], count[rows]),
+            _SHARE * float(np.sqrt(np.mean(moved[rows][seen[rows]] ** 2))),
+        )
+        for rows in at_level
+    ]
+    held_out, of_noise, of_own = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
+    # an error under a load also exists under a larger one
+    return Discrepancy(load, held_out, of_noise, of_own, np.maximum.accumulate(u95))
+
+
+def unmodelled(error: Array, blur: Array, weight: Array, median: float) -> float:
+    """Return the 95 % quantile of the length of unmodelled errors [m].
+
+    :param error: (n, 3) errors [m].
+    :param blur: (n, 3, 3) their covariance without δ [m²].
+    :param weight: (n,) of each: points of one state share their errors.
+    :param median: of δ before any reading [m].
+    """
+    from scipy.special import gammainc
+
+    spread, axes = np.linalg.eigh(blur)
+    along = np.einsum("nij,ni->nj", axes, error) ** 2
+    off = np.linspace(*_SPAN, _STEPS)
+    delta = max(median, 1e-9) * np.exp(_WIDTH * off)
+    whole = spread + delta[:, None, None] ** 2
+    likely = -0.5 * np.sum((np.log(whole) + along / whole).sum(axis=2) * weight, axis=1) - 0.5 * off**2
+    chance = np.exp(likely - likely.max())
+    chance /= chance.sum()
+    length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)
+    below = gammainc(1.5, 0.5 * (length[:, None] / delta) ** 2) @ chance  # χ² of three degrees of freedom
+    return float(np.interp(0.95, below, length))
+
+
+def levels(load: Array) -> Ints:
+    """Return the level (L,), from 0 up, of loads (L,)."""
+    order = np.argsort(load)
+    step = np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]
+    out = np.empty(len(load), dtype=np.int64)
+    out[order] = np.concatenate([[0], np.cumsum(step)])
+    return out
+
+
+def noise_of(data: Measurements) -> Array:
+    """Return the mean square (L, P) of the noise of displacements in space [m²]: of the repeats, if there are many."""
+    squares, dof = data.scatter()
+    sigma2 = squares / dof if dof >= _CLEAR_SCATTER else data.sigma**2
+    count = np.maximum(data.means()[1], 1.0)
+    rest = data.unloaded[data.state_config[data.loaded]]
+    return np.asarray(3.0 * sigma2 * (1.0 / count[data.loaded] + 1.0 / count[rest]))
+
+
+def left_out_of(fit: Fit, data: Measurements) -> Array:
+    """Return the residuals (L, P, 3) of each configuration when it is left out of a least-squares fit [m].
+
+    By the derivatives at the fit: (I − H)⁻¹ times the residual of a configuration, H its part of the hat matrix.
+    """
+    shape = (len(data.loaded), len(data.points), 3)
+    scale = np.linalg.norm(fit.design, axis=0)
+    rows = fit.design / np.where(scale > 0.0, scale, 1.0)
+    inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
+    left = fit.target - fit.design @ fit.values
+    config = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
+    out = np.empty_like(left)
+    for index in range(len(data.q)):
+        mine = config == index
+        hat = rows[mine] @ inverse @ rows[mine].T
+        out[mine] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), left[mine])
+    return unwhiten(whitening(data), out.reshape(shape))
+
+
+_STEP = 1e-3
+
+
+def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influence: Array | None) -> Fit:
+    """Return the fit with a covariance that counts the stated errors of the loads and of their point.
+
+    :param influence: (p, rows) by how much the parameters change with the whitened readings; None: least squares.
+    """
+    wrong = []
+    if data.load_error > 0.0:
+        share = np.array([_share(parameter) for parameter in fit.structure.parameters])
+        wrong.append(data.load_error / NORMAL_95 * share * fit.values)
+    if data.load_point_error > 0.0:
+        if influence is None:
+            scale = np.linalg.norm(fit.design, axis=0)
+            scale[scale == 0.0] = 1.0
+            influence = np.linalg.pinv(fit.design / scale, rcond=1e-9) / scale[:, None]
+        w = whitening(data)
+        here, _ = predict(fit.structure, fit.values, data, placement)
+        for axis in np.eye(3):
+            moved = replace(data, load_point=data.load_point + _STEP * axis)
+            there, _ = predict(fit.structure, fit.values, moved, placement)
+            wrong.append(data.load_point_error * influence @ whiten(w, (there - here) / _STEP).ravel())
+    return replace(fit, covariance=fit.covariance + sum(np.outer(each, each) for each in wrong))
+
+
+def _share(parameter: Parameter) -> float:
+    """Return the relative error of a parameter for a relative error of the loads of one."""
+    if isinstance(
+        parameter, Backlash | LinkMass | CompensatorSize
+    ):  # torques; the stated values contain those without load
+        return 0.0
+    return -1.0 if isinstance(parameter, CompensatorTorque) else 1.0
+
+
+SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)
+"""Shares of the largest load measured."""
+_POSES = 100
+_WITHIN = 0.95
+"""Share of the poses at which bound over deflection is below the stated value."""
+_LOADED = 0.02
+"""Largest torque on a joint over the largest on any, below which the readings do not load it."""
+_CLEARANCE = 0.25
+"""Distance from the axis of A1 over the largest reach, nearer than which no work is done."""
+
+
+class WorkspaceLevel(Struct, frozen=True):
+    """Bound over deflection at a share of the largest load, over the workspace.
+
+    :param load: force [N], median over the poses.
+    :param deflection: of the tool [m], median.
+    :param bound: u95 [m], median.
+    :param worst: bound over deflection that 95 % of the poses are below.
+    """
+
+    load: float
+    deflection: float
+    bound: float
+    worst: float
+
+
+class Workspace(Struct, frozen=True):
+    """Bound over deflection in the workspace.
+
+    :param levels: by load, ascending; none where the springs have no equilibrium under measured loads.
+    :param least: smallest load measured [N].
+    :param cause: joint and parameter that most of the bound comes from where it is worst under a measured load.
+    :param pose: (6,) [rad] of that place.
+    """
+
+    levels: tuple[WorkspaceLevel, ...]
+    least: float
+    cause: str
+    pose: tuple[float, ...]
+
+    @property
+    def measured(self) -> tuple[WorkspaceLevel, ...]:
+        """Levels of loads as large as were measured; the largest at least."""
+        return tuple(level for level in self.levels if level.load >= self.least) or self.levels[-1:]
+
+    @property
+    def worst(self) -> WorkspaceLevel:
+        """The level of measured loads at which bound over deflection is largest; there must be levels."""
+        return max(self.measured, key=lambda level: level.worst)
+
+    @property
+    def refusal(self) -> str:
+        """Why the model corrects less than it may add; empty if it does not."""
+        angles = ", ".join(f"{angle * DEG_PER_RAD:.0f}" for angle in self.pose)
+        if not self.levels:
+            return f"at A1 … A6 = {angles}° {self.cause}"
+        if self.worst.worst <= 1.0:
+            return ""
+        return (
+            f"under {self.worst.load:.0f} N its bound is up to {self.worst.worst:.2g} times the deflection that it "
+            f"corrects (A1 … A6 = {angles}°): {self.cause}"
+        )
+
+    @property
+    def line(self) -> str:
+        """The workspace in one line."""
+        if not self.levels:
+            return f"workspace: {self.refusal}"
+        text = (
+            f"bound over deflection in the workspace: below {self.worst.worst:.2g} in 95 % of the poses from "
+            f"{self.measured[0].load:.0f} N to {self.levels[-1].load:.0f} N"
+        )
+        small = [level for level in self.levels if level.worst > 1.0]
+        if small and small[-1].load < self.least:
+            text += f"; at {small[-1].load:.0f} N and below the bound can exceed the deflection"
+        return text
+
+
+def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
+    """Return bound over deflection of an identified robot in its workspace.
+
+    :param robot: with covariance and discrepancy.
+    """
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    q, direction = _poses(robot, tool)
+    force = norm(data.wrench[data.loaded, :3])
+    measured = np.abs(joint_torques(robot, data)).max(axis=0)
+    _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
+    torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * force.max()
+    loaded = measured > _LOADED * measured.max()
+    size = force.max() * np.minimum(1.0, (measured[loaded] / np.maximum(torque[:, loaded], 1e-9)).min(axis=1))
+    levels, worst = [], (0.0, "", q[0])
+    for share in SHARES:
+        wrench = np.concatenate([share * size[:, None] * direction, np.zeros_like(direction)], axis=1)
+        try:
+            moved = norm(elastostatics.deflect(robot, q, tool, wrench).twist[:, :3])
+        except NotConvergedError as error:
+            row = int(error.rows[0])
+            cause = f"the springs have no equilibrium under {share * size[row]:.0f} N"
+            return Workspace((), float(force.min()), cause, tuple(q[row].tolist()))
+        bound = elastostatics.position_bound(robot, q, tool, wrench)
+        assert bound is not None, "the robot states a covariance"
+        ratio = bound / np.maximum(moved, 1e-12)
+        limit = float(np.quantile(ratio, _WITHIN))
+        levels.append(
+            WorkspaceLevel(float(np.median(share * size)), float(np.median(moved)), float(np.median(bound)), limit)
+        )
+        if levels[-1].load >= force.min() and limit > worst[0]:
+            row = int(np.argmin(np.abs(ratio - limit)))
+            worst = (limit, _cause(robot, q[row], tool, wrench[row], float(bound[row])), q[row])
+    return Workspace(tuple(levels), float(force.min()), worst[1], tuple(worst[2].tolist()))
+
+
+def _poses(robot: RobotModel, tool: Array) -> tuple[Array, Array]:
+    """Return joint angles (n, 6) [rad], clear of the floor and the axis of A1, and directions (n, 3) of forces."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(robot.lower, robot.upper, (8 * _POSES, 6))
+    at = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)[0][:, :3, 3]
+    reach = norm(at[:, :2])
+    clear = np.flatnonzero((at[:, 2] > 0.0) & (reach > _CLEARANCE * reach.max()))[:_POSES]
+    direction = rng.normal(size=(len(clear), 3))
+    return q[clear], direction / norm(direction)[:, None]
+
+
+def _cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: float) -> str:
+    """Return, as a clause, the joint and the parameter with the largest part of the bound at a pose."""
+    covariance = robot.covariance
+    assert covariance is not None, "the robot states a covariance"
+    slopes = elastostatics.sensitivity(robot, q[None], tool, wrench[None])[0]
+    part = np.einsum("ai,ai->i", slopes, slopes @ covariance.matrix)  # of the trace of the covariance of the position
+    of_joint: dict[str, float] = {}
+    for parameter, value in zip(covariance.parameters, part.tolist(), strict=True):
+        of_joint[_joint(parameter)] = of_joint.get(_joint(parameter), 0.0) + value
+    off = 0.0 if robot.discrepancy is None else float(robot.discrepancy.at(wrench[None])[0])
+    if off > 0.5 * bound or not of_joint:
+        return f"the unmodelled error is {off * MM_PER_M:.3f} of {bound * MM_PER_M:.3f} mm"
+    joint = max(of_joint, key=lambda name: of_joint[name])
+    _, title = max(
+        (value, parameter.title)
+        for value, parameter in zip(part.tolist(), covariance.parameters, strict=True)
+        if _joint(parameter) == joint
+    )
+    return f"most of it comes from {joint}, whose readings do not determine {title}"
+
+
+def _joint(parameter: Parameter) -> str:
+    """Return the joint or link that a parameter belongs to; the compensator is at A2."""
+    if isinstance(parameter, LinkSpring):
+        return parameter.link
+    return str(getattr(parameter, "joint", JOINTS[1]))
+
+
+_MOST_HELD_OUT = 4.0
+"""Mean square cross-validation error, in σ², beyond which the model is incomplete."""
+_FEWEST = 5
+"""Fewest configurations whose scatter can be estimated."""
+_NUMBERS = {1: 3, 2: 5}
+"""Numbers that the displacements of one, two, three points determine; three and more give the six of a rigid body."""
+_SPARE = 2.0
+"""Least numbers measured for each parameter: with fewer a model describes the readings and not the robot."""
+_PLAY = 1e-5
+"""Smallest backlash [rad] that is reported."""
+_KINDS: tuple[tuple[type[Parameter], str], ...] = (
+    (JointCompliance, "joints"),
+    (LinkSpring, "link springs"),
+    (Knee, "breakpoints"),
+    (FadingPart, "fading parts of gears"),
+    (LostMotion, "lost motion"),
+    (Backlash, "backlash"),
+    (LinkMass, "masses"),
+    (CompensatorSize, "compensator"),
+)
+_NAMED = 6
+"""Names of a kind that a warning lists."""
+
+
+def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> tuple[str, list[str]]:
+    """Return the reason why the model should not be used (empty if it may), and notes for the user."""
+    return _distrust(data, fit, choice) or workspace.refusal, _notes(data, fit, choice)
+
+
+def verdict_line(distrust: str) -> str:
+    """Return the verdict on a model in one line."""
+    return f"NOT TO BE TRUSTED: {distrust}" if distrust else "the model may be used, within its bound"
+
+
+def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
+    held_out = fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
+    if held_out > _MOST_HELD_OUT:
+        where = "on configurations left out" if choice is not None else "on the readings"
+        return (
+            f"{where} the mean square error is {held_out:.1f} σ² (noise alone: 1): the robot does something that the "
+            "model does not describe, or the set-up is wrong"
+        )
+    number = len(fit.values) if choice is None else choice.determined
+    each = _numbers_of_a_configuration(data)
+    fewest = max(_FEWEST, int(np.ceil(_SPARE * number / each)))
+    if len(data.q) < fewest:
+        kind = "joint springs" if choice is None else "link springs and gears"
+        return (
+            f"{len(data.q)} configurations were measured, which determine about {each:.0f} numbers each; the {kind} "
+            f"have {number:.0f} and need {fewest} configurations at least (30 are usual)"
+        )
+    return ""
+
+
+def _numbers_of_a_configuration(data: Measurements) -> float:
+    """Return how many numbers a configuration determines of linear springs, by its points and directions of load."""
+    wrench, config = data.wrench[data.loaded], data.state_config[data.loaded]
+    directions = [
+        np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1)
+        for index in range(len(data.q))
+    ]
+    return _NUMBERS.get(len(data.points), 6) * float(np.mean(directions))
+
+
+def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
+    notes, half = [], dict(zip(fit.structure.parameters, fit.ci95.tolist(), strict=True))
+    load = norm(data.wrench[data.loaded])
+    if choice is not None:
+        if int(levels(load).max()) == 0:
+            notes.append(
+                f"one level of loads ({np.median(load):.0f} N): gears that stiffen or have breakpoints show near the "
+                "force of the work. Measure each configuration under a second load of about that force."
+            )
+        notes += _held(choice)
+    for parameter, value in fit.given.items():
+        if isinstance(parameter, JointCompliance) and parameter.in_file(fit.given)[0] <= 0.0:
+            notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
+        if isinstance(parameter, Backlash) and value > max(_PLAY, half[parameter] / NORMAL_95):
+            notes.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
+    return notes
+
+
+def _held(choice: Choice) -> list[str]:
+    """Return one sentence on the parameters that the readings do not narrow, by kind."""
+    kinds: dict[str, list[str]] = {}
+    for parameter in choice.held_by_prior:
+        kind = next((name for of_kind, name in _KINDS if isinstance(parameter, of_kind)), "other parameters")
+        kinds.setdefault(kind, []).append(parameter.name)
+    if not kinds:
+        return []
+    parts = [
+        f"{kind} {', '.join(names[:_NAMED])}{f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''}"
+        for kind, names in kinds.items()
+    ]
+    return [
+        "not identified, held by a prior of physical size, which counts in the bound: "
+        f"{'; '.join(parts)} (all of them: held_by_prior in identification.json)"
+    ]
