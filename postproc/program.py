@@ -459,6 +459,7 @@ class Program(Struct, frozen=True, eq=False):
     :param unfollowed: calls of routines that cut, and have no rows either: an error if a force acts there.
     :param needed: files next to it that it needs to run, and that are left unchanged.
     :param layout: positions of its numbers in its text; None for G-code and APT, whose text is not written again.
+    :param feed_as_read: (M,) feeds as its text states them [m/s], if those of `motions` were lowered since; else None.
     """
 
     name: str
@@ -481,6 +482,7 @@ class Program(Struct, frozen=True, eq=False):
     unfollowed: tuple[Unfollowed, ...] = ()
     needed: tuple[Needed, ...] = ()
     layout: Layout | None = None
+    feed_as_read: Array | None = None
 
     @property
     def keeps_text(self) -> bool:

@@ -4,6 +4,6 @@ Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
 from postproc.correction.process import process, read
-from postproc.correction.result import Mode, Result, Statistics, statistics
+from postproc.correction.result import HeldFeed, Mode, Result, Statistics, statistics
 
-__all__ = ["Mode", "Result", "Statistics", "process", "read", "statistics"]
+__all__ = ["HeldFeed", "Mode", "Result", "Statistics", "process", "read", "statistics"]

@@ -34,6 +34,37 @@ class Doubt(Struct, frozen=True):
     source: str
 
 
+class HeldFeed(Struct, frozen=True, eq=False):
+    """Feeds of M motions, lowered so that the expected error on the part stays within its tolerance.
+
+    :param tolerance: of the part, 95 % [m].
+    :param least: smallest feed that was allowed [m/s].
+    :param programmed: (M,) feed as programmed, and feed: (M,) as written [m/s]; NaN for joint motions.
+    :param length: (M,) length of the path [m].
+    :param expected: (M,) largest expected error at the written feed [m]; 0 on rapid moves.
+    :param without_feed: (M,) the same as the feed tends to zero: by edge forces, and by what does not depend on the
+        force [m]; NaN on motions that hold the tolerance or could not be slowed.
+    """
+
+    tolerance: float
+    least: float
+    programmed: Array
+    feed: Array
+    length: Array
+    expected: Array
+    without_feed: Array
+
+    @property
+    def lowered(self) -> Bools:
+        """(M,) True where the written feed is below the programmed one."""
+        return np.asarray(self.feed < self.programmed)
+
+    @property
+    def missed(self) -> Bools:
+        """(M,) True where the tolerance is exceeded at the written feed."""
+        return np.asarray(self.expected > self.tolerance)
+
+
 class Result(Struct, frozen=True, eq=False):
     """Result of one program. Row i of every array is the same Cartesian target; SI units, `$BASE` axes.
 
@@ -68,6 +99,7 @@ class Result(Struct, frozen=True, eq=False):
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
     :param causes: causes of deviation from nominal without correction, in words.
+    :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
     """
 
     program: Program
@@ -98,6 +130,7 @@ class Result(Struct, frozen=True, eq=False):
     largest_correction: float = np.nan
     reversals: Reversals | None = None
     causes: tuple[str, ...] = ()
+    held_feed: HeldFeed | None = None
 
     def __len__(self) -> int:
         return len(self.motion)
@@ -126,6 +159,19 @@ class Result(Struct, frozen=True, eq=False):
     def after(self) -> Array:
         """(K,) distance of the predicted tip from nominal with the program as written [m]."""
         return norm(self.deviation_after)
+
+    @property
+    def expected(self) -> Array | None:
+        """(K,) expected error on the part (95 %) [m], 0 on rapid moves; None where the model states no uncertainty.
+
+        The sum of the bound, the rounding by approximate positioning beyond that of the KRL input, and the deviation of
+        the path: of a corrected program the largest anywhere, else the one at the target.
+        """
+        if self.bound is None:
+            return None
+        left = np.full(len(self), self.between) if self.mode == "convert" else self.after
+        error = self.bound + np.maximum(self.rounding - self.programmed, 0.0) + left
+        return np.asarray(np.where(self.rapid, 0.0, error))
 
     @property
     def largest_reversals(self) -> Ints:

@@ -17,7 +17,7 @@ from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.frames import M_PER_MM
-from postproc.jobs import shared_files
+from postproc.jobs import held_feed, shared_files
 from postproc.jobs.marking import marked, subprograms
 from postproc.jobs.programs import Job, read_documents
 from postproc.jobs.settings import EXCEEDED, FAILED, GOOD, Outcome, Settings
@@ -90,6 +90,8 @@ def _result(
 ) -> tuple[Result, ProcessForces | None]:
     """Return the result, and what a process makes of the program."""
     mode, linearize, found = settings.mode, settings.linearize_arcs, None
+    if mode == "convert" and cell.output.feed == "hold":
+        held_feed.check(cell, process=job.process is not None)
     if job.process is None:
         source = None if job.forces is None else forces.read(job.forces)
         result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize, to=job.to)
@@ -99,6 +101,8 @@ def _result(
         process = process_forces.read(job.process, cell)
         if mode == "predict":
             result, process = process_forces.predicted(program, robot, cell, process)
+        elif mode == "convert" and cell.output.feed == "hold":
+            result = process_forces.with_held_feed(program, robot, cell, process, linearize_arcs=linearize, to=job.to)
         else:
             result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
         found = process.found

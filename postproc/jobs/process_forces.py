@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from postproc import correction, machining
+from postproc import correction, machining, toolpath
 from postproc.cell import Cell
 from postproc.correction import Result
-from postproc.errors import Issue
+from postproc.errors import InputError, Issue
 from postproc.frames import Array, norm
+from postproc.jobs import held_feed
 from postproc.machining import ProcessForces, ProcessSource, Shift
 from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.robot import RobotModel
+from postproc.under_load import RobotInCell
 
 _ROUNDS = 8
 _FIRST = 0.9
@@ -79,6 +81,24 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     note = Issue("info" if settled else "warning", "real-cut", message)
     hits = [issue for issue in nominal.issues if issue.kind == "rapid-in-material"]
     return replace(result, issues=(*result.issues, *hits, note)), cut
+
+
+def with_held_feed(
+    program: Program, robot: RobotModel, cell: Cell, source: ProcessSource, *, linearize_arcs: bool, to: str | None
+) -> Result:
+    """Convert a program with feeds that hold the tolerance of the part, see `held_feed.held`.
+
+    :raises InputError: the program or the process does not allow that.
+    """
+    if source.process.material is None:
+        advice = "[operations] do not say how forces depend on the feed: give [material], tools and stock."
+        raise InputError('[output] feed = "hold" without [material]', file=source.name, advice=advice)
+    path = toolpath.segments(program, RobotInCell.of(robot, cell).start_flange)
+
+    def trial(changed: Program) -> Result:
+        return correction.process(changed, robot, cell, source, linearize_arcs=linearize_arcs, to=to)
+
+    return held_feed.held(program, path.length, cell, source.process.law().exponent, trial)
 
 
 def _secant(moved: Array, change: Array, step: float) -> float:

@@ -24,7 +24,7 @@ class ProcessSource:
 
     Implements `forces.ForceSource`. The stock is swept once for a program.
 
-    :ivar found: the last result; None before the first, and without [material].
+    :ivar process: the process; found: the last result, None before the first and without [material].
     """
 
     def __init__(self, process: Process, axis: str, *, stock: Path | None = None, shift: Shift | None = None) -> None:
@@ -34,19 +34,19 @@ class ProcessSource:
         :param stock: mesh of the stock, instead of that of the process.
         :param shift: displacement of the tip, see `Shift`.
         """
-        self._process, self._axis, self._stock, self._shift = process, axis, stock, shift
+        self.process, self._axis, self._stock, self._shift = process, axis, stock, shift
         self._of: Program | None = None
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
 
     def shifted(self, shift: Shift) -> ProcessSource:
         """Return the same process with a displaced tip."""
-        return ProcessSource(self._process, self._axis, stock=self._stock, shift=shift)
+        return ProcessSource(self.process, self._axis, stock=self._stock, shift=shift)
 
     @property
     def name(self) -> str:
         """The file of the process."""
-        return self._process.path
+        return self.process.path
 
     def along(self, program: Program, path: Segments) -> Knots:
         """Return the forces along the motions of a program, see `estimate` and `by_operation`.
@@ -58,7 +58,7 @@ class ProcessSource:
         return self._knots
 
     def _made(self, program: Program, path: Segments) -> Knots:
-        process = self._process
+        process = self.process
         computed = None
         if process.material is not None:
             self.found = estimate(program, path, process, self._axis, stock=self._stock, shift=self._shift)

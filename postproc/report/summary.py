@@ -17,6 +17,7 @@ from postproc.errors import Issue
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
+from postproc.report.feed import FeedSummary, feed_summary
 from postproc.report.formatting import ROUNDING_MM, State, above, rounded
 from postproc.robot import JOINTS, RobotModel
 
@@ -158,6 +159,7 @@ class Summary(TypedDict):
     after: Distances
     u95: Expected | None  # None where the model states no uncertainty
     part: OnPart
+    feed: FeedSummary | None  # None where feeds are those of the program
     improvement: Ratios
     compensated_percent: float | None
     between_max_mm: float | None
@@ -208,6 +210,7 @@ def summary(
         after=_distances(after),
         u95=None if bound is None else _bound_entry(result, bound, part_tolerance or tolerance),
         part=_on_part(result, part_tolerance),
+        feed=feed_summary(result),
         improvement={
             "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
             "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
@@ -336,16 +339,10 @@ def _reversals(result: Result) -> list[Reversal]:
 
 
 def _on_part(result: Result, tolerance: float | None) -> OnPart:
-    """Return the expected error on the part, judged by a tolerance [m].
-
-    At each cutting target it is the sum of the bound, the rounding by approximate positioning beyond that of the KRL
-    input, and the deviation of the path: of a corrected program the largest anywhere, else the one at the target.
-    """
-    stated = None if tolerance is None else tolerance * MM_PER_M
-    if result.bound is None or result.rapid.all():
+    """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m]."""
+    stated, error = None if tolerance is None else tolerance * MM_PER_M, result.expected
+    if error is None or result.rapid.all():
         return {"tolerance_mm": stated, "expected_mm": None, "source_line": None, "held": None, "beyond_percent": None}
-    left = np.full(len(result), result.between) if result.mode == "convert" else result.after
-    error = np.where(result.rapid, 0.0, result.bound + np.maximum(result.rounding - result.programmed, 0.0) + left)
     worst = int(np.argmax(error))
     beyond = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
     return {

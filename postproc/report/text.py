@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
 from postproc.report.summary import (
     WORDS,
@@ -47,7 +48,7 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
         pairs = [(label, content["before"][key], content["after"][key]) for label, key in _ROWS]  # type: ignore[literal-required]
         rows = [(label, estimate(old, u95), estimate(new, u95), times(old, new)) for label, old, new in pairs]
         lines.append(display.table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
-    lines += ["", *_facts(content)]
+    lines += ["", *_facts(content), *_feeds(content, display)]
     lines += [issue_line(issue, content["program"]) for issue in content["issues"] if issue["level"] == "info"]
     return "\n".join(lines)
 
@@ -80,6 +81,26 @@ def _facts(content: Summary) -> list[str]:
         f"smallest singular value {number(limits['min_singular_value'], 3)}"
     )
     return [f"  {fact}" for fact in facts]
+
+
+def _feeds(content: Summary, display: Display) -> list[str]:
+    """Return what was done to the feeds, and cutting times by operation."""
+    feed = content["feed"]
+    if feed is None:
+        return []
+    lines = [f"  {each}" for each in sentences(feed)]
+    if len(feed["operations"]) > 1 and feed["lowered_moves"]:
+        rows = [
+            (
+                each["name"],
+                seconds(each["time_before_s"]),
+                seconds(each["time_after_s"]),
+                str(each["lowered_moves"]),
+            )
+            for each in feed["operations"]
+        ]
+        lines.append(display.table(("cutting time", "before", "after", "moves slowed"), rows, range(1, 4), "  "))
+    return lines
 
 
 def _expected(content: Summary) -> list[str]:

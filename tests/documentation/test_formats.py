@@ -193,6 +193,7 @@ def results(readme, tmp_path_factory):
             folder / "plate.report.json",
             folder / "pocket.predict.report.json",
             unsure,
+            _with_held_feeds(folder),
         ],
         "part.compare.report.json": [folder / f"{name}.compare.report.json" for name in ("inline", "faster")],
         "identification.json": [
@@ -228,6 +229,23 @@ def _with_an_unusable_model(folder: Path, cell: str) -> Path:
     assert result.exit_code == 3, result.output
     assert "mostly due to the model of A3" in result.output
     return folder / "unsure_out" / "pocket.report.json"
+
+
+def _with_held_feeds(folder: Path) -> Path:
+    """Return the report of a program whose feed was lowered as far as that helps."""
+    stated = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+    hold = '\n[part]\ntolerance_mm = 0.02\n[output]\nfeed = "hold"\n'
+    (folder / "hold.toml").write_text(stated.replace("\n[output]\n", hold), encoding="utf-8")
+    (folder / "held.nc").write_text("G90 G21\nT1 M6\nS8000 M3\nG0 X-20 Y0 Z-1\nG1 X60 F1600\nG0 Z5\nM2\n")
+    (folder / "held.process.toml").write_text(
+        '[material]\nname = "al_6082_t6_carbide"\n[tools.1]\ndiameter_mm = 10\nflutes = 2\n'
+        "[stock]\nresolution_mm = 1.0\nbox = { X = [-10, 50], Y = [-20, 20], Z = [-10, 0] }\n"
+    )
+    arguments = ["convert", str(folder / "held.nc"), "--cell", str(folder / "hold.toml")]
+    arguments += ["--process", str(folder / "held.process.toml"), "-o", str(folder / "held")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 3, result.output
+    return folder / "held" / "held.report.json"
 
 
 def _forces_with_a_warning(folder: Path) -> Path:

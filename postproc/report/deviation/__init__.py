@@ -24,6 +24,7 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.cut,
     sections.histogram,
     sections.operations,
+    sections.feeds,
     sections.worst,
     sections.reversals,
     sections.limits,

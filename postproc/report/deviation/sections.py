@@ -11,6 +11,7 @@ from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.program import Ints
 from postproc.report.deviation.data import Deviation, correction
+from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import estimate, millimetres, rounded
 from postproc.report.kit import (
     Axis,
@@ -365,6 +366,31 @@ def operations(data: Deviation) -> Section | None:
         note="Largest values.",
     )
     return Section("operations", "Operations and tools", (table,))
+
+
+def feeds(data: Deviation) -> Section | None:
+    """Return what was done to the feeds to hold the tolerance of the part."""
+    feed = data.content["feed"]
+    if feed is None:
+        return None
+    rows = [
+        Row(
+            (
+                each["name"],
+                f"T{each['tool']}" if each["tool"] else "-",
+                seconds(each["time_before_s"]),
+                seconds(each["time_after_s"]),
+                str(each["lowered_moves"]),
+                number(each["lowest_feed_mm_per_min"], 0),
+            )
+        )
+        for each in feed["operations"]
+    ]
+    head = ("Operation", "Tool", "Time before", "Time after", "Moves slowed", "Lowest feed, mm/min")
+    note = "Time of cutting moves: lengths divided by feeds, without the accelerations of the controller."
+    table = Table(head, tuple(rows), "Cutting time by operation at programmed and written feeds", texts=(1,), note=note)
+    notes = Notes(tuple(Note(_sentence(text)) for text in sentences(feed, 20)))
+    return Section("feeds", "Feeds that hold the tolerance", (notes, table))
 
 
 def worst(data: Deviation) -> Section | None:

@@ -8,6 +8,7 @@ What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 - A motion under another `$ORI_TYPE` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR``, see
   `target_statements`.
 - CA is dropped when a circle is corrected: its end point is then where the arc ends.
+- A lowered feed is ``$VEL.CP=…`` on a line before the motion; the feed of the program follows behind it.
 - A point used by several motions with different corrections gets a new name next to the old one in the `.dat`; where
   that is not possible (array elements, points assigned in the `.src`, chains of frames) numbers take its place.
 """
@@ -40,8 +41,9 @@ from postproc.dialects.krl.write.target_statements import (
     runs,
 )
 from postproc.dialects.krl.write.trigger_places import placed
+from postproc.dialects.new_program import number
 from postproc.dialects.text import line_spans
-from postproc.errors import Issue, group_issues
+from postproc.errors import Issue, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 
 _STOP = "The robot stops at an inserted target, as it does at the end of this motion: "
@@ -56,11 +58,13 @@ def rewrite(program: Program, targets: Targets, carried: TargetForces | None = N
     :param targets: commanded poses; axis targets have no rows.
     :param carried: forces that its comments must give to the targets; None leaves the comments as they are.
     :returns: the documents of the program. Reading them gives the targets, rounded to 0.1 µm and 1e-5°, in order.
+    :raises ProgramError: the feed of a motion was lowered, which its text does not allow.
     :raises ValueError: the program was not read from KRL; a number is too large to be written.
     """
     layout = program.layout
     if not isinstance(layout, Layout):
         raise ValueError("only a program read from KRL can be rewritten")  # noqa: TRY004
+    _check_lowered(program, layout)
     return _Rewriter(program, layout, targets, carried).written()
 
 
@@ -83,7 +87,7 @@ class _Rewriter:
     def written(self) -> Written:
         """Make all edits and return the documents."""
         last, keep = self.last, self.targets.keep
-        if (last & keep).all():
+        if (last & keep).all() and not len(_lowered(self.program)):
             return Written(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
         self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
@@ -229,9 +233,12 @@ class _Rewriter:
         at, moved = self._around_triggers()
         forces = self._forces(line, at)
         free, bound = self._freed()
-        own = [*moved, *forces, *free, *bound]
+        slow, fast = self._feeds()
+        own = [*moved, *forces, *free, *bound, *slow, *fast]
         for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), own)).tolist():
             before = at.get(k, int(line[k]))
+            if k in slow:
+                lines.add(before, self._indent(k) + slow[k] + self.statements.line_end(int(line[k])))
             if k in free:
                 lines.add(before, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(line[k])))
             for trigger, text in moved.get(k, ()):
@@ -247,6 +254,8 @@ class _Rewriter:
             if k in bound:
                 kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
                 lines.behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
+            if k in fast:
+                lines.behind(int(line[k]), self._indent(k) + fast[k])
         return lines.numbers(line)
 
     def _freed(self) -> tuple[set[int], set[int]]:
@@ -256,6 +265,20 @@ class _Rewriter:
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
         return set(begins.tolist()), set(ends.tolist())
+
+    def _feeds(self) -> tuple[dict[int, str], dict[int, str]]:
+        """Return the statements that set lowered feeds before targets, and those that end them behind targets."""
+        motions, as_read = self.program.motions, self.program.feed_as_read
+        if as_read is None:
+            return {}, {}
+        rows, line = _lowered(self.program), self.layout.line
+        follows = np.append(False, (np.diff(rows) == 1) & (np.diff(line[rows]) == 1))  # nothing between them
+        same = follows & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
+        ends = np.append(~follows[1:], True)[: len(rows)]
+        begins, last = np.searchsorted(self.row, rows), np.searchsorted(self.row, rows, side="right") - 1
+        slow = zip(begins[~same].tolist(), motions.feed[rows[~same]].tolist(), strict=True)
+        fast = zip(last[ends].tolist(), as_read[rows[ends]].tolist(), strict=True)
+        return {k: _FEED.format(number(feed)) for k, feed in slow}, {k: _FEED.format(number(feed)) for k, feed in fast}
 
     def _indent(self, k: int) -> str:
         """Return the text before the instruction on the line of a motion."""
@@ -321,3 +344,38 @@ class _Rewriter:
 
     def _report(self, kind: str, message: str, line: int) -> None:
         self.issues.append(Issue("info", kind, message, line))
+
+
+_FEED = "$VEL.CP={}"
+
+
+def _lowered(program: Program) -> Ints:
+    """Return the motions (n,) whose feed was lowered since the program was read."""
+    as_read = program.feed_as_read
+    return np.flatnonzero(program.motions.feed < as_read) if as_read is not None else np.zeros(0, dtype=np.int64)
+
+
+def _check_lowered(program: Program, layout: Layout) -> None:
+    """Refuse lowered feeds that no line before the motion can set.
+
+    :raises ProgramError: the motion is in a loop, branch or called routine, in a spline block, or sets its own speed.
+    """
+    rows = _lowered(program)
+    if not len(rows):
+        return
+    tails = [layout.course.source.text[start:stop].upper() for start, stop in layout.tail[rows].tolist()]
+    for bad, problem in (
+        (
+            np.full(len(rows), not layout.course.straight),
+            "this program has loops, branches or calls: its lines run more than once or not always",
+        ),
+        (layout.passed[rows], "the motion is in a spline block"),
+        (np.array(["$VEL" in tail for tail in tails]), "the motion sets its speed itself (WITH)"),
+    ):
+        if bad.any():
+            raise ProgramError(
+                f"the feed cannot be lowered here: {problem}",
+                file=program.documents[0].name,
+                line=int(program.motions.line[rows[np.argmax(bad)]]),
+                advice='Convert the G-code of this program instead, or write [output] feed = "program".',
+            )

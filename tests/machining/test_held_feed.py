@@ -1,0 +1,227 @@
+"""`[output] feed = "hold"`: feeds as high as the tolerance of the part allows.
+
+The brute force shares nothing with the search: it converts the program again and again with other F words in its text,
+and takes the highest of them for each move.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from itertools import groupby
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from msgspec.structs import replace
+
+from postproc import correction
+from postproc.cell import Part
+from postproc.cli import main
+from postproc.errors import InputError, PostprocError, ProgramError
+from postproc.jobs import held_feed, process_forces
+from tests.machining.setting import CELL, ROBOT, SAMPLES, gcode, process, read, tool
+
+BOX = ((0, 200), (-40, 60), (-20, 0))
+MOVES = ("X100 Y10", "X180", "Y30", "X215")
+PROGRAMMED, LEAST = 2400.0, 300.0
+KIENZLE = "kc11_N_per_mm2 = 900\nmc = 0.27\naxial_ratio = 0.2\nsigma_percent = 20"
+
+
+def text(feed=PROGRAMMED):
+    return gcode("G0 X-15 Y3 Z5", f"G1 Z-6 F{PROGRAMMED:g}", f"X60 F{feed:.3f}", *MOVES, "G0 Z5")
+
+
+def cell(tolerance, least=LEAST):
+    output = replace(CELL.output, feed="hold", min_feed_mm_per_min=least)
+    return replace(CELL, part=Part(tolerance_mm=tolerance), output=output)
+
+
+def convert(folder, program, given, material='name = "al_7075_t6_carbide"', more=""):
+    (folder / "process.toml").write_text(process(tool(16, 3) + more, BOX, 1.0, material))
+    source = process_forces.read(folder / "process.toml", given)
+    return process_forces.with_held_feed(program, ROBOT, given, source, linearize_arcs=False, to=None)
+
+
+def expected(result):
+    """Largest expected error of each motion [mm], from the columns of the result."""
+    out = np.zeros(len(result.program.motions))
+    more = np.maximum(result.rounding - result.programmed, 0.0) + result.between
+    np.maximum.at(out, result.motion, np.where(result.rapid, 0.0, result.bound + more))
+    return out * 1e3
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "material"),
+    [(0.6, 'name = "al_7075_t6_carbide"'), (0.6, KIENZLE), (0.42, 'name = "al_7075_t6_carbide"')],
+)
+def test_brute_force_over_feeds_finds_the_same_time(tmp_path, tolerance, material):
+    """With exact stops: the rounding of a corner depends on the feeds of both moves."""
+    given = cell(tolerance)
+    given = replace(given, gcode=replace(given.gcode, approximation_mm=0.0))
+    program = read(tmp_path, text(), cell=given)
+    result = convert(tmp_path, program, given, material)
+    feeds = np.geomspace(PROGRAMMED, LEAST, 16)
+    errors = []
+    for feed in feeds:
+        tried = read(tmp_path, text(feed), cell=given)
+        source = process_forces.read(tmp_path / "process.toml", given)
+        errors.append(expected(correction.process(tried, ROBOT, given, source)))
+    errors = np.array(errors)
+    cutting = np.flatnonzero((errors > 0.05).all(axis=0))
+    assert len(cutting) == 5
+    best = []
+    for motion in cutting:
+        own = errors[:, motion]
+        limit = tolerance if own[-1] <= tolerance else 1.05 * own[-1]
+        best.append(np.exp(np.interp(-limit, -own, np.log(feeds))))
+    held = result.held_feed
+    times = [float(np.sum(held.length[cutting] / np.asarray(f))) for f in (best, held.feed[cutting] * 60e3)]
+    assert times[1] == pytest.approx(times[0], rel=0.02)
+    np.testing.assert_allclose(held.feed[cutting] * 60e3, best, rtol=0.03)
+    np.testing.assert_allclose(held.expected[cutting] * 1e3, expected(result)[cutting])
+
+
+def test_the_written_feeds_are_the_lowered_ones_and_hold_the_tolerance(tmp_path):
+    given = cell(0.6)
+    result = convert(tmp_path, read(tmp_path, text(), cell=given), given)
+    held = result.held_feed
+    assert held.lowered.sum() == 5
+    assert not held.missed.any()
+    assert (expected(result) <= 0.6).all()
+    cutting = np.flatnonzero(held.lowered)
+    written = [float(value) for value in re.findall(r"^\$VEL\.CP=([\d.]+)", result.documents[0].text, re.MULTILINE)]
+    np.testing.assert_allclose(written[1:-1] if written[0] > 0.03 else written, held.feed[cutting], atol=1e-9)
+
+
+def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):
+    given = cell(50.0)
+    program = read(tmp_path, text(), cell=given)
+    tried = []
+
+    def trial(changed):
+        tried.append(changed)
+        return correction.process(changed, ROBOT, given, None)
+
+    result = held_feed.held(program, np.ones(len(program.motions)), given, 0.0, trial)
+    assert tried == [program]
+    np.testing.assert_array_equal(result.held_feed.feed, program.motions.feed)
+
+
+def test_the_feed_is_never_below_the_least_and_what_is_not_held_is_named(tmp_path):
+    given = cell(0.2, least=900.0)
+    result = convert(tmp_path, read(tmp_path, text(), cell=given), given)
+    held = result.held_feed
+    cutting = np.flatnonzero(held.lowered)
+    assert len(cutting) == 5
+    assert held.missed[cutting].all()
+    assert held.feed[cutting].min() * 60e3 >= 900.0
+    assert held.feed[cutting].max() * 60e3 < 1200.0  # the error is 5 % above the least
+    least = replace(given, output=replace(given.output, feed="program"))
+    errors = []
+    for feed in (900.0, 60.0, 30.0):
+        source = process_forces.read(tmp_path / "process.toml", least)
+        errors.append(
+            expected(correction.process(read(tmp_path, text(feed), cell=least), ROBOT, least, source))[cutting]
+        )
+    np.testing.assert_allclose(held.expected[cutting] * 1e3, 1.05 * errors[0], rtol=0.01)
+    # without feed only edge forces act: the limit of slow feeds
+    np.testing.assert_allclose(held.without_feed[cutting] * 1e3, 2.0 * errors[2] - errors[1], rtol=0.005)
+
+
+def test_a_feed_below_the_least_stays_as_it_is(tmp_path):
+    given = cell(0.2, least=3000.0)
+    program = read(tmp_path, text(), cell=given)
+    held = convert(tmp_path, program, given).held_feed
+    np.testing.assert_array_equal(held.feed, program.motions.feed)
+    assert held.missed.any()
+
+
+def krl(folder, *lines):
+    body = [
+        "DEF part( )", "BAS (#INITMOV,0 )", "$VEL.CP=0.3", "$APO.CDIS=0.5", "PTP {X -15,Y 3,Z 5,A 180,B 0,C 180}",
+        "$VEL.CP=0.04", "LIN {X -15,Y 3,Z -6}", *lines, "LIN {X 215,Y 30,Z -6}",
+        "$VEL.CP=0.3", "LIN {X 215,Y 30,Z 30}", "END", "",
+    ]  # fmt: skip
+    return read(folder, "\r\n".join(body), "part.src")
+
+
+CUTS = (
+    "LIN {X 60,Y 3,Z -6} C_DIS",
+    "LIN {X 100,Y 10,Z -6} C_DIS",
+    "; a remark",
+    "LIN {X 180,Y 10,Z -6}",
+    "LIN {X 180,Y 30,Z -6}",
+)
+SPINDLE = "rpm = 6000\n"
+
+
+def test_krl_keeps_its_text_and_gets_the_feeds_between_its_lines(tmp_path):
+    given = cell(0.7)
+    program = krl(tmp_path, *CUTS)
+    result = convert(tmp_path, program, given, more=SPINDLE)
+    assert not result.failed, result.issues
+    held = result.held_feed
+    assert held.lowered.sum() == 5
+    lines = result.documents[0].text.splitlines()
+    kept = [line for line in lines if not line.startswith(("LIN", "$VEL"))]
+    assert kept == [line for line in program.documents[0].text.splitlines() if not line.startswith(("LIN", "$VEL"))]
+    (tmp_path / "again.src").write_text(result.documents[0].text.replace("part(", "again("))
+    again = read(tmp_path, (tmp_path / "again.src").read_text(), "again.src").motions
+    in_order = [feed for feed, _ in groupby(np.nan_to_num(again.feed).tolist())]
+    np.testing.assert_allclose(in_order, [feed for feed, _ in groupby(np.nan_to_num(held.feed).tolist())], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("lines", "why"),
+    [
+        (("FOR I=1 TO 2", "LIN {X 60,Y 3,Z -6}", "LIN {X -15,Y 3,Z -6}", "ENDFOR", *CUTS), "loops, branches or calls"),
+        (("SPLINE", "SLIN {X 60,Y 3,Z -6}", "SLIN {X 180,Y 10,Z -6}", "ENDSPLINE"), "spline block"),
+        (("SLIN {X 60,Y 3,Z -6} WITH $VEL.CP=0.03", *CUTS), "sets its speed itself"),
+    ],
+)
+def test_krl_whose_feeds_cannot_be_changed_is_refused_with_the_reason(tmp_path, lines, why):
+    with pytest.raises(ProgramError, match=why):
+        convert(tmp_path, krl(tmp_path, *lines), cell(0.3), more=SPINDLE)
+
+
+def test_what_it_needs_is_named():
+    with pytest.raises(InputError, match="without a tolerance of the part"):
+        held_feed.check(CELL, process=True)
+    with pytest.raises(InputError, match="without a process"):
+        held_feed.check(cell(0.1), process=False)
+
+
+def test_forces_by_operation_do_not_say_what_a_feed_changes(tmp_path):
+    (tmp_path / "process.toml").write_text("[operations.T1]\nFx = 10.0\n")
+    source = process_forces.read(tmp_path / "process.toml", CELL)
+    with pytest.raises(PostprocError, match="without \\[material\\]"):
+        process_forces.with_held_feed(read(tmp_path, text()), ROBOT, cell(0.1), source, linearize_arcs=False, to=None)
+
+
+def test_times_by_operation_are_on_the_terminal_in_json_and_on_the_page(tmp_path):
+    more = '\n[part]\ntolerance_mm = 0.35\n[output]\nfeed = "hold"\nmin_feed_mm_per_min = 400\n'
+    stated = (SAMPLES / "cell_kr270.toml").read_text()
+    (tmp_path / "cell.toml").write_text(re.sub(r"\n\[output\]\n", more, stated))
+    (tmp_path / "process.toml").write_text(process(tool(16, 3), BOX, 1.0))
+    program = text().replace("G0 X-15", "(Slot)\nG0 X-15", 1).replace("X180", "G0 Z5\n(Rim)\nG1 Z-6\nX180", 1)
+    (tmp_path / "part.nc").write_text(program)
+    given = ["--cell", str(tmp_path / "cell.toml"), "--process", str(tmp_path / "process.toml")]
+    made = CliRunner().invoke(main, ["convert", str(tmp_path / "part.nc"), *given, "-o", str(tmp_path / "out")])
+    assert made.exit_code == 3, made.output
+    feed = json.loads((tmp_path / "out" / "part.report.json").read_text())["feed"]
+    assert [each["name"] for each in feed["operations"]] == ["Slot", "Rim"]
+    for key in ("time_before_s", "time_after_s"):
+        assert sum(each[key] for each in feed["operations"]) == pytest.approx(feed[key])
+    slot = (11 + 75 + np.hypot(40, 7)) / PROGRAMMED * 60
+    assert feed["operations"][0]["time_before_s"] == pytest.approx(slot, rel=1e-6)
+    assert feed["time_after_s"] > 1.5 * feed["time_before_s"]
+    assert feed["missed_moves"] == len(feed["missed"]) > 0
+    for move in feed["missed"]:
+        assert move["expected_mm"] > 0.35
+        assert 0.0 < move["edge_forces_mm"] < move["expected_mm"]
+    page = (tmp_path / "out" / "part.report.html").read_text()
+    for shown in (made.output, page):
+        assert "moves do not hold 0.35 mm" in shown
+        assert "by edge forces at any feed" in shown
+        assert "Rim" in shown
