@@ -12,8 +12,10 @@ gallery/             a drilled block, a dome in five axes, a long plate: program
 
 from __future__ import annotations
 
+import cmath
 import math
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -381,13 +383,13 @@ diameter_mm = 12
 flutes = 3
 
 [stock]
-file = "plate.stl"              # closed, mm, in $BASE
+file = "plate.blank.stl"        # closed, mm, in $BASE
 resolution_mm = 0.5
 """
 
 
-def plate() -> tuple[str, str]:
-    """A pocket and a contour as FreeCAD writes them, without a word of forces, and the blank as STL."""
+def plate() -> tuple[str, str, str]:
+    """A pocket and a contour as FreeCAD writes them, without a word of forces; the blank and the part as STL."""
     out = [
         "(Exported by FreeCAD)", "(Post Processor: linuxcnc_post)", "(begin preamble)", "G17 G54 G40 G49 G80 G90",
         "G21",
@@ -416,7 +418,61 @@ def plate() -> tuple[str, str]:
         "G1 X2.000 Y-8.000", "G0 Z30.000", "(finish operation: Contour)", "(begin postamble)", "M5", "M2",
     ]  # fmt: skip
     outline = [(0.0, 0.0), (110.0, 0.0), (110.0, 68.0), (98.0, 80.0), (0.0, 80.0)]
-    return "\n".join(out) + "\n", _prism("plate", outline, -14.0, 0.0)
+    pocket = [
+        point
+        for x, y, begin in ((80.0, 57.0, 0.0), (30.0, 57.0, 90.0), (30.0, 23.0, 180.0), (80.0, 23.0, 270.0))
+        for point in _arc(x, y, 6.0 / math.cos(math.radians(7.5)), begin, 6)
+    ]
+    boss = [(8.0, 8.0)]
+    for x, y, begin in ((98.0, 12.0, -90.0), (98.0, 68.0, 0.0), (12.0, 68.0, 90.0)):
+        boss += _arc(x, y, 4.0, begin, 4)
+    rings = [(pocket, -6.0), (pocket, 0.0), (boss, 0.0), (boss, -8.0), (outline, -8.0), (outline, -14.0)]
+    return "\n".join(out) + "\n", _prism("blank", outline, -14.0, 0.0), _rings("plate", (55.0, 40.0), rings)
+
+
+def _arc(x: float, y: float, radius: float, begin: float, count: int) -> list[tuple[float, float]]:
+    """Return the ends of equal pieces of a quarter of a circle from an angle [deg] on."""
+    angles = [math.radians(begin + 90.0 * k / count) for k in range(count + 1)]
+    return [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in angles]
+
+
+def _rings(name: str, centre: tuple[float, float], rings: list[tuple[list[tuple[float, float]], float]]) -> str:
+    """Return the body between horizontal outlines, from the lid of the first to the lid of the last, as STL text.
+
+    Every outline is seen from `centre` without hidden parts; all get corners in the directions of all corners.
+    """
+    middle = complex(*centre)
+    directions = sorted({round(cmath.phase(complex(*p) - middle), 9) for outline, _ in rings for p in outline})
+    circles = []
+    for outline, z in rings:
+        corners = [complex(*p) - middle for p in outline]
+        circle = []
+        for angle in directions:
+            ray = cmath.rect(1.0, angle)
+            ahead = []
+            for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+                a, b = a / ray, b / ray  # the ray is the real axis now
+                if min(a.imag, b.imag) <= 1e-7 and max(a.imag, b.imag) >= -1e-7 and abs(a.imag - b.imag) > 1e-7:
+                    ahead.append((a.real * b.imag - b.real * a.imag) / (b.imag - a.imag))
+            point = middle + max(ahead) * ray
+            circle.append((point.real, point.imag, z))
+        circles.append(circle)
+    lids = [[(*centre, z)] * len(directions) for z in (rings[0][1], rings[-1][1])]
+    circles = [lids[0], *circles, lids[1]]
+    lines = [f"solid {name}"]
+    for inner, outer in pairwise(circles):
+        for k in range(len(directions)):
+            after = (k + 1) % len(directions)
+            a, b, c, d = inner[k], outer[k], outer[after], inner[after]
+            for corners_of in ((a, b, c), (a, c, d)):
+                if len(set(corners_of)) < 3:
+                    continue
+                lines += ["facet normal 0 0 0", "outer loop"]
+                lines += [
+                    "vertex " + " ".join(f"{round(value, 4) + 0.0:.4f}" for value in corner) for corner in corners_of
+                ]
+                lines += ["endloop", "endfacet"]
+    return "\n".join([*lines, f"endsolid {name}", ""])
 
 
 DRILLING = """%
@@ -541,7 +597,7 @@ def make() -> dict[str, str]:
     freeform_program, freeform_forces = freeform()
     inline_src, inline_dat = inline()
     long_program, long_forces = long_lin()
-    plate_program, plate_stock = plate()
+    plate_program, plate_blank, plate_part = plate()
     return {
         "cell_kr270.toml": CELL_KR270,
         "cell_kr16.toml": CELL_KR16,
@@ -550,7 +606,8 @@ def make() -> dict[str, str]:
         "freeform.nc": freeform_program,
         "freeform.forces.csv": freeform_forces,
         "plate.nc": plate_program,
-        "plate.stl": plate_stock,
+        "plate.blank.stl": plate_blank,
+        "plate.stl": plate_part,
         "plate.process.toml": PLATE_PROCESS,
         "inline.src": inline_src,
         "inline.dat": inline_dat,

@@ -22,7 +22,6 @@ _FASTEST_TURN = 200.0
 """Largest rotational speed written [deg/s]; above it the controller chooses."""
 _CORRECTED = 1e-9
 """Commands whose matrices differ by less than this from the programmed ones are nominal."""
-_NO_LINES = {"spindle": "no-spindle-lines", "coolant": "no-coolant-lines", "tool": "no-tool-change-lines"}
 
 
 class Words(Struct, frozen=True):
@@ -63,6 +62,7 @@ class NewProgram:
         self.before: defaultdict[int, list[str]] = defaultdict(list)
         self.stops: set[int] = {len(self.row)}
         self.issues: list[Issue] = []
+        self.without_lines: list[Event] = []
 
     def kind(self) -> str:
         """Return the description of the targets for the head of the program; the first chunk usually decides it."""
@@ -115,6 +115,11 @@ class NewProgram:
                     self.stops.add(k)
                 nothing = f"{words.comment} {event.kind} {number(event.value)}: no lines for it in the cell"
                 self.before[k] += own or [nothing]
+        if self.without_lines:
+            names = ", ".join(dict.fromkeys(event.kind for event in self.without_lines))
+            message = f"The cell has no lines for {names} in [gcode]: the program does nothing there."
+            first, count = self.without_lines[0].line, len(self.without_lines)
+            self.issues.append(Issue("warning", "no-lines", message, first, count=count))
 
     def _in_order(self) -> Iterator[Event | int]:
         """Yield events, and the rows of motions to joint angles, which have no target, in order."""
@@ -136,9 +141,7 @@ class NewProgram:
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
         if not own and not (event.kind == "tool_change" and gcode.tool_change is not None):
-            kind = _NO_LINES[event.kind.partition("_")[0]]
-            message = f"The cell has no {event.kind} lines in [gcode]: the program does nothing there."
-            self.issues.append(Issue("warning", kind, message, event.line, subject=event.kind))
+            self.without_lines.append(event)
         value = number(event.value)
         return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in own]
 

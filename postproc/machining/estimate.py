@@ -23,7 +23,7 @@ from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.thinning import thinned
 from postproc.machining.unseen import kept, refuse_unseen
 from postproc.machining.ways import Shift, Ways, spindle, ways
-from postproc.program import Bools, Program
+from postproc.program import Bools, Ints, Program, distinct
 from postproc.toolpath import Segments
 
 _SAME = np.cos(np.radians(0.5))
@@ -352,6 +352,7 @@ def _issues(
             "axial_ratio, or Kac and Kae, or measure them (identify forces)."
         )
         issues.append(Issue("info", "no-axial-force", message))
+    issues += _too_strong(cuts, lines, process.spindle.power_kW)
     diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in turning.keys])
     drill = np.array([process.tools[key].shape == "drill" for key in turning.keys])
     place = turning.tool[cuts.motion]
@@ -365,6 +366,20 @@ def _issues(
         )
         issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
     return issues
+
+
+def _too_strong(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:
+    """Warn of cuts that take more than the power of the spindle [kW]."""
+    power = cuts.power * 1e-3
+    over = np.flatnonzero(power > (np.inf if limit is None else limit))
+    if not len(over):
+        return []
+    worst = over[int(np.argmax(power[over]))]
+    message = (
+        f"the cut takes {power[worst]:.2g} kW, more than the {limit:g} kW of [spindle] power_kW: reduce feed or depth"
+    )
+    count = len(distinct(lines[cuts.motion[over]]))
+    return [Issue("warning", "spindle-power", message, int(lines[cuts.motion[worst]]), count=count)]
 
 
 def _drilled_by_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]:

@@ -36,6 +36,15 @@ class ToolTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     spindle: Literal["M3", "M4"] = "M3"
 
 
+class SpindleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """The spindle.
+
+    :param power_kW: that it can give continuously; None: not stated.
+    """
+
+    power_kW: Positive | None = None
+
+
 class Box(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A box in `$BASE`, mm."""
 
@@ -72,6 +81,7 @@ class ProcessFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     material: MaterialTable | None = None
     tools: dict[str, ToolTable] = {}
     stock: StockTable = StockTable()
+    spindle: SpindleTable = SpindleTable()
     operations: dict[str, OperationTable] = {}
 
 

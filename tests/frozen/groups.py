@@ -46,7 +46,7 @@ def samples(_: int) -> Iterator[Case]:
         data = ["inline.dat"] if program == "inline.src" else []
         files = sample_files(program, cell, *more, *data)
         if "plate.process.toml" in more:
-            files |= sample_files("plate.stl")
+            files |= sample_files("plate.blank.stl")
         out = f"out/{Path(program).stem}" + (".mod" if "rapid" in options else ".src")
         steps = [("postproc", "convert", program, "--cell", cell, *options, "-o", "out", "--json")]
         inputs_ = [o for o in options if o in ("--forces", "--process") or o in more]

@@ -97,6 +97,21 @@ def test_a_program_in_inches_that_meets_stock_in_mm_is_told(tmp_path):
     assert "an inch is 25.4 mm" in issue.message
 
 
+@pytest.mark.parametrize(("limit", "exceeded"), [(0.99, True), (1.01, False)])
+def test_a_cut_that_takes_more_than_the_spindle_has(tmp_path, limit, exceeded):
+    text = gcode("G0 X-20 Y20 Z5", "G1 Z-3 F2400", "X90")
+    _, free = forces(tmp_path, text, process(tool(10, 4), BOX, 1.0))
+    kilowatts = float(free.cuts.power.max()) * 1e-3
+    assert "spindle-power" not in {issue.kind for issue in free.issues}
+    spindle = f"[spindle]\npower_kW = {limit * kilowatts!r}\n"
+    _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 1.0) + spindle)
+    said = [issue for issue in found.issues if issue.kind == "spindle-power"]
+    assert bool(said) == exceeded
+    if exceeded:
+        assert f"takes {kilowatts:.2g} kW" in said[0].message
+        assert text.split("\n")[said[0].source_line - 1].startswith("X90")
+
+
 def test_a_mesh_that_is_25_times_too_large(tmp_path):
     mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [20, 16, 20]]) * 25.4)
     mesh.export(tmp_path / "stock.stl")
