@@ -350,6 +350,30 @@ def test_links_that_hardly_deflect_do_not_end_the_search_before_the_tool_is_at_i
         np.testing.assert_allclose(arm.equilibrium(found.q[row], TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8)
 
 
+@pytest.mark.parametrize("gravity", GRAVITIES[:2], ids=str)
+def test_a_compensator_stiffer_than_its_joint_is_solved(gravity):
+    """The gear alone would swing about the equilibrium, farther each round."""
+    file = content(0, gravity)
+    file = replace(
+        file,
+        joints=file.joints | {"A2": replace(file.joints["A2"], compliance_urad_per_Nm=8.0)},
+        compensator=replace(file.compensator, stiffness_N_per_m=6e6),
+    )
+    model, arm = robot.assemble("stiff compensator", file, urdf.read(KUKA, "any.urdf")), WholeArm(KUKA, file)
+    _, _, q, wrench = arms(0, gravity)
+    x = balance.coordinates(model, q).T
+    factor = balance.compensator_factor(model, x, np.repeat(model.steady[:, None], len(q), axis=1))
+    assert (factor > 2.0).sum() == 2
+    state = elastostatics.deflect(model, q, TOOL, wrench)
+    target = np.array([arm.nominal(row, TOOL) for row in q])
+    found = elastostatics.compensate(model, target, q, TOOL, wrench)
+    for row in range(len(q)):
+        theta, pose = arm.equilibrium(q[row], TOOL, wrench[row])
+        np.testing.assert_allclose(state.theta[row], theta, rtol=0, atol=3e-9)  # rad, m
+        np.testing.assert_allclose(state.pose[row], pose, rtol=0, atol=3e-9)
+        np.testing.assert_allclose(arm.equilibrium(found.q[row], TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8)
+
+
 @pytest.mark.parametrize(("seed", "most"), [(0, 4), (1, 4), (7, 4)])
 def test_commands_converge_in_a_few_steps_to_the_last_digits(seed, most, monkeypatch):
     model, arm, q, wrench = arms(seed, GRAVITIES[1])

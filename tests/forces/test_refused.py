@@ -115,3 +115,22 @@ def test_as_many_errors_of_a_kind_as_are_shown_and_one_more_are_kept(tmp_path):
     with pytest.raises(ForceError) as caught:
         forces.read(tmp_path / "f.csv")
     assert [each.line for each in (caught.value, *caught.value.others)] == list(range(2, MOST + 3))
+
+
+@pytest.mark.parametrize(
+    ("lines", "listed"),
+    [
+        ([70], ""),
+        ([70, 80], ", nor on 80: 2 rows of 4"),
+        ([70, 80, 81, 82, 83, 84], ", nor on 80, 81, 82, 83, 84: 6 rows of 8"),
+        ([70, 80, 81, 82, 83, 84, 85], ", nor on 80, 81, 82, 83, 84, …: 7 rows of 9"),
+    ],
+)
+def test_rows_that_name_lines_without_a_motion_are_listed(tmp_path, lines, listed):
+    rows = "".join(f"{line},1,0,0\n" for line in [2, *lines, 3])
+    (tmp_path / "f.csv").write_text("line,Fx,Fy,Fz\n" + rows)
+    made = program(MOVES)
+    with pytest.raises(ForceError) as caught:
+        forces.read(tmp_path / "f.csv").along(made, toolpath.segments(made, np.eye(4)))
+    assert caught.value.problem == f"no motion starts on line 70 of part.nc{listed}"
+    assert caught.value.line == 3
