@@ -189,11 +189,8 @@ class _Ways(Struct, frozen=True, eq=False):
 
     def begins(self, row: Ints, place: Array) -> Array:
         """Return the arc lengths (n,) on the nominal path at which motions (n,) begin, by those of the ends (M,)."""
-        way, rows = self.way[row], self.other.rows
-        index = np.searchsorted(rows, row) - 1
-        before = np.where(index >= 0, rows[index], -1)
-        inside = (before >= 0) & (self.way[before] == way)
-        return np.where(inside, place[before], self.begin[way])
+        index = np.searchsorted(self.other.rows, row) - 1
+        return np.where(index >= 0, place[self.other.rows[index]], self.begin[self.way[row]])
 
 
 def _begins_with_step(one: PlacedProgram, load: PathForces, place: Array) -> Bools:

@@ -97,6 +97,20 @@ def test_a_program_with_fewer_targets_on_the_same_path_leaves_the_others_alone()
     assert (found == expected).all()
 
 
+@pytest.mark.parametrize("many", [20, 60])
+def test_many_targets_inserted_on_one_step_do_not_lose_the_way(many):
+    """More of them than partners are looked at: the place at the same length of path is where to look."""
+    points = np.random.default_rng(5).uniform(-60 * MM, 60 * MM, (40, 3))
+    shifted, true = [], []
+    for index, point in enumerate(points):
+        if index in (10, 25, 26):
+            shifted += [points[index - 1] + share * (point - points[index - 1]) for share in np.arange(1, many) / many]
+        true.append(len(shifted))
+        shifted.append(point)
+    offset = np.array([0.4, -0.3, 0.2]) * MM * np.linspace(1.0, 1.2, len(shifted))[:, None]
+    assert partners(track(points), track(np.array(shifted) + offset)).tolist() == true
+
+
 def test_an_empty_program_has_no_pairs():
     points = pass_over_a_part(5)
     assert partners(track(points), track(points[:0])).tolist() == [-1] * 5

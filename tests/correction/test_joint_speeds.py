@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -9,6 +10,7 @@ from postproc import cell as cells
 from postproc import robot as robots
 from postproc.correction import checks, joint_speeds, process, read
 from postproc.dialects.text import decode
+from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.documentation.pages import ROOT
 
 CELL = cells.load(ROOT / "samples" / "cell_kr270.toml")
@@ -72,6 +74,31 @@ def test_the_first_move_begins_at_start():
     fast = [i for i in converted(text.format(feed=900000), CELL).issues if i.kind.startswith("joint-speed")]
     assert [issue.source_line for issue in fast[:1]] == [2]
     assert converted(text.format(feed=900), CELL).documents
+
+
+def test_speed_is_rotation_over_the_time_of_the_way():
+    """Of the first sample from [start]; of the others from the sample before, at their feed along the commanded way."""
+    program = read([decode("part.nc", b"G21 G90\nG1 X0 Y0 Z50 F600\nX20 F900\nM30\n")], ROBOT, CELL, "PART", "gcode")
+    motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
+    path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
+    q, position = path.joints.q, path.sample.pose[:, :3, 3]
+    speed = joint_speeds.commanded_speed(path, q, position)
+    start = motions.setting.start_flange[:3, 3] + motions.setting.start_flange[:3, :3] @ program.tools[0, :3, 3]
+    before = np.vstack([start - program.bases[0, :3, 3], position[:-1]])
+    assert not program.bases[0, :3, :3].round(12)[~np.eye(3, dtype=bool)].any()
+    seconds = np.linalg.norm(position - before, axis=1) / np.where(path.sample.motion == 0, 0.010, 0.015)
+    turned = np.abs(np.diff(q, axis=0, prepend=[CELL.start_joints]))
+    np.testing.assert_allclose(speed, turned / seconds[:, None], rtol=1e-6)
+
+
+@pytest.mark.parametrize("slower", [1.0, 0.01])
+def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
+    robot = replace(ROBOT, speed=ROBOT.speed * slower)
+    monkeypatch.setattr(checks, "joint_speeds", spared(checks.joint_speeds, "part.nc"))
+    text = f"G21 G90\nG0 X0 Y-300 Z5\nG1 Y300 F{400000 * slower}\nG0 Z50\nM30\n"
+    program = read([decode("part.nc", text.encode())], robot, CELL, "PART", "gcode")
+    result = process(program, robot, CELL)
+    assert "joint-speed" in " ".join(issue.kind for issue in result.issues if issue.level == "error")
 
 
 def test_the_written_path_is_checked(monkeypatch):

@@ -217,3 +217,16 @@ def test_deviations_of_the_result_are_those_of_the_simulation(monkeypatch):
         np.tile([3e-7, -4e-7, 2e-7], (moved.sum(), 1)),
         atol=1.5e-7,
     )
+
+
+def test_a_command_that_no_joint_angles_reach_names_its_line(monkeypatch):
+    """The next place on the path is in reach."""
+
+    def change(path, pose):
+        pose[(path.sample.motion == 5) & (path.sample.t == 1.0), 0, 3] += 9.0
+
+    commands(monkeypatch, change)
+    result = convert(cell=replace(CELL, output=replace(CELL.output, max_correction_mm=1e5)))
+    assert errors(result)[-1] == ("read-back", 6)
+    (message,) = (issue.message for issue in result.issues if issue.kind == "read-back")
+    assert "cannot be simulated: a commanded pose is out of reach" in message

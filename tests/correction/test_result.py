@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import robot
+from postproc import cell as cells
+from postproc import correction, files, robot
 from postproc.correction.result import Result, statistics
 from postproc.elastostatics import Reversals
-from postproc.errors import Issue
+from postproc.errors import Issue, ModelError
+from postproc.robot import urdf
+from postproc.robot.model_file import Displacement, Gravity, ModelFile
+from tests.oracle.whole_arm import WholeArm
 from tests.programs import program
 
+SAMPLES = Path(__file__).parents[2] / "samples"
 MADE = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("RAPID", 100, 0, 0), ("LIN", 100, 50, 0)])
 EMPTY = Result(MADE, robot.load(robot.find("kuka_kr270")), "+Z", "convert", ())
 
@@ -57,3 +64,42 @@ def test_of_the_reversals_of_one_joint_and_line_the_largest_is_shown_and_twenty_
     assert result.largest_reversals.tolist() == list(largest.values())[:20]
     assert len(largest) > 20
     assert len(EMPTY.largest_reversals) == 0
+
+
+def test_a_result_without_a_path_has_no_targets():
+    """As that of a program that is refused: rows of all columns are counted together."""
+    columns = [
+        "motion", "t", "output_line", "nominal", "printed", "wrench", "deflection", "deviation_before",
+        "deviation_after", "q", "rounding", "programmed",
+    ]  # fmt: skip
+    assert {name: len(getattr(EMPTY, name)) for name in columns} == dict.fromkeys(columns, 0)
+    assert [getattr(EMPTY, name).shape[1:] for name in columns[3:10]] == [(4, 4), (6,), (6,), (3,), (3,), (3,), (6,)]
+
+
+@pytest.mark.parametrize("reference", ["calibrated", "rigid"])
+def test_deflection_is_by_the_force_alone_and_deviation_is_from_nominal(reference):
+    """A robot whose geometry, and with `rigid` its weight too, takes the tool off its nominal position at rest."""
+    folder = robot.find("kuka_kr270")
+    file = replace(
+        files.read_toml(folder / "model.toml", ModelFile, ModelError),
+        gravity=Gravity(reference),
+        geometry={"A3": Displacement(source="test", X_mm=0.4, Z_mm=-0.3, RY_deg=0.02)},
+    )
+    urdf_text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    model = robot.assemble("displaced", file, urdf.read(urdf_text, "robot.urdf"))
+    arm, tool = WholeArm(urdf_text, file), np.eye(4)
+    tool[:3, 3] = [0.0, 0.0, 0.35]
+    force = (120.0, 50.0, 90.0, 4.0, -3.0, 2.0)
+    cell = cells.load(SAMPLES / "cell_kr270.toml")
+    made = program(
+        [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 30, 0, 0)],
+        notes=[(3, force)],
+        orientation=cell.tool_pose_in_program(),
+    )
+    result = correction.process(made, model, cell, mode="predict")
+    base = np.array([1500.0, -200.0, 700.0]) / 1e3
+    row = int(np.flatnonzero((result.motion == 2) & (result.t == 1.0))[0])
+    loaded, rest = (arm.equilibrium(result.q[row], tool, load)[1][:3, 3] for load in (np.array(force), np.zeros(6)))
+    np.testing.assert_allclose(result.deflection[row], loaded - rest, atol=1e-8)
+    np.testing.assert_allclose(result.deviation_before[row], loaded - base - [0.03, 0.0, 0.0], atol=1e-8)
+    assert np.linalg.norm(result.deviation_before[row] - result.deflection[row]) > 2e-5

@@ -1,0 +1,404 @@
+"""Every difference by itself: its number by hand, the place in both programs, and how many places there are."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import cell as cells
+from postproc import correction, jobs
+from postproc.cell import ExternalAxis
+from postproc.comparison import compare, deviations
+from postproc.comparison.compare import _missing, _paired, _under_force
+from postproc.comparison.paths import PlacedProgram, nearest
+from postproc.program import Document
+from postproc.under_load import RobotInCell
+
+CELL = cells.load(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+ROBOT = jobs.load_robot(CELL.robot)
+TURNED = "A 180,B 0,C 180"
+HEAD = """DEF part( )
+$VEL.CP=0.05
+$APO.CDIS=0.5
+$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}
+$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}
+PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
+"""
+BODY = f"""LIN {{X 0,Y 0,Z 0,{TURNED}}}
+LIN {{X 40,Y 0,Z 0,{TURNED}}} C_DIS
+LIN {{X 40,Y 30,Z 0,{TURNED}}} C_DIS
+CIRC {{X 60,Y 50,Z 0}},{{X 80,Y 30,Z 0,{TURNED}}}
+LIN {{X 80,Y 0,Z 0,{TURNED}}}
+PTP {{A1 5,A2 -70,A3 110,A4 0,A5 50,A6 0}}
+PTP {{X 100,Y 0,Z 40,{TURNED},S 2,T 2}}
+LIN {{X 100,Y 40,Z 0,{TURNED}}}
+PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
+END
+"""
+FIRST = 7
+"""Line of the first motion of BODY."""
+FORCE = "; FORCE FX=-150 FY=100 FZ=120\n"
+
+
+def read(text, name):
+    return correction.read((Document(name, text),), ROBOT, CELL, "part", "krl")
+
+
+@cache
+def nominal(force=""):
+    return read(HEAD + force + BODY, "ONE.src")
+
+
+def edited(*edits):
+    """Return BODY with pieces of text replaced, each once."""
+    text = BODY
+    for before, after in edits:
+        assert text.count(before) == 1, before
+        text = text.replace(before, after)
+    return text
+
+
+def compared(body, force=""):
+    return compare(nominal(force), read(HEAD + force + body, "OTHER.src"), ROBOT, CELL)
+
+
+def named(found):
+    """Return kind, message, line in both programs and count of the differences."""
+    return [
+        (
+            d.kind,
+            d.message,
+            d.nominal and d.nominal[1] - FIRST,
+            d.corrected and d.corrected[1] - FIRST,
+            d.count,
+        )
+        for d in found.differences
+    ]
+
+
+POINT = f"LIN {{X 80,Y 0,Z 0,{TURNED}}}\n"
+APPROXIMATION = "the approximation before the target ($APO.CDIS, C_DIS) is"
+CASES = {
+    "nothing": ([], []),
+    "speed": (
+        [(POINT, "$VEL.CP=0.03\n" + POINT)],
+        [("speed", "the speed is 30 mm/s instead of 50 mm/s.", 4, 5, 2)],
+    ),
+    "kind": (
+        [("LIN {X 80,Y 0", "PTP {X 80,Y 0")],
+        [("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 4, 4, 1)],
+    ),
+    "two kinds": (
+        [("LIN {X 40,Y 0", "PTP {X 40,Y 0"), ("PTP {X 100,Y 0,Z 40", "LIN {X 100,Y 0,Z 40")],
+        [("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 1, 1, 2)],
+    ),
+    "no approximation": (
+        [(f"X 40,Y 0,Z 0,{TURNED}}} C_DIS", f"X 40,Y 0,Z 0,{TURNED}}}")],
+        [("approximation", f"{APPROXIMATION} none instead of 0.5 mm.", 1, 1, 1)],
+    ),
+    "other approximation": (
+        [("LIN {X 40,Y 0", "$APO.CDIS=0.8\nLIN {X 40,Y 0")],
+        [("approximation", f"{APPROXIMATION} 0.8 mm instead of 0.5 mm.", 1, 2, 2)],
+    ),
+    "axis targets": (
+        [("A1 5,A2 -70,A3 110", "A1 6,A2 -68,A3 110"), ("A1 0,A2 -70,A3 110,A4 0,", "A1 0,A2 -70,A3 110,A4 3,")],
+        [("axis-target", "an axis target is another one: A2 -68.0000° instead of -70.0000°.", 5, 5, 2)],
+    ),
+    "one axis target too few": (
+        [("PTP {A1 5,A2 -70,A3 110,A4 0,A5 50,A6 0}\n", "")],
+        [("axis-target", "an axis target (PTP {A1 …}) is in one of the programs only.", 5, None, 1)],
+    ),
+    "one axis target too many": (
+        [(POINT, POINT + "PTP {A1 2,A2 -70,A3 110,A4 0,A5 50,A6 0}\n")],
+        [
+            ("axis-target", "an axis target is another one: A1 2.0000° instead of 5.0000°.", 5, 5, 1),
+            ("axis-target", "an axis target (PTP {A1 …}) is in one of the programs only.", None, 6, 1),
+        ],
+    ),
+    "base": (
+        [(POINT, "$BASE={X 1500,Y -200,Z 701,A 0,B 0.5,C 0}\n" + POINT)],
+        [
+            (
+                "base",
+                "$BASE differs, by 1.0000 mm and 0.5000°: offsets are those of the tool in the root of the robot.",
+                4,
+                5,
+                3,
+            )
+        ],
+    ),
+    "tool": (
+        [(POINT, "$TOOL={X 0,Y 0.3,Z 350.4,A 0,B 0,C 0}\n" + POINT)],
+        [
+            (
+                "tool",
+                "$TOOL differs, by 0.5000 mm and 0.0000°: offsets are those of the tool in the root of the robot.",
+                4,
+                5,
+                3,
+            ),
+            ("rapid", "a rapid target is 0.5000 mm off.", 6, 7, 1),
+        ],
+    ),
+    "rapid": (
+        [("X 100,Y 0,Z 40", "X 100.6,Y 0.8,Z 40")],
+        [("rapid", "a rapid target is 1.0000 mm off.", 6, 6, 1)],
+    ),
+    "twice": (
+        [(POINT, 2 * POINT)],
+        [
+            ("twice", "the same target twice in succession: the robot stops there.", None, 5, 1),
+            ("only-corrected", "an additional target, not on the nominal path.", None, 5, 1),
+        ],
+    ),
+    "an additional target": (
+        [(POINT, POINT.replace("X 80,Y 0", "X 90,Y 15") + POINT)],
+        [
+            ("only-corrected", "an additional target, not on the nominal path.", None, 4, 1),
+            ("between", "the path is 10.0000 mm from the nominal one on the way to this target.", 4, 5, 1),
+        ],
+    ),
+    "auxiliary point": (
+        [("X 60,Y 50", "X 60,Y 49")],
+        [
+            (
+                "between",
+                "the path is 1.0000 mm from the nominal one on the way to this target. Check the auxiliary point of "
+                "its arc.",
+                3,
+                3,
+                1,
+            )
+        ],
+    ),
+    "status and turn": (
+        [("S 2,T 2", "S 6,T 18")],
+        [("posture", "the robot takes another posture: A4 is at 180.0° instead of -0.0° (S, T).", 6, 6, 2)],
+    ),
+    "no turn": (
+        [("S 2,T 2", "S 2")],
+        [
+            (
+                "posture",
+                "status and turn of this target are S 2, no T instead of S 2, T 2: the axes may turn another way.",
+                6,
+                6,
+                1,
+            )
+        ],
+    ),
+    "turned at a target": (
+        [("X 40,Y 30,Z 0,A 180,B 0", "X 40,Y 30,Z 0,A 180,B 0.4"), ("X 80,Y 0,Z 0,A 180", "X 80,Y 0,Z 0,A 179.7")],
+        [("orientation", "the tool is turned by 0.4000° from its nominal orientation.", 2, 2, 2)],
+    ),
+    "turned at an inserted target": (
+        [(POINT, POINT.replace("Y 0,Z 0,A 180", "Y 20,Z 0,A 179.3") + POINT)],
+        [("orientation", "the tool is turned by 0.7000° from its nominal orientation.", None, 4, 1)],
+    ),
+    "turned at a target, and less at an inserted one": (
+        [
+            ("X 40,Y 30,Z 0,A 180,B 0", "X 40,Y 30,Z 0,A 180,B 0.4"),
+            (POINT, POINT.replace("Y 0,Z 0,A 180", "Y 20,Z 0,A 179.8") + POINT),
+        ],
+        [("orientation", "the tool is turned by 0.4000° from its nominal orientation.", 2, 2, 2)],
+    ),
+    "turned at two inserted targets": (
+        [
+            (
+                POINT,
+                POINT.replace("Y 0,Z 0,A 180", "Y 20,Z 0,A 180.3")
+                + POINT.replace("Y 0,Z 0,A 180", "Y 10,Z 0,A 180.9")
+                + POINT,
+            )
+        ],
+        [("orientation", "the tool is turned by 0.9000° from its nominal orientation.", None, 5, 2)],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_difference_has_its_number_its_lines_and_its_count(case):
+    edits, expected = CASES[case]
+    assert named(compared(edited(*edits))) == expected
+
+
+@pytest.mark.parametrize("case", ["nothing", "speed", "axis targets", "rapid", "one axis target too many"])
+def test_what_is_no_cut_is_the_same_under_a_force(case):
+    edits, expected = CASES[case]
+    found = compared(edited(*edits), FORCE)
+    assert [(d.kind, d.message, d.count) for d in found.differences] == [(e[0], e[1], e[4]) for e in expected]
+    assert [d.corrected and d.corrected[1] - FIRST - 1 for d in found.differences] == [e[3] for e in expected]
+
+
+@pytest.mark.parametrize("force", ["FX=-150 FY=100 FZ=60", "FX=-151 FY=100 FZ=120", "FX=-150 FY=100.5 FZ=120 MZ=-1.5"])
+def test_a_comment_with_another_force_is_quoted_with_that_of_the_nominal_program(force):
+    found = compare(nominal(FORCE), read(f"{HEAD}; FORCE {force}\n{BODY}", "OTHER.src"), ROBOT, CELL)
+    now = " ".join(part.partition("=")[2] for part in force.split()[:3])
+    message = (
+        f"its comments give the force {now} N instead of -150 100 120 N ($BASE): it was corrected for another one."
+    )
+    assert named(found) == [("force", message, 1, 1, 6)]
+
+
+def test_forces_alike_but_for_the_digits_written_are_the_same():
+    text = f"{HEAD}; FORCE FX=-150.04 FY=100.02 FZ=120.03\n{BODY}"
+    assert named(compare(nominal(FORCE), read(text, "OTHER.src"), ROBOT, CELL)) == []
+
+
+@pytest.mark.parametrize(("first", "second", "count"), [(10, 20, 1), (20, 10, 0)])
+def test_inserted_targets_in_the_wrong_order_are_told_with_the_way_back(first, second, count):
+    between = "".join(POINT.replace("Y 0", f"Y {y}") for y in (first, second))
+    found = compared(edited((POINT, between + POINT)), FORCE)
+    back = [(d.message, d.nominal, d.corrected, d.count) for d in found.differences if d.kind == "back"]
+    message = "the robot goes {:.4f} mm back on its path."
+    assert len(back) == count
+    if count:
+        way = float(back[0][0].split()[3])
+        assert way == pytest.approx(10.0, abs=0.02)  # mm; the deflection differs by less between the two
+        assert back[0] == (message.format(way), None, ("OTHER.src", FIRST + 6), 1)
+
+
+RAIL = replace(CELL, external_axes={"E1": ExternalAxis(direction=(0.0, 1.0, 0.0))})
+
+
+def test_a_robot_on_a_track_cuts_as_one_that_was_set_up_there():
+    """E1 = 300 and $BASE moved with it: the same poses of the arm, so the same deviations, between targets too."""
+    inserted = "LIN {X 80,Y 12,Z 0.2,A 180.1,B 0,C 180}\n"
+    texts = [HEAD + FORCE + body for body in (BODY, edited((POINT, inserted + POINT)))]
+    fixed = compare(*(read(text, "P.src") for text in texts), ROBOT, CELL).cuts
+    there = [
+        text.replace("Y -200", "Y 100").replace("C 180", "C 180,E1 300").replace("A6 0}", "A6 0,E1 300}")
+        for text in texts
+    ]
+    programs = (correction.read((Document("P.src", text),), ROBOT, RAIL, "part", "krl") for text in there)
+    moved = compare(*programs, ROBOT, RAIL).cuts
+    assert np.sort(np.linalg.norm(fixed.corrected, axis=1))[1] > 1e-4  # but for the rapid motion
+    assert len(fixed.row) > 10
+    assert (fixed.between_turned != 0.0).tolist() == (fixed.t == 1.0).tolist()
+    for name in ("wrench", "nominal", "corrected", "turned", "t", "length"):
+        np.testing.assert_allclose(getattr(moved, name), getattr(fixed, name), rtol=0, atol=1e-7, err_msg=name)
+    for name in ("nominal", "corrected", "turned"):
+        between = f"between_{name}"
+        np.testing.assert_allclose(getattr(moved, between), getattr(fixed, between), rtol=0, atol=1e-7, err_msg=between)
+
+
+def placed(text):
+    return PlacedProgram.of(read(text, "ONE.src"), RobotInCell.of(ROBOT, CELL))
+
+
+def test_lines_and_arcs_are_looked_at_every_centimetre_and_short_ones_at_least():
+    lines = [f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 4, 29)]
+    arcs = [f"CIRC {{X {x + 1},Y 1,Z 0}},{{X {x + 2},Y 0,Z 0,{TURNED}}}" for x in (29,)]
+    arcs.append(f"CIRC {{X 61,Y 30,Z 0}},{{X 91,Y 0,Z 0,{TURNED}}}")
+    side = placed("\n".join([HEAD, *lines, *arcs, "END", ""]))
+    row, t = deviations._spread(side, np.arange(2, 6))
+    parts = {2: 2, 3: 3, 4: 4, 5: 10}  # 4 mm, 25 mm, arcs of 3 and 94 mm
+    for piece, count in parts.items():
+        np.testing.assert_allclose(t[row == piece], np.arange(1, count) / count, rtol=1e-12)
+
+
+@pytest.mark.parametrize("share", np.linspace(0.05, 0.95, 10))
+def test_the_nearest_place_is_sought_on_its_way_alone(share):
+    """Before it and after it the path passes the same points, on the way there and on the way back."""
+    lines = [f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (-60, 60, -60, 60)]
+    side = placed("\n".join([HEAD, *lines, "END", ""]))
+    motion, t = np.array([3]), np.array([share])
+    load = side.forces(None)
+    search = deviations._Search(side, side, load, None)
+    low, high = side.along[[3]], side.along[[4]]
+    found = search._anywhere(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
+    np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
+
+
+def lines(*points):
+    return placed("\n".join([HEAD, *(f"LIN {{X {x},Y {y},Z 0,{TURNED}}}" for x, y in points), "END", ""]))
+
+
+@pytest.mark.parametrize(
+    ("partner", "found"),
+    [
+        ([0, 1, 3, 4], [0, 1, 3, 4]),
+        ([0, 2, 3, 4], [0, 1, 3, 4]),  # 1 is free, and brings the tip to the target
+        ([0, 1, 2, 4], [0, 1, 3, 4]),
+        ([-1, 1, 3, 4], [0, 1, 3, 4]),
+        ([0, 1, 3, -1], [0, 1, 3, 4]),
+        ([0, 1, 4, 5], [0, 1, 3, 4]),
+        ([0, -1, 1, 4], [0, 1, 3, 4]),  # in the second round: 1 is free once the next one has left it
+        ([-1, 0, 3, 4], [-1, 0, 3, 4]),  # 1 is not free for the first: that would be out of order
+    ],
+)
+def test_partners_are_exchanged_for_free_ones_that_bring_the_tip_to_the_target(partner, found):
+    one = lines((0, 0), (20, 0) if partner[1] else (0, 0.003), (40, 0), (40, 20))
+    other = lines((0, 0), (20, 0), (20, 9), (40, 0), (40, 20), (50, 20))
+    none = np.zeros((4, 6))
+    assert _under_force(one, other, np.array(partner), none).tolist() == found
+
+
+def test_only_free_partners_of_the_same_kind_are_taken():
+    text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
+    one = placed(text)
+    other = placed(text.replace("LIN {X 20", f"PTP {{X 20,Y 0,Z 0,{TURNED}}}\nLIN {{X 21"))
+    found = _under_force(one, other, np.array([0, 2, 3]), np.zeros((3, 6)))
+    assert found.tolist() == [0, 2, 3]
+
+
+@pytest.mark.parametrize(("bulge", "passed"), [(1.5, True), (1.7, False)])
+def test_a_point_of_a_line_is_passed_within_a_tenth_and_three_times_the_offset(bulge, passed):
+    """Pairs that are 0.5 mm off; between them the second path bulges by so much more."""
+    one = lines((0, 0), (20, 0), (40, 0), (40, 30))
+    other = lines((0, 0.5), (10, 0.5 + bulge), (30, 0.5 + bulge), (40, 0.5), (40, 30.5))
+    found = _paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
+    missed, judged = _missing(found, one, other, None)
+    np.testing.assert_allclose(missed, bulge * 1e-3, atol=1e-6)
+    assert judged.tolist() == [passed]
+
+
+def test_what_the_offsets_next_to_a_corner_differ_by_is_no_miss_of_it():
+    """Offsets of 0.2 and 0.6 mm: the corner is missed by 3 mm, 0.4 of which may be a correction."""
+    one = lines((0, 0), (20, 0), (20, 3), (40, 3), (40, 30))
+    other = lines((0, 0.2), (20, 0.2), (40, 3.6), (40, 30.6))
+    found = _paired(one, other, np.array([0, 1, -1, 2, 3]), np.ones(5, dtype=bool))
+    missed, judged = _missing(found, one, other, None)
+    a, b = np.array([20.0, 0.2]), np.array([40.0, 3.6])  # the line that cuts the corner
+    share = np.linspace(0.0, 1.0, 200_001)[:, None]
+    wanted = [20.0, 3.0 + 0.2 + 0.4 * 3.0 / 23.0]  # the offset between, by length of path
+    nearest = np.linalg.norm(a + share * (b - a) - wanted, axis=1).min()
+    np.testing.assert_allclose(missed, (nearest - 0.4) * 1e-3, atol=2e-7)
+    assert judged.tolist() == [False]
+
+
+def test_pieces_begin_where_the_one_before_ends():
+    one = lines((0, 0), (40, 0), (40, 30))
+    other = lines((0, 0), (10, 0), (30, 0), (40, 0), (40, 12), (40, 30))
+    found = _paired(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
+    ways = deviations._Ways.of_pairs(found, one, other)
+    ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
+    place = np.append(np.nan, one.along[2] + ends)  # row 0 is the axis target
+    begins = ways.begins(np.arange(2, 7), place)
+    np.testing.assert_allclose(begins - one.along[2], ends[:-1], atol=1e-9)
+    np.testing.assert_allclose(ways.begins(np.array([1]), place), one.along[1], atol=1e-9)
+
+
+def test_forces_at_pairs_are_those_at_the_end_of_the_motion():
+    """In FEED axes: the arc ends with travel along −Y, the line before it along Y, the one after it along −Y."""
+    found = compared(BODY, "; FORCE FX=100 FY=0 FZ=0 FRAME=FEED\n")
+    expected = [[1, 0, 0], [0, 1, 0], [0, -1, 0], [0, -1, 0]]
+    np.testing.assert_allclose(found.cuts.wrench[1:5, :3], 100.0 * np.array(expected), atol=1e-6)
+
+
+def test_the_nearest_place_of_a_metre_of_path_is_found_to_four_micrometres():
+    """By its distance from a helix, whose nearest place to its own points is known."""
+
+    def helix(at):
+        return np.stack([0.1 * np.cos(8.0 * at), 0.1 * np.sin(8.0 * at), 0.6 * at], axis=-1)
+
+    wanted = np.random.default_rng(1).uniform(0.01, 0.99, 200)
+    place, distance = nearest(helix, helix(wanted), np.zeros(200), np.ones(200))
+    np.testing.assert_allclose(place, wanted, rtol=0, atol=4e-6)
+    np.testing.assert_allclose(distance, np.abs(place - wanted), rtol=1e-3, atol=1e-9)  # at unit speed
+    place, _ = nearest(helix, helix(np.array([0.2, 0.9])), np.array([0.3, 0.3]), np.array([0.7, 0.7]))
+    np.testing.assert_allclose(place, [0.3, 0.7], rtol=0, atol=1e-6)
