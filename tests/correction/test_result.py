@@ -72,6 +72,7 @@ def test_a_result_without_a_path_has_no_targets():
         "motion", "t", "output_line", "nominal", "printed", "wrench", "deflection", "deviation_before",
         "deviation_after", "q", "rounding", "programmed",
     ]  # fmt: skip
+    assert (len(EMPTY), EMPTY.failed) == (0, False)
     assert {name: len(getattr(EMPTY, name)) for name in columns} == dict.fromkeys(columns, 0)
     assert [getattr(EMPTY, name).shape[1:] for name in columns[3:10]] == [(4, 4), (6,), (6,), (3,), (3,), (3,), (6,)]
 

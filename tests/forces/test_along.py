@@ -114,6 +114,25 @@ def test_after_an_arc_a_retract_takes_the_direction_at_its_end():
     np.testing.assert_allclose(along(made, 2, 10), [-10, 0, 0, 0, 0, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_after_an_arc_that_ends_along_the_spindle_a_plunge_takes_the_direction_just_before_its_end(side):
+    arc = ("CIRC", 20 * side, 0, -20, 0, 0, -20, 90.0, (0, side, 0))  # a quarter, outwards and down
+    made = program([("PTP", 0, 0, 0), arc, ("LIN", 20 * side, 0, -50)], notes=[(3, (10.0, 4, 0, 0, 0, 0), "FEED")])
+    np.testing.assert_allclose(along(made, 2, 20), [10 * side, 4 * side, 0, 0, 0, 0], atol=1e-6)
+
+
+def test_a_plunge_after_the_first_motion_takes_the_direction_from_the_start():
+    """The first motion comes from where the tool is at [start]; what needs no other direction keeps its own."""
+    made = program([("LIN", 30, 40, 0), ("LIN", 30, 40, -20), ("LIN", 30, 0, -20), ("LIN", 30, 0, 0)])
+    path = toolpath.segments(made, np.eye(4))
+    last, needs = forces.last_travel(made, path, "+Z")
+    begin = np.array([0.0, 0.0, 0.35]) - made.bases[0, :3, 3]  # of the tool, at a flange in the root
+    way = (np.array([0.03, 0.04, 0.0]) - begin)[:2]
+    assert needs.tolist() == [False, True, False, True]
+    np.testing.assert_allclose(last[1], [*way / np.linalg.norm(way), 0.0], atol=1e-9)
+    np.testing.assert_allclose(last[3], [0.0, -1.0, 0.0], atol=1e-9)
+
+
 def test_the_last_travel_keeps_its_direction_in_space_when_the_base_changes():
     bases = frames.pose_from_xyzabc([[1500.0, 0, 700, 0, 0, 0], [1500.0, 0, 700, 90, 0, 0]])
     moves = [("PTP", 0, 0, 10), ("LIN", 30, 0, 10), ("LIN", 0, -30, 0)]

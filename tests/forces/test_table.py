@@ -77,6 +77,9 @@ def test_knots_beyond_the_rows_of_one_line_do_not_reach_the_next(tmp_path):
         ("line,line_end,t,Fx,Fy,Fz\n2,3,0.5,0,0,0\n2,2,0.6,1,0,0\n", r"csv:3: a second row for line 2"),
         ("line,line_end,t,Fx,Fy,Fz\n2,3,0.5,0,0,0\n2,3,0.6,1,0,0\n3,,,1,0,0\n", r"csv:4: a second row for line 3"),
         ("line,t,frame,Fx,Fy,Fz\n2,0.5,FEED,0,0,0\n2,0.6,BASE,1,0,0\n", "csv:3: another frame than the row before"),
+        ("line,Fx,Fy,Fz\n1.5e9,0,0,0\n", r"csv:2: line is 1\.5e\+09"),
+        ("line,Fx,Fy,Fz\n2.5,0,0,0\n", r"csv:2: line is 2\.5"),
+        ("line,Fx,Fy,Fz\n0,0,0,0\n", r"csv:2: line is 0"),
         ("line,Fx,Fy,Fz,sFx\n2,0,0,0,-1\n", r"csv:2: sFx is -1"),
         ("line,Fx,Fy,Fz,sigma_percent\n2,0,0,0,-5\n", r"csv:2: sigma_percent is -5"),
         (
@@ -132,3 +135,9 @@ def test_on_the_ramp_the_deviation_is_mixed_as_the_force_is(tmp_path):
 
 def test_without_deviations_there_is_no_covariance(tmp_path):
     assert covariance(program(MOVES), tmp_path, "line,Fx,Fy,Fz\n2,1,1,1\n", 1, 1.0) is None
+
+
+def test_a_table_without_rows_has_no_forces(tmp_path):
+    made = program(MOVES)
+    load = put_on(made, tmp_path, "line,Fx,Fy,Fz\n")[1]
+    assert not load.at(toolpath.at(made, toolpath.segments(made, START), np.arange(5), np.ones(5))).any()

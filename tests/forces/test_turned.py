@@ -343,6 +343,25 @@ def test_where_the_force_jumps_on_a_line_places_are_a_tenth_of_a_micrometre_apar
     assert 0.25e-7 < smallest <= 1e-7
 
 
+def test_each_line_on_which_the_force_swings_has_the_places_that_it_has_alone():
+    knots = Knots.throughout(np.array([1, 2]), np.array([[100.0, 40, 20, 60, -50, 10]] * 2), np.full(2, FEED))
+
+    def places(first, second):
+        made = leaning(-70.0, 80.0, ("PTP", 0, 0, 0), ("LIN", 3, 0, 60), ("LIN", 6, 0, 120))
+        target = made.motions.target.copy()
+        target[0, :3, :3], target[2, :3, :3] = target[second, :3, :3].copy(), target[first, :3, :3].copy()
+        made = replace(made, motions=replace(made.motions, target=target))
+        load = forces.along(made, toolpath.segments(made, START), Given(knots), "+Z", RAMP)
+        motion, t = forces.swung(load, (4e-6, 1e-6), 3e-6)
+        assert len(motion) == len(t)
+        return [np.sort(t[motion == k]) for k in (1, 2)]
+
+    both, one, other = places(0, 0), places(0, 1), places(1, 0)
+    assert [len(each) > 4 for each in (*both, *one, *other)] == [True, True, False, True, True, False]
+    np.testing.assert_array_equal(both[0], other[0])
+    np.testing.assert_array_equal(both[1], one[1])
+
+
 def divided(made, cuts):
     """The program with motions divided at places, each piece a motion of its own, and the targets at their ends."""
     path, m = toolpath.segments(made, START), made.motions
