@@ -402,3 +402,12 @@ def test_the_nearest_place_of_a_metre_of_path_is_found_to_four_micrometres():
     np.testing.assert_allclose(distance, np.abs(place - wanted), rtol=1e-3, atol=1e-9)  # at unit speed
     place, _ = nearest(helix, helix(np.array([0.2, 0.9])), np.array([0.3, 0.3]), np.array([0.7, 0.7]))
     np.testing.assert_allclose(place, [0.3, 0.7], rtol=0, atol=1e-6)
+
+
+def test_a_target_between_two_detours_is_on_the_path():
+    """Neither the share of the way nor the length from either end tells where on the nominal path it is."""
+    one = lines((0, 0), (80, 0), (80, 30))
+    other = lines((0, 0), (20, 30), (30, 0), (60, 10), (80, 0), (80, 30))
+    found = _paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
+    assert found.inserted.tolist() == [3]  # row 0 is the axis target
+    assert found.only_corrected.tolist() == [2, 4]
