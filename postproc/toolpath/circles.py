@@ -11,7 +11,7 @@ def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, A
     """Return the arcs from a through b to c (each (n, 3)).
 
     :returns: centre (n, 3), radius vector to a (n, 3), the vector square to it in the direction of travel (n, 3), and
-        the angle from a to c (n,) in (0, 2π). Points on one line give a circle of very large radius.
+        the angle from a to c (n,) in (0, 2π). Points on one line have none: their radius is zero.
     """
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)

@@ -180,10 +180,13 @@ def test_the_arc_through_three_points_is_the_one_they_were_taken_from():
             np.testing.assert_allclose(one[0], other, atol=1e-10 * max(radius, np.max(other)))
 
 
-def test_three_points_on_a_line_give_a_circle_that_is_finite():
+def test_three_points_on_a_line_give_a_circle_without_a_radius():
     a = np.array([[0.1, 0.2, 0.3], [1.0, 1.0, 1.0]])
     b, c = a + np.array([0.05, 0.05, 0.0]), a + np.array([0.1, 0.1, 0.0])
-    assert all(np.isfinite(each).all() for each in toolpath.circle_through(a, b, c))
+    centre, radial, across, angle = toolpath.circle_through(a, b, c)
+    np.testing.assert_allclose(centre, a, atol=1e-14)
+    np.testing.assert_allclose([radial, across], 0.0, atol=1e-14)
+    assert np.isfinite(angle).all()
 
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 100.0])
