@@ -6,7 +6,8 @@ Everything is a ratio within one run on one machine, of processor time (user and
 machine matters little:
 
 - programs (see `programs.py`): to pygcode merely parsing the file, line by line; KRL to the same pass in G-code, a
-  program with subprograms and cycles to its lines as they are executed;
+  program with subprograms and cycles to its lines as they are executed; a FOR over the points of an array also to the
+  same points as plain KRL lines;
 - peak memory: to 300 MiB and 2 KiB a target;
 - the budget: µs a target by stage (see `budget.py`);
 - a peer's job file (see `peer.py`), seconds a target;
@@ -136,6 +137,10 @@ def main() -> None:
             for ending, text in zip(("src", "dat"), programs.krl_loop(blocks), strict=True):
                 (folder / f"part.{ending}").write_text(text, encoding="utf-8", newline="")
             measured("KRL, loop", folder / "part.src", path)
+            (folder / "lines.src").write_text(programs.krl(blocks), encoding="utf-8", newline="")
+            pairs = [[convert(folder / name)[0].seconds for name in ("part.src", "lines.src")] for _ in range(_PAIRS)]
+            ratio = sorted(loop / lines for loop, lines in pairs)[_PAIRS // 2]
+            print(f"    a loop to the same points as plain lines: {ratio:.2f} (2 allowed)")
             (folder / "part.dat").unlink()
         if wanted("peer"):
             path.write_text(programs.lines(_PEER_BLOCKS, programs.LINES["lines"]), encoding="utf-8")

@@ -5,15 +5,16 @@ Reading and correction treat this text as a straight program; `write.folding` ma
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+import numpy as np
 from msgspec import Struct, field
 
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.errors import ProgramError
-from postproc.program import Bools, Document
+from postproc.program import Bools, Document, Ints
 
 
 class Lines(Struct, frozen=True):
@@ -92,6 +93,35 @@ class Body(Struct, eq=False):
     parts: list[Repeated | Called] = []
 
 
+class PlainRounds(Struct, frozen=True, eq=False):
+    """The rounds of a FOR whose body does nothing but move: they differ in the number of the counter only.
+
+    :ivar begin: number of the counter in the first round; `step` what each round adds.
+    :ivar first: line of the trace on which the first round begins, with the assignment to the counter.
+    :ivar count: number of rounds; `length` lines of each.
+    :ivar head: line of FOR in the file `source`.
+    :ivar motions: lines of the motions to points of arrays in it.
+    """
+
+    begin: int
+    step: int
+    first: int
+    count: int
+    length: int
+    source: Source
+    head: int
+    motions: tuple[int, ...]
+
+    @property
+    def beyond(self) -> int:
+        """Line of the trace behind the last round."""
+        return self.first + self.count * self.length
+
+    def line(self, motion: int) -> Ints:
+        """Return the lines of the trace (count,) with a motion of the body, by its line in the file."""
+        return np.asarray(self.first + motion - self.head + self.length * np.arange(self.count))
+
+
 class Repeated(Struct, eq=False):
     """An unrolled loop.
 
@@ -100,6 +130,7 @@ class Repeated(Struct, eq=False):
     :ivar left: True if it contains EXIT.
     :ivar first: first line of the trace; `last` the line after it.
     :ivar bodies: one per iteration; empty if the loop does not run.
+    :ivar plain: of FOR whose body does nothing but move.
     :ivar endless: True for LOOP without EXIT: its only body is one iteration, which restores the state it began with.
     """
 
@@ -110,6 +141,7 @@ class Repeated(Struct, eq=False):
     first: int
     last: int = 0
     bodies: list[Body] = []
+    plain: PlainRounds | None = None
     endless: bool = False
 
 
@@ -157,7 +189,22 @@ class Course(Struct, frozen=True, eq=False):
         last = self.body.parts[-1] if self.body.parts else None
         return last if isinstance(last, Repeated) and last.endless else None
 
+    def plain_rounds(self) -> list[PlainRounds]:
+        """Return all rounds that do nothing but move, in order."""
+        return list(_plain_rounds(self.body))
+
     @property
     def straight(self) -> bool:
         """Whether the trace is the `.src` itself."""
         return self.source.origins is None
+
+
+def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
+    for part in body.parts:
+        if isinstance(part, Called):
+            yield from _plain_rounds(part.body)
+        elif part.plain is not None:
+            yield part.plain
+        else:
+            for each in part.bodies:
+                yield from _plain_rounds(each)

@@ -10,12 +10,27 @@ from numpy.typing import NDArray
 
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
+from postproc.dialects.krl.language.source import Source
 from postproc.frames import Array
 from postproc.program import Bools, Carriage, Document, Ints, Places
 
 Offsets = NDArray[np.int32]
 ORIENTATIONS = FREE, CONSTANT, JOINT, IGNORE = "#VAR", "#CONSTANT", "#JOINT", "#IGNORE"
 """Values of `$ORI_TYPE` (KUKA, System Variables)."""
+
+
+class Elements(Struct, frozen=True, eq=False):
+    """Points ``P[I]`` of an array, N of them, to which a loop moves.
+
+    :param row: (N,) the motions.
+    :param literal: (N, 2) spans of the points in the data list `source`.
+    :param name: of the array, upper case.
+    """
+
+    row: Ints
+    literal: Ints
+    source: Source
+    name: str
 
 
 class Layout(Struct, frozen=True, eq=False):
@@ -28,7 +43,7 @@ class Layout(Struct, frozen=True, eq=False):
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param missing: (M, 6) True where the text does not give the component.
     :param spans: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T; −1 where missing, and throughout for
-        motions in `statements` (their numbers may be elsewhere).
+        motions in `statements` (their numbers may be elsewhere). Of `elements` they are offsets in the data list.
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
@@ -43,6 +58,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param passed: (M,) True in spline blocks, where the robot passes the targets without approximation.
     :param statements: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
         axis targets.
+    :param elements: points of motions of loops; these motions are not in `statements`.
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
     :param understood: offsets in the `.src` of names whose use the reader followed.
@@ -72,6 +88,7 @@ class Layout(Struct, frozen=True, eq=False):
     distant: Bools
     passed: Bools
     statements: Mapping[int, MotionStatement]
+    elements: tuple[Elements, ...]
     types: Mapping[str, str]
     public: frozenset[str]
     understood: frozenset[int]

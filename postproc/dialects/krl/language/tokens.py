@@ -33,6 +33,11 @@ DECLARATION = re.compile(
     r"(?:(?:DECL|GLOBAL|CONST|PUBLIC)[ \t]+)*(?:([A-Za-z_]\w*)[ \t]+)?([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)",
     re.ASCII | re.IGNORECASE,
 )
+ELEMENT = re.compile(
+    r"([A-Za-z_$][\w$]*+)\[[ \t]*+([0-9]{1,9})[ \t]*+\][ \t]*+=[ \t]*+(?=\{[^{}\"';]*+\}[ \t]*+(?:;|$))",
+    re.ASCII,
+)
+"""An element of a data list that gets one aggregate without others in it."""
 NEXT_DECLARED = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
 MORE_DECLARED = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
 """Behind an initial value: another name with one."""

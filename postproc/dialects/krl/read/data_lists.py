@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import Declared, declared, structure
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import DECLARATION, INDEX, MORE_DECLARED, NAME
+from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, MORE_DECLARED, NAME
 from postproc.dialects.krl.language.tree import Declaration
 from postproc.dialects.krl.read.folder import FolderFiles
 from postproc.dialects.krl.read.known import Unread
@@ -69,6 +69,11 @@ def _declare(
     only: Set[str] | None,
 ) -> None:
     """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
+    if only is None and not fill and (element := ELEMENT.match(source.text, start, stop)):
+        name = variables.scope.stored(element[1].upper())
+        variables.initial.add(name)
+        variables.put(f"{name}[{int(element[2])}]", Unread(source, element.end(), stop))
+        return
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Iterable
 
-from postproc.dialects.krl.course import Branch, Fork, Join, Occasion
+from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainRounds, Repeated
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement
@@ -22,6 +22,7 @@ from postproc.dialects.krl.read.explanations import without_value
 from postproc.dialects.krl.read.inexact import InexactError, inexact
 from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
+from postproc.dialects.krl.read.plain_rounds import plain_motions
 from postproc.dialects.krl.read.rounds import carried_over
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Trace
@@ -62,6 +63,7 @@ class Flow:
         self.run, self.trace, self._fault, self._stays = run, trace, fault, stays
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
+        self._plain: dict[Block, tuple[int, ...]] = {}
         self._way: list[tuple[Place, int]] = []
         self._traced = self._still = self._forks = 0
         self._least = LeastStatements(run)
@@ -497,6 +499,8 @@ class Flow:
         depth = len(self._way)
         self._way.append((Place(source, block.first), 0))
         try:
+            if counter is not None and trace is not None and loop is not None:
+                self._plainly(source, block, counter, trace, loop)
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
                 self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
@@ -526,6 +530,20 @@ class Flow:
         level.left = False
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.text if counter is not None and ended else None)
+
+    def _plainly(self, source: Source, block: Block, counter: _Counter, trace: Trace, loop: Repeated) -> None:
+        """Record all rounds of a FOR at once if its body does nothing but move."""
+        if block not in self._plain:
+            self._plain[block] = plain_motions(source, block)
+        motions, begin, rounds = self._plain[block], counter.now(), counter.rounds
+        traced = rounds * (1 + len(block.parts[0].nodes))
+        if not motions or not rounds or self._traced + traced > self._most(source):
+            return
+        self._traced += traced
+        length, first = block.last - block.first, trace.count + 1
+        plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, motions)
+        trace.plain_rounds(loop, block, counter.name, plain)
+        counter.pass_over(rounds)
 
     def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
@@ -615,23 +633,27 @@ class _Counter:
     @property
     def text(self) -> str:
         """An assignment of its present value."""
-        return f"{self.name}={self._now()}"
+        return f"{self.name}={self.now()}"
 
     @property
     def rounds(self) -> int:
         """Number of iterations from now on."""
-        return max(0, (self.last - self._now()) // self.step + 1)
+        return max(0, (self.last - self.now()) // self.step + 1)
 
     def within(self) -> bool:
         """Return whether it is within its last value."""
-        now = self._now()
+        now = self.now()
         return now <= self.last if self.step > 0 else now >= self.last
 
     def advance(self) -> None:
         """Advance by one step."""
         if self._bounds() != (self.last, self.step):
             raise inexact(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
-        self._set(self._now() + self.step)
+        self._set(self.now() + self.step)
+
+    def pass_over(self, rounds: int) -> None:
+        """Advance by the steps of some rounds that leave its bounds as they are."""
+        self._set(self.now() + rounds * self.step)
 
     def _bounds(self) -> tuple[int, int]:
         """Return its present last value and step."""
@@ -660,9 +682,10 @@ class _Counter:
 
     def _set(self, number: int) -> None:
         self.run.variables.set(self.key, Number(float(number), 0, 0, True), str(self.at))
-        self._now()
+        self.now()
 
-    def _now(self) -> int:
+    def now(self) -> int:
+        """Return its present value."""
         value = self.run.variables.value(self.key)
         if not isinstance(value, Number) or not value.integer:
             raise self._unknown()

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter, itemgetter
 
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.dialects.krl.course import Body, Branch, Course, Enter, Fork, Join, Kept, Lines, Occasion
+from postproc.dialects.krl.course import (
+    Body,
+    Branch,
+    Course,
+    Enter,
+    Fork,
+    Join,
+    Kept,
+    Lines,
+    Occasion,
+    PlainRounds,
+)
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import MOTION_WORDS, RESERVED, fault_of
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block, checked, nodes_of, outside
+from postproc.dialects.krl.language.structures import Block, Node, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion, Statement
 from postproc.dialects.krl.read.flow import Flow
@@ -24,6 +36,7 @@ from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
 from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.plain import Plain
+from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
 from postproc.dialects.krl.read.plain_settings import Coming
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
@@ -100,6 +113,7 @@ class MainRoutine:
 
     :ivar run: the program as far as it has run.
     :ivar motions: those of the course, in order.
+    :ivar rounds: those of loops over the points of an array, read in bulk.
     :ivar still: lines of motions to where the robot is already.
     :ivar splines: the spline blocks.
     """
@@ -117,8 +131,11 @@ class MainRoutine:
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
         self._refused: set[int] = set()
+        self.rounds: list[ElementMotions] = []
         self._plain, self._given = plain.moving, plain.settings
-        self._lines = main.others if course.straight else _others(course, plain)
+        self._others = plain.others(len(self.run.source.starts))
+        self._rounds = course.plain_rounds()
+        self._lines = main.others if course.straight else self._apart_from_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Follow the course.
@@ -176,12 +193,43 @@ class MainRoutine:
     def _run(self, step: Lines, lines: Sequence[int]) -> None:
         """Run the lines of a step; `lines` one by one."""
         run = self.run
-        for node in nodes_of(run.source, lines):
-            run.settings.come_to(node if isinstance(node, int) else node.first)
+        nodes: list[tuple[int, Node | PlainRounds]] = [
+            (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.source, lines)
+        ]
+        first, last = (bisect_left(self._rounds, line, key=attrgetter("first")) for line in (step.first, step.last))
+        if first < last:
+            nodes = sorted([*nodes, *((each.first, each) for each in self._rounds[first:last])], key=itemgetter(0))
+        for line, node in nodes:
+            run.settings.come_to(line)
+            if isinstance(node, PlainRounds):
+                self._follow_rounds(node)
+                continue
             self._flow.follow(run.source, (node,))
             if run.level.returned:
                 return
         run.settings.come_to(step.last + 1)
+
+    def _follow_rounds(self, rounds: PlainRounds) -> None:
+        """Take the motions of plain rounds at once if possible, else round by round."""
+        run = self.run
+        found = motions_of(run, self.reader, rounds)
+        if found is None:
+            self._follow_lines(np.arange(rounds.first, rounds.beyond))
+            return
+        self.rounds += found
+        self._follow_lines(np.array([rounds.first, rounds.beyond - rounds.length]))
+
+    def _follow_lines(self, lines: Ints) -> None:
+        for line in _coded(self.run.source, lines[self._others[lines - 1]]):
+            self.run.settings.come_to(line)
+            self._flow.follow(self.run.source, (line,))
+
+    def _apart_from_rounds(self) -> list[int]:
+        """Return the lines of a trace that have code and are neither plain nor in plain rounds."""
+        others = self._others.copy()
+        for rounds in self._rounds:
+            others[rounds.first - 1 : rounds.beyond - 1] = False
+        return _coded(self.run.source, np.flatnonzero(others) + 1)
 
     def _never_reached(self, returned: int) -> Iterator[ProgramError]:
         """Yield an error for the first statement behind RETURN that moves."""
@@ -302,10 +350,10 @@ def _one_by_one(source: Source, lines: Sequence[int], settings: Ints) -> tuple[S
     return (lines if free.all() else sorted([*lines, *settings[~free].tolist()])), settings[free]
 
 
-def _others(course: Course, plain: Plain) -> list[int]:
-    """Return the lines of a trace that have code and are not plain."""
-    source, found = course.source, []
-    for line in (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist():
+def _coded(source: Source, lines: Ints) -> list[int]:
+    """Return those of some lines that have code."""
+    found = []
+    for line in lines.tolist():
         start, stop = source.code_span(line)
         if start < stop and source.text[start] != "&":
             found.append(line)

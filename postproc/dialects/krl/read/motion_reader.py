@@ -75,7 +75,7 @@ class MotionReader:
             raise unresolved(at.error(problem, RUN_TIME_ADVICE))
         if here.angle is not None:
             angle = self._angle(at, here.angle)
-        state, approximated = self._tail(at, kind, here.tail)
+        state, approximated = self.tail(at, kind, here.tail)
         self._check(at, here.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(state, fields_used(kind, axis=end.position.axis, approximated=approximated))
@@ -94,7 +94,7 @@ class MotionReader:
 
         :raises ProgramError: it is not understood.
         """
-        state, _ = self._tail(at, LIN, here.tail)
+        state, _ = self.tail(at, LIN, here.tail)
         return replace(state, block=here.word)
 
     def stays(self, here: Motion) -> bool:
@@ -143,7 +143,7 @@ class MotionReader:
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
-    def _tail(self, at: Place, kind: int, tail: Tail) -> tuple[State, bool]:
+    def tail(self, at: Place, kind: int, tail: Tail) -> tuple[State, bool]:
         """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies."""
         text, state = at.source.text, self.settings.state
         if tail.error is not None:

@@ -12,12 +12,13 @@ from postproc.dialects.krl.language.circles import circles, same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
-from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Layout
+from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout
 from postproc.dialects.krl.read.auxiliary_points import left_out
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
+from postproc.dialects.krl.read.plain_rounds import ElementMotions
 from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
@@ -61,11 +62,14 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     :param plain: plain motions, in parts.
     """
     statements = main.motions
+    plain = [*plain, *(each.rows for each in main.rounds)]
     line = np.concatenate([rows.line for rows in plain])
     states, state_plain, state_moves, changed = _states(main.run.settings, line, statements.states)
     others = statements.rows()
-    place = np.searchsorted(line, others.line) + np.arange(len(others))
-    place_plain = np.delete(np.arange(len(line) + len(others)), place)
+    order = np.argsort(line, kind="stable")
+    place = np.searchsorted(line, others.line, sorter=order) + np.arange(len(others))
+    place_plain = np.empty_like(line)
+    place_plain[order] = np.delete(np.arange(len(line) + len(others)), place)
     places = np.concatenate([place_plain, place])
     state = np.empty(len(places), dtype=np.int64)
     state[places] = np.concatenate([state_plain, state_moves])
@@ -136,6 +140,7 @@ def motions_and_layout(
     )
     missing = np.isnan(given)
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
+    elements = tuple(_elements(rows, each) for each in main.rounds)
     layout = Layout(
         course=main.course,
         line=rows.line,
@@ -156,9 +161,10 @@ def motions_and_layout(
         distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
         passed=block != "",
         statements=moves,
+        elements=elements,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
-        understood=frozenset(main.run.understood),
+        understood=frozenset(main.run.understood).union(*(rows.target[one.row, 0].tolist() for one in elements)),
         triggers=_triggers(source, main, rows.line, motions, ends.start),
         carriage=carriage,
         broken_off="" if main.run.resumed is None else str(main.run.resumed),
@@ -166,6 +172,13 @@ def motions_and_layout(
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     assumptions = _assumptions(motions.line, missing, assumed, moves)
     return motions, layout, [*axis_issues, *assumptions, *_by_speed(source, rows), *told(motions)]
+
+
+def _elements(rows: MotionColumns, rounds: ElementMotions) -> Elements:
+    """Return the points of a loop over an array: those of motions that are among some."""
+    row = np.searchsorted(rows.line, rounds.rows.line)
+    there = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line
+    return Elements(row[there], rounds.literal[there], rounds.source, rounds.name)
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:

@@ -136,7 +136,7 @@ class _Reading(Struct, frozen=True, eq=False):
         executed = main.executed(plain.moving)
         if not executed.all():
             plain = replace(plain, motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])
-        if not executed.any() and not len(main.motions) and not main.run.unresolved:
+        if not executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )

@@ -20,6 +20,7 @@ from postproc.dialects.krl.course import (
     Kept,
     Leave,
     Lines,
+    PlainRounds,
     Repeated,
     Step,
 )
@@ -133,7 +134,7 @@ class Trace:
         """Begin to unroll a loop; `step` of FOR, else 0."""
         self.run_to(block.first - 1)
         source = self._open[-1].source
-        opener, closer = (_line(source, line) for line in (block.first, block.last))
+        opener, closer = (_lines(source, line, line) for line in (block.first, block.last))
         loop = Repeated(opener, closer, step, left, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
@@ -145,6 +146,26 @@ class Trace:
         self._open[-1].bodies.append(body)
         self._assign(loop, block, assigned)
         self._open[-1].cursor = block.first + 1
+
+    def plain_rounds(self, loop: Repeated, block: Block, name: str, rounds: PlainRounds) -> None:
+        """Record rounds that differ in the number of the counter only.
+
+        :param name: of the counter, as it is spelled.
+        """
+        here = self._open[-1]
+        first, last = block.first + 1, block.last - 1
+        body = _lines(here.source, first, last)
+        before, end = f"{indent(loop.opener)}{name}=", _end(loop.opener)
+        for count in range(rounds.begin, rounds.begin + rounds.count * rounds.step, rounds.step):
+            self._texts += f"{before}{count}{end}", body
+        source = self._sources.setdefault(here.source, len(self._sources))
+        one = (source, 1, 1, here.shown, block.first, True), (source, first, last, here.shown, 0, True)
+        self._from += one * rounds.count
+        starts = range(rounds.first, rounds.beyond, rounds.length)
+        loop.bodies += [Body(start, start + rounds.length) for start in starts]
+        loop.plain = rounds
+        self.count = rounds.beyond - 1
+        self._run_on(rounds.first)
 
     def repeated(self, block: Block, *, whole: bool) -> None:
         """End an iteration of a loop; if not `whole`, the loop was left."""
@@ -207,9 +228,7 @@ class Trace:
     def _put(self, source: Source, first: int, last: int, shown: int, *, live: bool) -> None:
         if last < first:
             return
-        start = int(source.starts[first - 1])
-        stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)
-        self._texts.append(source.text[start:stop])
+        self._texts.append(_lines(source, first, last))
         self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown, 0, live))
         self.count += last - first + 1
 
@@ -234,9 +253,9 @@ class Trace:
             self._steps.append(Lines(first, self.count))
 
 
-def _line(source: Source, line: int) -> str:
-    start = int(source.starts[line - 1])
-    return source.text[start : int(source.starts[line]) if line < len(source.starts) else len(source.text)]
+def _lines(source: Source, first: int, last: int) -> str:
+    start = int(source.starts[first - 1])
+    return source.text[start : int(source.starts[last]) if last < len(source.starts) else len(source.text)]
 
 
 def _end(text: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 
 import numpy as np
@@ -200,6 +200,22 @@ class Variables:
             other.computed,
             other.items.keys(),
         ) and all(self._same(item, other.items[name]) for name, item in one.items.items())
+
+    def literals(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
+        """Return the data list that gives elements of an array their values, and the spans of these; None if they have
+        other values.
+        """
+        if name in self.changing or any(key.partition("[")[0] == name for key in self.given):
+            return None
+        spans, source = [], None
+        for number in numbers:
+            value = self._values.get(f"{name}[{number}]")
+            if not isinstance(value, Unread | Aggregate) or (isinstance(value, Aggregate) and value.computed):
+                return None
+            if value.source is not (source := source or value.source) or source.index == 0:
+                return None
+            spans.append((value.start, value.stop))
+        return None if source is None else (source, spans)
 
     def kept(self) -> dict[str, str]:
         """Return the names that keep their values from run to run and that the program changes, and where it does."""

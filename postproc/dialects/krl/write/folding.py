@@ -8,7 +8,7 @@ other names.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,17 +54,28 @@ def folded(course: Course, main: Routine, text: str, begins: Ints) -> Folded:
 
 
 class _Piece(NamedTuple):
-    """Some lines of a file, and which lines of the trace begin with them."""
+    """Lines of a file.
+
+    :ivar places: (n, first, last): line n of the text, from 0, is where line `first` of the trace begins now; the lines
+        up to the one before `last` follow as they do in the corrected trace.
+    """
 
     text: str
-    lines: tuple[int, ...] = ()
+    places: Sequence[tuple[int, int, int]] = ()
+
+
+class _Round(NamedTuple):
+    """One round of a loop: the assignment to the counter of FOR, and the other lines."""
+
+    counter: _Piece
+    own: _Piece
 
 
 class _Version(Struct, eq=False):
     """A routine as it is written, under one name."""
 
     name: str
-    pieces: list[_Piece]
+    piece: _Piece
 
 
 class _Folder(Struct, eq=False):
@@ -78,22 +89,19 @@ class _Folder(Struct, eq=False):
     issues: list[Issue] = []
 
     def folded(self) -> Folded:
-        pieces = self._body(self.course.body)
-        self.versions[self.main].append(_Version(self.main.name, pieces))
+        self.versions[self.main].append(_Version(self.main.name, self._body(self.course.body)))
         line = np.zeros(len(self.begins), dtype=np.int64)
         inside = np.zeros(len(self.begins), dtype=np.bool_)
+        row = np.searchsorted(line_spans(self.text)[0], self.begins)
         documents = []
         for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
-            file = list(self._file(source))
+            file = _together(self._file(source))
             if source is self.main.source:
-                number = 1
-                for piece in file:
-                    line[list(piece.lines)] = number
-                    inside[list(piece.lines)] = True
-                    number += _count(piece.text)
-            text = "".join(piece.text for piece in file)
-            if source is self.main.source or text != source.text:
-                documents.append(replace(source.document, text=text))
+                for number, first, last in file.places:
+                    line[first:last] = 1 + number + row[first - 1 : last - 1] - row[first - 1]
+                    inside[first:last] = True
+            if source is self.main.source or file.text != source.text:
+                documents.append(replace(source.document, text=file.text))
                 self._warn_users(source)
         for called in self.outside:
             rows = line[called.body.first : called.body.last]
@@ -112,78 +120,85 @@ class _Folder(Struct, eq=False):
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
-    def _body(self, body: Body) -> list[_Piece]:
-        pieces, line = [], body.first
+    def _body(self, body: Body, begin: int = 0) -> _Piece:
+        """Return the lines of a body as they are now, from a line of the trace on; 0: from its first."""
+        pieces, line = [], begin or body.first
         for part in body.parts:
             if isinstance(part, Called):
-                pieces += [*self._lines(line, part.line), self._call(part)]
+                pieces += [self._lines(line, part.line), self._call(part)]
                 line = part.body.last
             else:
-                pieces += [*self._lines(line, part.first), *self._loop(part)]
+                pieces += [self._lines(line, part.first), self._loop(part)]
                 line = part.last
-        return [*pieces, *self._lines(line, body.last)]
+        rest = self._lines(line, body.last)
+        return _together([*pieces, rest]) if pieces else rest
 
-    def _lines(self, first: int, last: int) -> list[_Piece]:
+    def _lines(self, first: int, last: int) -> _Piece:
         """Return lines first … last − 1 of the trace as they are now."""
-        begins, text = self.begins, self.text
-        return [_Piece(text[begins[line - 1] : begins[line]], (line,)) for line in range(first, last)]
+        if last <= first:
+            return _Piece("")
+        return _Piece(self.text[self.begins[first - 1] : self.begins[last - 1]], ((0, first, last),))
 
-    def _loop(self, loop: Repeated) -> list[_Piece]:
+    def _loop(self, loop: Repeated) -> _Piece:
         """Return a loop with its body corrected where all rounds read the same, else one round behind the other."""
         if not loop.bodies:
             return self._lines(loop.first, loop.last - (loop.step != 0))
-        rounds = [self._body(body) for body in loop.bodies]
-        own = [pieces[1:] if loop.step else pieces for pieces in rounds]
-        texts = [piece.text for piece in own[0]]
-        if all([piece.text for piece in pieces] == texts for pieces in own[1:]):
-            return [_Piece(loop.opener), *_joined(own), _Piece(loop.closer)]
-        runs = _alike(rounds, loop.step)
+        counted = loop.step != 0
+        rounds = [
+            _Round(self._lines(body.first, body.first + counted), self._body(body, body.first + counted))
+            for body in loop.bodies
+        ]
+        first = rounds[0].own.text
+        if all(each.own.text == first for each in rounds):
+            return _together([_Piece(loop.opener), _joined(each.own for each in rounds), _Piece(loop.closer)])
         head, blanks, end = loop.opener.strip(), indent(loop.opener), _line_end(loop.opener)
-        out = [piece for run in runs for piece in self._run(run, loop)]
-        out += self._lines(loop.bodies[-1].last, loop.last)
+        out = [piece for run in _alike(rounds, loop.step) for piece in self._run(run, loop)]
+        out.append(self._lines(loop.bodies[-1].last, loop.last))
         if loop.left:
             out = [_Piece(f"{blanks}LOOP{end}"), *out, _Piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}")]
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = int(self.course.source.shown(np.array([loop.first]))[0])
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        return [_Piece(f"{blanks}; {head} (written out){end}"), *out]
+        return _together([_Piece(f"{blanks}; {head} (written out){end}"), *out])
 
-    def _run(self, rounds: list[list[_Piece]], loop: Repeated) -> list[_Piece]:
-        """Return rounds that read the same: one as it is, several of FOR as a FOR of their own."""
+    def _run(self, rounds: list[_Round], loop: Repeated) -> Iterator[_Piece]:
+        """Yield rounds that read the same: one as it is, several of FOR as a FOR of their own."""
         if len(rounds) == 1 or not loop.step or loop.left:
-            return [piece for pieces in rounds for piece in pieces]
-        name, _, first = rounds[0][0].text.strip().partition("=")
-        last = rounds[-1][0].text.partition("=")[2].strip()
+            for each in rounds:
+                yield from each
+            return
+        name, _, first = rounds[0].counter.text.strip().partition("=")
+        last = rounds[-1].counter.text.partition("=")[2].strip()
         step = "" if loop.step == 1 else f" STEP {loop.step}"
-        opener = f"{indent(loop.opener)}FOR {name}={first} TO {last}{step}{_line_end(loop.opener)}"
-        return [_Piece(opener), *_joined([pieces[1:] for pieces in rounds]), _Piece(loop.closer)]
+        yield _Piece(f"{indent(loop.opener)}FOR {name}={first} TO {last}{step}{_line_end(loop.opener)}")
+        yield _joined(each.own for each in rounds)
+        yield _Piece(loop.closer)
 
     def _call(self, called: Called) -> _Piece:
         """Return the line of a call, with the name of the version that it calls."""
         name = self._version(called, self._body(called.body))
-        (text, lines) = self._lines(called.line, called.line + 1)[0]
+        text, places = self._lines(called.line, called.line + 1)
         if called.routine.source is not self.main.source:
             self.outside.append(called)
         if name != called.routine.name:
             text = text[: called.name[0]] + name + text[called.name[1] :]
-        return _Piece(text, lines)
+        return _Piece(text, places)
 
     # --- routines ----------------------------------------------------------------------------------------------------
 
-    def _version(self, called: Called, pieces: list[_Piece]) -> str:
-        """Return the name under which a routine reads like some pieces."""
+    def _version(self, called: Called, piece: _Piece) -> str:
+        """Return the name under which a routine reads like some lines."""
         versions = self.versions[called.routine]
         routine = called.routine
         if routine in self.course.pinned and not versions:
-            own = [_Piece(_text(routine.source, line, line)) for line in range(routine.first + 1, routine.last)]
+            own = _Piece(_text(routine.source, routine.first + 1, routine.last - 1))
             versions.append(_Version(routine.name, own))
-        texts = [piece.text for piece in pieces]
         for version in versions:
-            if [piece.text for piece in version.pieces] == texts:
-                version.pieces = _joined([version.pieces, pieces])
+            if version.piece.text == piece.text:
+                version.piece = _joined([version.piece, piece])
                 return version.name
         name = self._unused(called) if versions else called.routine.name
-        versions.append(_Version(name, pieces))
+        versions.append(_Version(name, piece))
         return name
 
     def _unused(self, called: Called) -> str:
@@ -211,7 +226,7 @@ class _Folder(Struct, eq=False):
             if routine.source is source:
                 yield _Piece(_text(source, line, routine.first))
                 first, *copies = self.versions[routine]
-                yield from first.pieces
+                yield first.piece
                 end = _text(source, routine.last, routine.last)
                 line = routine.last + 1
                 yield _Piece(end)
@@ -220,7 +235,7 @@ class _Folder(Struct, eq=False):
                 for version in copies:
                     yield _Piece(gap if _line_end(end) else gap + gap)
                     yield _Piece(self._head(routine, version.name))
-                    yield from version.pieces
+                    yield version.piece
                     yield _Piece(end if _line_end(end) else end + gap)
         yield _Piece(_text(source, line, len(source.starts)))
 
@@ -235,25 +250,35 @@ class _Folder(Struct, eq=False):
         return f"{text[:start]}{public}{text[start:at]}{name}{text[at + len(here.name) :]}"
 
 
-def _alike(rounds: list[list[_Piece]], step: int) -> list[list[list[_Piece]]]:
+def _alike(rounds: Sequence[_Round], step: int) -> list[list[_Round]]:
     """Return the rounds of a loop in runs of such as read the same and are counted evenly."""
-    runs: list[list[list[_Piece]]] = []
-    before: tuple[list[str], int] | None = None
-    for pieces in rounds:
-        texts = [piece.text for piece in (pieces[1:] if step else pieces)]
-        count = int(pieces[0].text.partition("=")[2]) if step else 0
-        if before is not None and before == (texts, count - step):
-            runs[-1].append(pieces)
+    runs: list[list[_Round]] = []
+    before: tuple[str, int] | None = None
+    for each in rounds:
+        count = int(each.counter.text.partition("=")[2]) if step else 0
+        if before is not None and before == (each.own.text, count - step):
+            runs[-1].append(each)
         else:
-            runs.append([pieces])
-        before = texts, count
+            runs.append([each])
+        before = each.own.text, count
     return runs
 
 
-def _joined(copies: Sequence[list[_Piece]]) -> list[_Piece]:
-    """Return the pieces of copies that read the same, each for the lines of all."""
-    together = zip(*copies, strict=True)
-    return [_Piece(same[0].text, tuple(line for piece in same for line in piece.lines)) for same in together]
+def _together(pieces: Iterable[_Piece]) -> _Piece:
+    """Return pieces that follow each other as one."""
+    texts, places, number = list[str](), list[tuple[int, int, int]](), 0
+    for text, own in pieces:
+        if text:
+            texts.append(text)
+            places += [(number + at, first, last) for at, first, last in own]
+            number += _count(text)
+    return _Piece("".join(texts), places)
+
+
+def _joined(copies: Iterable[_Piece]) -> _Piece:
+    """Return the piece that copies which read the same become, for the lines of all."""
+    same = list(copies)
+    return _Piece(same[0].text, [place for piece in same for place in piece.places])
 
 
 def _text(source: Source, first: int, last: int) -> str:

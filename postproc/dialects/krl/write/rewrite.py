@@ -29,6 +29,7 @@ from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
+from postproc.dialects.krl.write.array_points import settled
 from postproc.dialects.krl.write.edits import InsertedLines, Replacements
 from postproc.dialects.krl.write.folding import folded
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
@@ -90,6 +91,11 @@ class _Rewriter:
         if (last & keep).all() and not len(_lowered(self.program)):
             return Written(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
+        moves = self.layout.statements
+        named = self.layout.elements or any(move.end.name or (move.via and move.via.name) for move in moves.values())
+        plain_lines = np.delete(self.layout.line, list(moves)).tolist()
+        self.mentions = mentions(self.source, plain_lines, self.layout.course) if named else {}
+        self.layout = settled(self.layout, self.program.motions, self.mentions, len(self.sources), self._alone())
         self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
         special[list(self.layout.statements)] = True
@@ -139,6 +145,13 @@ class _Rewriter:
         first = np.searchsorted(line_spans(text)[0], begins[origin - 1]) + 1
         return tuple(files.values()), back.line[origin] + np.where(back.inside[origin], line - first, 0)
 
+    def _alone(self) -> Bools:
+        """Return which motions (M,) have one target, for which their text needs no other components."""
+        count = np.bincount(self.row, minlength=len(self.program.motions))
+        out = np.asarray(count == 1)
+        out[self.row[self._added() | self._bits()]] = False
+        return out
+
     def _added(self) -> Bools:
         """Return which targets get components that their text lacks, or says wrongly, (K,)."""
         missing = self.commanded.written & self.layout.missing[self.row]
@@ -150,15 +163,19 @@ class _Rewriter:
         return np.asarray(given & (self.targets.kind == PTP) & ~self.targets.keep)
 
     def _replace_numbers(self, k: Ints) -> None:
-        """Replace the numbers in plain lines, all at once."""
+        """Replace the numbers in plain lines, and of points of arrays, all at once."""
+        file = np.zeros(len(self.program.motions), dtype=np.int64)
+        for elements in self.layout.elements:
+            file[elements.row] = elements.source.index
         spans = self.layout.spans[self.row[k], :6].astype(np.int64)
-        there = spans[:, :, 0] >= 0
-        self.replacements[0].add_numbers(
-            spans[:, :, 0][there],
-            spans[:, :, 1][there],
-            self.commanded.numbers[k][there],
-            self.commanded.decimals[k][there],
-        )
+        for index, replacements in enumerate(self.replacements):
+            there = (spans[:, :, 0] >= 0) & (file[self.row[k]] == index)[:, None]
+            replacements.add_numbers(
+                spans[:, :, 0][there],
+                spans[:, :, 1][there],
+                self.commanded.numbers[k][there],
+                self.commanded.decimals[k][there],
+            )
         circles = k[self.targets.kind[k] == CIRC]
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
@@ -177,10 +194,7 @@ class _Rewriter:
     def _special(self) -> None:
         """Change statements that are not plain lines."""
         moves = self.layout.statements
-        named = any(move.end.name or (move.via and move.via.name) for move in moves.values())
-        plain = np.delete(self.layout.line, list(moves)).tolist()
-        known = mentions(self.source, plain, self.layout.course) if named else {}
-        points = NamedPoints(self.sources, self.layout, self.replacements, known)
+        points = NamedPoints(self.sources, self.layout, self.replacements, self.mentions)
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if row in moves:

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.values import Number
-from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout
+from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout, Offsets
 from postproc.frames import MM_PER_M, Array, any_column, xyzabc_from_pose
 from postproc.program import Bools, Ints, Motions, Targets
 
@@ -157,11 +157,12 @@ def _nearest(abc: Array, reference: Array) -> Array:
 
 def _decimals(layout: Layout, text: str) -> Ints:
     """Return how many decimals the numbers of M motions have in the input, (M, 6); 0 where there are none."""
-    codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
-    start, stop = layout.spans[:, :6, 0].astype(np.int64), layout.spans[:, :6, 1].astype(np.int64)
-    point = _next(codes == ord("."), start, len(codes))
-    exponent = np.minimum(_next((codes | 32) == ord("e"), start, len(codes)), stop)
-    decimals = np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
+    spans = layout.spans[:, :6].copy()
+    for elements in layout.elements:
+        spans[elements.row] = -1
+    decimals = _decimals_in(text, spans)
+    for elements in layout.elements:
+        decimals[elements.row] = _decimals_in(elements.source.text, layout.spans[elements.row, :6])
     for row, move in layout.statements.items():
         aggregate = move.end.position.aggregate
         if aggregate is not None and not move.end.position.axis:
@@ -171,6 +172,15 @@ def _decimals(layout: Layout, text: str) -> Ints:
                     mantissa = aggregate.source.text[item.start : item.stop].upper().partition("E")[0]
                     decimals[row, column] = len(mantissa.partition(".")[2])
     return decimals
+
+
+def _decimals_in(text: str, spans: Offsets) -> Ints:
+    """Return how many decimals numbers (…, 2) of a text have; 0 where the span is −1."""
+    codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
+    start, stop = spans[..., 0].astype(np.int64), spans[..., 1].astype(np.int64)
+    point = _next(codes == ord("."), start, len(codes))
+    exponent = np.minimum(_next((codes | 32) == ord("e"), start, len(codes)), stop)
+    return np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
 
 
 def _next(mark: Bools, position: Ints, beyond: int) -> Ints:

@@ -1,0 +1,129 @@
+"""Loops over the points of an array: ``LIN P[I] C_DIS`` in FOR, a hundred thousand rounds taken as columns.
+
+The body does nothing but move, and each point is an element of a data list that is written there as one literal.
+What is otherwise is followed round by round (`main_routine`), and so could these loops be.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.dialects.krl.course import PlainRounds
+from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.positions import FARTHEST
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.structures import Block
+from postproc.dialects.krl.language.tree import For, Motion, Statement
+from postproc.dialects.krl.language.values import Reference, walk
+from postproc.dialects.krl.read import plain_lines
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
+from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
+from postproc.dialects.krl.read.run import Run
+from postproc.program import Ints
+
+_BEFORE = "LIN "
+"""Put before each point, so that it is read as the line of a motion."""
+
+
+def plain_motions(source: Source, block: Block) -> tuple[int, ...]:
+    """Return the lines of the statements of a FOR if it does nothing but move to elements ``P[I]``; else nothing."""
+    here = statement(source, block.first)
+    if not isinstance(here, For) or here.bounds is None or here.counter is None or here.counter.indices is not None:
+        return ()
+    bounds = walk(value for value in here.bounds if value is not None)
+    if here.counter.field is not None or any(isinstance(v, Reference) and v.name == here.name for v in bounds):
+        return ()
+    lines = [node for node in block.parts[0].nodes if not isinstance(node, Block)]
+    plain = all(_is_plain(statement(source, line), here.name) for line in lines)
+    return tuple(lines) if plain and len(lines) == len(block.parts[0].nodes) else ()
+
+
+def _is_plain(here: Statement, counter: str) -> bool:
+    if not isinstance(here, Motion) or here.word not in KINDS or here.word in (*CIRCLES, "SPL"):
+        return False
+    tail, end = here.tail, here.end
+    if here.angle is not None or here.frame or tail.given or tail.rest is not None or tail.error is not None:
+        return False
+    if not isinstance(end, Reference) or end.field is not None or end.name in HERE or len(end.name) > MAX_LENGTH:
+        return False
+    index = end.indices[0] if end.indices and len(end.indices) == 1 else None
+    return isinstance(index, Reference) and index.name == counter and index.indices is None and index.field is None
+
+
+class ElementMotions(Struct, frozen=True, eq=False):
+    """The motions that one statement of a plain body makes, one each round.
+
+    :param rows: as columns; `spans` are offsets in the data list.
+    :param source: the data list; `literal` (N, 2) spans of the points in it.
+    :param name: of the array, upper case.
+    """
+
+    rows: MotionColumns
+    source: Source
+    literal: Ints
+    name: str
+
+
+def motions_of(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[ElementMotions] | None:
+    """Return the motions of plain rounds, by statement; None if they must be followed round by round.
+
+    :param run: the program as far as it has run, before the first round.
+    """
+    state = run.settings.state
+    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain:
+        return None
+    found = []
+    for line in rounds.motions:
+        here = statement(rounds.source, line)
+        one = _motions(run, reader, rounds, line, here) if isinstance(here, Motion) else None
+        if one is None:
+            return None
+        found.append(one)
+    for line in rounds.motions:
+        for value in statement(rounds.source, line).values:
+            run.variables.rely(value)
+    return found
+
+
+def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here: Motion) -> ElementMotions | None:
+    """Return the motions of one statement; None if their points are not all literals of one data list."""
+    if not isinstance(here.end, Reference):
+        return None
+    numbers = range(rounds.begin, rounds.begin + rounds.count * rounds.step, rounds.step)
+    found = run.variables.literals(run.stored(here.end.name), numbers)
+    if found is None:
+        return None
+    source, spans = found
+    texts = [f"{_BEFORE}{source.text[start:stop]}\n" for start, stop in spans]
+    text = "".join(texts)
+    ends = np.cumsum([len(one) for one in texts])
+    starts = np.append(0, ends[:-1])
+    lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
+    points = plain_lines.scan(lines)
+    rows = merged(points, np.arange(sum(map(len, points))))
+    if len(rows) != rounds.count or (np.abs(rows.numbers[:, :6]) > FARTHEST).any():
+        return None
+    shift = np.array([start for start, _ in spans]) - starts - len(_BEFORE)
+    kind = KINDS[here.word]
+    _, approximated = reader.tail(Place(rounds.source, at), kind, here.tail)
+    line = rounds.line(at)
+    begin = run.source.starts[line - 1] - rounds.source.starts[at - 1]
+
+    def moved(start: int, stop: int) -> Ints:
+        return np.asarray(begin[:, None] + np.array([start, stop]))
+
+    literal = rows.target + shift[:, None]
+    rows = replace(
+        rows,
+        line=line,
+        kind=np.full(rounds.count, kind),
+        spans=np.where(rows.spans >= 0, rows.spans + shift[:, None, None], -1).astype(np.int32),
+        keyword=begin + here.start,
+        target=moved(here.end.start, here.end.stop),
+        tail=moved(here.tail.start, here.tail.stop),
+        approximated=np.full(rounds.count, approximated),
+    )
+    return ElementMotions(rows, source, literal, here.end.name)

@@ -1,0 +1,121 @@
+"""FOR over the points of an array: taken at once, it means what it means round by round."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.dialects import krl
+from postproc.dialects.krl.read import main_routine
+from postproc.errors import PostprocError
+from postproc.program import PTP
+from tests.dialects.krl_programs import CELL, body, forward, read, targets
+from tests.effort import calls_for_each
+
+KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
+START = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+LOOP = ("FOR I=1 TO 4", "LIN P[I] C_DIS", "ENDFOR")
+POINTS = [
+    "{{X {x},Y 2.5,Z 3,A 0,B 0,C 180}}",
+    "{{x {x}.125, y 2, z 3, a 0, b 0, c 180}} ; a comment",
+    "{{E6POS: X {x},Y 2,Z 3,A 0,B 0,C 180,S 2,T 10,E1 0.0,E2 0.0}}",
+    " {{X {x},Y 2,Z 3,A 10,B 20,C 180,S 6,T 35}}",
+    "{{X {x}}}",
+    "{{X {x},Y 2,Z 3}}",
+    "{{X 1E1,Y {x},Z 3,A 0,B 0,C 180}}",
+    "{{Y 2,X {x},Z 3,A 0,B 0,C 180}}",
+    "{{X {x},Y Z,Z 3,A 0,B 0,C 180}}",
+    "{{A1 {x},A2 -70,A3 110,A4 0,A5 50,A6 0}}",
+    "{{X 1E7,Y 2,Z 3,A 0,B 0,C 180}}",
+]
+BODIES = [
+    LOOP,
+    ("FOR I=4 TO 1 STEP -1", "lin p[i] ; back", "ENDFOR"),
+    ("FOR I=1 TO 3 STEP 2", "  PTP P[ I ] C_DIS", "", ";FORCE FX=7", "ENDFOR"),
+    ("FOR I=1 TO 4", "LIN P[I]", "LIN Q[I] C_DIS", "ENDFOR"),
+    ("FOR I=1 TO 4", "SLIN P[I]", "LIN {X 9,Y I,Z 1}", "ENDFOR"),
+    ("FOR I=1 TO 4", "LIN {X 9,Y 1,Z 1}", "SPTP P[I]", "ENDFOR"),
+    ("FOR K=1 TO 2", *LOOP, "LIN P[K]", "ENDFOR"),
+    (*LOOP, "LIN P[3]"),
+    (*LOOP, *LOOP),
+    (*LOOP, "LIN P[I-1]"),
+    ("P[2].X=4", *LOOP),
+    ("P[2]={X 8,Y 8,Z 8,A 0,B 0,C 180}", *LOOP),
+    (*LOOP, "Q[1]=P[2]", "LIN Q[1]"),
+    ("FOR I=1 TO 4", "LIN P[I]:Q[1]", "ENDFOR"),
+    ("FOR I=1 TO 4", "LIN P[I]", "$VEL.CP=0.1", "ENDFOR"),
+    ("FOR I=1 TO 5", "LIN P[I]", "ENDFOR"),
+    ("FOR I=1 TO 0", "LIN P[I]", "ENDFOR", "LIN P[1]"),
+    ("INTERRUPT DECL 4 WHEN $IN[1] DO P[2]=Q[1]", "INTERRUPT ON 4", *LOOP),
+    ("INTERRUPT DECL 4 WHEN $IN[1] DO I=2", "INTERRUPT ON 4", *LOOP),
+    ("$VEL.CP=Z", "$VEL.CP=$ANIN[1]", *LOOP),
+    ("SUB()", "SUB()"),
+    ("IF $IN[1] THEN", "LIN Q[1]", *LOOP, "LIN Q[2]", "ELSE", "LIN Q[2]", "ENDIF", *LOOP),
+]
+SUB = "DEF SUB()\r\nDECL INT I\r\n" + "\r\n".join(LOOP) + "\r\nEND\r\n"
+
+
+def data(form, declared="DECL E6POS"):
+    """Points of one form but for one in the middle of the second array."""
+    points = [f"P[{n}]={form.format(x=10 * n)}" for n in range(1, 5)]
+    others = [f"Q[{n}]={POINTS[0].format(x=5 * n)}" for n in range(1, 5)]
+    lines = ["DEFDAT part PUBLIC", "DECL INT I=1", "DECL INT K=0", "DECL REAL Z=2.5", f"{declared} P[4]", *points]
+    return "\r\n".join([*lines, "DECL E6POS Q[4]", *others, "ENDDAT", ""])
+
+
+def outcome(lines, points, cell):
+    """What is read, and what is written for some changes; or the message."""
+    try:
+        program = read(body(START, *lines) + SUB, points, cell)
+    except PostprocError as error:
+        return str(error)
+    m = program.motions
+    found = [m.kind, m.line, m.target, m.joints, m.feed, m.blend, m.status, m.turn, program.layout.numbers]
+    found = [np.nan_to_num(each, nan=-1e9).tolist() for each in found]
+    if not np.isnan(m.joints[:, 0]).any():
+        return found
+    rng, written = np.random.default_rng(3), []
+    for size, part, pieces in ((1e-3, 1.0, {}), (1e-3, 0.5, {}), (1e-3, 1.0, {2: [0.5]}), (1e-3, 0.0, {})):
+        shift = np.full((len(m), 3), size) * (rng.random(len(m)) < part)[:, None] * rng.integers(1, 3)
+        pieces = {row: t for row, t in pieces.items() if row < len(m) and m.kind[row] != PTP}
+        out = krl.rewrite(program, targets(program, shift, pieces=pieces))
+        written.append([[d.text for d in out.documents], out.output_line.tolist(), [str(i) for i in out.issues]])
+    return found, [str(issue) for issue in program.issues], written
+
+
+CASES = [(lines, data(form), CELL) for form in POINTS for lines in BODIES[:4]]
+CASES += [(lines, data(POINTS[0]), cell) for lines in BODIES[4:] for cell in (CELL, KEEPING)]
+CASES += [(lines, data(POINTS[0], "DECL GLOBAL E6POS"), CELL) for lines in BODIES[:6]]
+
+
+@pytest.mark.parametrize(("lines", "points", "cell"), CASES)
+def test_rounds_taken_at_once_mean_what_they_mean_one_by_one(lines, points, cell, monkeypatch):
+    at_once = outcome(lines, points, cell)
+    with monkeypatch.context() as patched:
+        patched.setattr(main_routine, "motions_of", lambda *_: None)
+        assert at_once == outcome(lines, points, cell), lines
+
+
+def test_points_of_a_loop_are_corrected_where_they_are():
+    program = read(body(START, *LOOP), data(POINTS[0]))
+    assert not program.layout.statements.keys() & {1, 2, 3, 4}
+    shift = np.arange(len(program.motions))[:, None] * np.array([1e-3, 0, 0])
+    source, written = krl.rewrite(program, targets(program, shift)).documents
+    assert source.text == program.documents[0].text
+    wanted = [f"P[{n}]={{X {11 * n}.0000,Y 2.5000,Z 3.0000,A 0.00000,B 0.00000,C 180.00000}}" for n in range(1, 5)]
+    assert [line for line in written.text.split("\r\n") if line.startswith("P[")] == wanted
+    again = krl.read_program((source, written), CELL, forward, "part")
+    np.testing.assert_allclose(again.motions.target[1:, 0, 3], [0.011, 0.022, 0.033, 0.044], atol=1e-12)
+
+
+def test_a_round_costs_no_more_calls_than_a_plain_line_a_few_times_over():
+    def making(count):
+        points = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 1))
+        text = f"DEFDAT part\r\nDECL INT I=1\r\nDECL E6POS P[{count}]\r\n{points}ENDDAT\r\n"
+
+        def work():
+            program = read(body(START, f"FOR I=1 TO {count}", "LIN P[I] C_DIS", "ENDFOR"), text)
+            krl.rewrite(program, targets(program, np.full((len(program.motions), 3), 1e-3)))
+
+        return work
+
+    assert calls_for_each(making, 4000, 5000) < 60  # round by round: over 400
