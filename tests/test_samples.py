@@ -75,7 +75,6 @@ def test_sample_is_corrected_within_tolerance_and_far_from_limits(tmp_path, prog
     assert content["limits"]["min_singular_value"] > 0.2
     assert {issue["kind"] for issue in content["issues"]} <= {
         "blending",
-        "exact-forces",
         "home-from-cell",
         "stop-inserted",
         "tool-load",

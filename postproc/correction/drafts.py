@@ -33,9 +33,9 @@ _NOT_FINITE = (
     "the robot model is wrong."
 )
 
-_EXACT_FORCES = (
-    "the forces have no standard deviation: the expected error on the part (u95_mm) treats them as exact. Give it in "
-    "the columns sFx, sFy, sFz or sigma_percent of the force file (CSV)."
+_BY_PASS = (
+    "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
+    "written program needs the process, or forces as comments."
 )
 
 
@@ -163,18 +163,21 @@ def result_of(task: Task, draft: Draft) -> Result:
         programmed=draft.chosen.programmed,
         reversals=turned,
         causes=_causes(path),
+        exact_forces=path.motions.forces.spread is None,
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
     )
     if (written := draft.simulated) is None:
         return result
+    carried, unlike = (None, ()) if draft.failed or not task.in_file else _carried(draft, written.back)
     return replace(
         result,
+        issues=group_issues([*result.issues, *unlike]),
         documents=() if draft.failed else written.back.text.documents,
         output_line=written.back.text.output_line,
         deviation_after=written.deviation,
         between=written.between,
         rounding=written.rounding,
-        carried=None if draft.failed or not task.in_file else _carried(draft, written.back),
+        carried=carried,
     )
 
 
@@ -234,8 +237,6 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     in_series = None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
     q, wrench, tool = draft.q[row], path.wrench_in_root(row), path.tool(row)
     issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
-    if spread is None and robot.covariance is not None and wrench.any():
-        issues.append(Issue("info", "exact-forces", _EXACT_FORCES))
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
     bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning)
@@ -259,9 +260,13 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     return bound, Doubt(at, float(bound[at]), level, source), issues
 
 
-def _carried(draft: Draft, back: ReadBack) -> Knots:
-    """Return the forces that a file gives to the written program."""
-    along = draft.path.motions.forces
+def _carried(draft: Draft, back: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
+    """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
+    along, targets = draft.path.motions.forces, draft.chosen.targets
     travel, _ = forces.last_travel(back.program, back.segments, along.axes.spindle)
     axes = Axes(back.program, back.segments, along.axes.spindle, travel)
-    return forces.of_pieces(along, draft.chosen.targets, draft.forces_at_targets(), axes, back.row)
+    every = forces.of_pieces(along, targets, draft.forces_at_targets(), axes, back.row)
+    knots, differ = forces.once_a_line(every, back.text.output_line)
+    if not len(differ):
+        return knots, ()
+    return None, (draft.path.program.motions.issue("warning", "forces-by-pass", _BY_PASS, targets.motion[differ]),)

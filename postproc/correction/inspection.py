@@ -48,11 +48,11 @@ def of_origin(program: Program, mode: Mode) -> list[Issue]:
     return []
 
 
-def of_tools(program: Program, cell: Cell, mode: Mode) -> list[Issue]:
-    """Return an error if a program to be written changes to another tool, and the cell does not say how."""
+def of_tools(program: Program, cell: Cell) -> list[Issue]:
+    """Return an error if a program changes to another tool, and the cell does not say how."""
     changes = [event for event in program.events if event.kind == "tool_change"]
     second = next((event for event in changes if event.value != changes[0].value), None)
-    if mode == "predict" or program.keeps_text or second is None or cell.gcode.tool_change is not None:
+    if program.keeps_text or second is None or cell.gcode.tool_change is not None:
         return []
     message = (
         f"the program changes from tool {changes[0].value:g} to tool {second.value:g}, but the cell has no tool_change "

@@ -76,7 +76,7 @@ def process(
         linearize_arcs=linearize_arcs,
         writer=writer,
         in_file=source is not None,
-        told=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell, mode)),
+        told=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell)),
     )
     wrong = [issue for issue in task.told if issue.level == "error"]
     if not wrong:

@@ -99,6 +99,7 @@ class Result(Struct, frozen=True, eq=False):
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
     :param causes: causes of deviation from nominal without correction, in words.
+    :param exact_forces: True if no force states a standard deviation.
     :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
     """
 
@@ -130,6 +131,7 @@ class Result(Struct, frozen=True, eq=False):
     largest_correction: float = np.nan
     reversals: Reversals | None = None
     causes: tuple[str, ...] = ()
+    exact_forces: bool = False
     held_feed: HeldFeed | None = None
 
     def __len__(self) -> int:

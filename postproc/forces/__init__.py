@@ -12,7 +12,7 @@ from postproc.forces.followed import followed, swung
 from postproc.forces.knots import ForceSource, Knots
 from postproc.forces.sources import read
 from postproc.forces.table import read_force_csv
-from postproc.forces.written import of_pieces, of_targets
+from postproc.forces.written import of_pieces, of_targets, once_a_line
 
 __all__ = [
     "BEHIND_STEP",
@@ -26,6 +26,7 @@ __all__ = [
     "last_travel",
     "of_pieces",
     "of_targets",
+    "once_a_line",
     "read",
     "read_force_csv",
     "swung",

@@ -27,6 +27,9 @@ _APART = 1e-9
 _SAME = 1e-6
 """Changes of the force below this [N, N·m] count as none: the file has three decimals."""
 
+_ROUNDED = 2e-3
+"""Forces of two passes of a line that differ by less [N, N·m] count as equal: the file has three decimals."""
+
 
 def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Array) -> TargetForces:
     """Return the wrench at each target for the comments of the written program.
@@ -74,6 +77,31 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, writte
     if spread is not None:
         sigma = norm(written.out_of_base(spread, frame, there)).reshape(-1, 6)
     return _shortened(Knots(target, share, wrench, frame, sigma, whole))
+
+
+def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
+    """Return the knots of one pass of each line, by line, and rows of targets of which other passes have other forces.
+
+    A line is passed several times in loops; a force file has one force for all of its passes.
+
+    :param knots: as from `of_pieces`.
+    :param line: (K,) line of each target in the written program.
+    """
+    target, begin, count = np.unique(knots.motion, return_index=True, return_counts=True)
+    _, first, of = np.unique(line[target], return_index=True, return_inverse=True)
+    differ = []
+    for k in np.flatnonzero(first[of] != np.arange(len(target))).tolist():
+        one = first[of[k]]
+        same = count[k] == count[one]
+        if same:
+            a, b = (slice(begin[i], begin[i] + count[i]) for i in (k, one))
+            same = bool((knots.frame[a] == knots.frame[b]).all())
+            for values, least in ((knots.t, _APART), (knots.wrench, _ROUNDED), (knots.sigma, _ROUNDED)):
+                same &= bool(np.abs(values[a] - values[b]).max() <= least)
+        if not same:
+            differ.append(target[k])
+    kept = np.flatnonzero(np.isin(knots.motion, target[first]))
+    return knots.take(kept[np.argsort(line[knots.motion[kept]], kind="stable")]), np.array(differ, dtype=np.int64)
 
 
 def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:

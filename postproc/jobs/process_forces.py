@@ -55,8 +55,8 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
         return nominal, source
     result, cut, rounds, settled = nominal, source, 0, False
     residual, step = nominal.deviation_before, _FIRST
-    shift = Shift(nominal.motion, nominal.t, step * residual)
-    before, moved = Shift(nominal.motion, nominal.t, residual), shift.offset
+    last, before = (Shift.of(program, nominal.motion, nominal.t, each) for each in (step * residual, residual))
+    shift = last
     while rounds < _ROUNDS and not settled:
         rounds += 1
         cut = source.shifted(shift)
@@ -65,12 +65,12 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
             return result, cut
         here = result.motion, result.t
         residual = result.deviation_before - shift.at(*here)
-        step = _secant(Shift(shift.motion, shift.t, moved).at(*here), residual - before.at(*here), step)
+        step = _secant(last.at(*here), residual - before.at(*here), step)
         # the deflection is nearer to its limit than the tip that was assumed is, by the rate of the contraction
         left = max(1.0 - step, _STEPS[0]) * _rms(residual)
         settled = left < max(_SETTLED, _SHARE * _rms(result.deviation_before))
-        before, moved = Shift(*here, residual), step * residual
-        shift = Shift(*here, shift.at(*here) + moved)
+        before, last = (Shift.of(program, *here, each) for each in (residual, step * residual))
+        shift = Shift.of(program, *here, shift.at(*here) + step * residual)
     one, other = (float(norm(each.wrench[:, :3]).max(initial=0.0)) for each in (nominal, result))
     removed = [0.0 if each.found is None else each.found.removed * 1e9 for each in (source, cut)]
     message = (

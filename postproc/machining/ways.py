@@ -47,16 +47,33 @@ class Ways(Struct, frozen=True, eq=False):
 
 
 class Shift(Struct, frozen=True, eq=False):
-    """Displacement of the deflected tip along the path: (n,) motions, t and (n, 3) displacements [m], `$BASE`."""
+    """Displacement of the deflected tip along the path.
+
+    :param motion: (n,) rows of `Motions`, and t: (n,) places on them, in order.
+    :param offset: (n, 3) displacement [m] in the axes of the robot root: from motion to motion `$BASE` may change.
+    :param root: (nb, 3, 3) axes of each `$BASE` in the root; base: (M,) that of each motion.
+    """
 
     motion: Ints
     t: Array
     offset: Array
+    root: Array
+    base: Ints
+
+    @classmethod
+    def of(cls, program: Program, motion: Ints, t: Array, offset: Array) -> Shift:
+        """Return displacements (n, 3) [m] that are given in the `$BASE` of their motions."""
+        root, base = program.bases[:, :3, :3], program.motions.base
+        return cls(motion, t, np.einsum("nij,nj->ni", root[base[motion]], offset), root, base)
 
     def at(self, motion: Ints, t: Array) -> Array:
-        """Return displacements (k, 3) [m] at places of motions, interpolated linearly, also across ends of motions."""
+        """Return displacements (k, 3) [m] at places of motions, in their `$BASE`.
+
+        Linear between the places that are given, also across ends of motions.
+        """
         key, own = motion + 0.999 * t, self.motion + 0.999 * self.t
-        return np.stack([np.interp(key, own, self.offset[:, axis]) for axis in range(3)], axis=-1)
+        found = np.stack([np.interp(key, own, self.offset[:, axis]) for axis in range(3)], axis=-1)
+        return np.asarray(np.einsum("nji,nj->ni", self.root[self.base[motion]], found))
 
 
 def ways(

@@ -647,6 +647,8 @@ def _assumptions(result: Result) -> list[str]:
     out = [f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
     if force > 0.0:
         out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
+        if result.exact_forces and result.robot.covariance is not None:
+            out.append("exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)")
     if result.robot.covariance is None:
         out.append("exact parameters: the model has no covariance")
     rigid = "holder, spindle and workpiece" if result.deflection_by_tool is None else "workpiece"

@@ -65,7 +65,7 @@ def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
     made = mixed()
     begin, path = begins(made), toolpath.segments(made, START)
     offset = 1e-3 * np.array([[1, 0, 0], [1, 0, 0], [0, 2, 1], [3, 0, 1], [0, 0, -3], [4, 1, 0]])
-    shift = Shift(np.array([2, 3, 3, 3, 4, 6]), np.array([1.0, 0.25, 0.75, 1.0, 1.0, 0.5]), offset)
+    shift = Shift.of(made, np.array([2, 3, 3, 3, 4, 6]), np.array([1.0, 0.25, 0.75, 1.0, 1.0, 0.5]), offset)
     found = ways(made, path, SimpleNamespace(tool=TOOL), FRAME, CELL, shift)
     for k, cuts in ((3, [0.0, 0.25, 0.75, 1.0]), (4, [0.0, 1.0])):
         own = found.motion == k
@@ -76,8 +76,24 @@ def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
     np.testing.assert_allclose(found.first[own[1:]], found.last[own[:-1]], atol=1e-12)
     for row in np.flatnonzero(found.motion == 3):
         for t, place in ((found.first[row], found.begin[row]), (found.last[row], found.end[row])):
-            by = [np.interp(t, [0.25, 0.75, 1.0], offset[1:4, axis]) for axis in range(3)]
+            base = [BASES[made.motions.base[k], :3, :3] for k in (2, 3)]
+            here = np.vstack([base[1].T @ base[0] @ offset[0], offset[1:4]])  # motion 2 ends where motion 3 begins
+            by = [np.interp(t, [-0.001, 0.25, 0.75, 1.0], here[:, axis]) for axis in range(3)]
             np.testing.assert_allclose(place, in_map(made, 3, point(made, begin, 3, t) + by), rtol=0, atol=1e-12)
+
+
+def test_a_displacement_keeps_its_direction_where_the_base_changes():
+    made = mixed()
+    base = made.motions.base
+    along = [0.3e-3, -0.2e-3, 0.5e-3]
+    motion = np.arange(len(base))
+    offset = np.array([BASES[k, :3, :3].T @ along for k in base])
+    assert len(set(base.tolist())) > 1
+    shift = Shift.of(made, motion, np.ones(len(motion)), offset)
+    for t in (0.0, 0.4, 1.0):
+        found = shift.at(motion, np.full(len(motion), t))
+        for k, own in enumerate(found):
+            np.testing.assert_allclose(BASES[base[k], :3, :3] @ own, along, atol=1e-15)
 
 
 def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
