@@ -266,7 +266,7 @@ def load(path: str | Path) -> Cell:
     """Read and check a cell file.
 
     :raises CellError: it cannot be read, has unknown keys, wrong types or values out of range; the message
-        names the key and what is valid.
+        names the key and its valid values.
     """
     path = Path(path)
     absent = f"Write one with: postproc init {path}"

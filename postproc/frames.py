@@ -1,6 +1,6 @@
 """SE(3), KUKA frames {X, Y, Z, A, B, C}, and the only conversion of units in the package.
 
-Inside the package: metres, radians, newtons. A pose is a homogeneous 4×4 matrix; its name tells the
+Inside the package: metres, radians, newtons. A pose is a homogeneous 4×4 matrix; its name states the
 direction: ``pose_tcp_in_base`` maps coordinates in the TCP frame to coordinates in the base frame.
 A KUKA frame is R = Rz(A)·Ry(B)·Rx(C) with mm and degrees (KUKA System Software manual, "A, B, C").
 All functions take any number of leading axes.

@@ -105,7 +105,7 @@ def marked(
     """Return the files of a program with the line that says where they come from.
 
     :param comment: what comments begin with: ``;`` in KRL.
-    :param head: a line, its end as the group, below which the new one stands, unless an earlier run wrote one.
+    :param head: a line, its end as the group, below which the new one is written, unless an earlier run wrote one.
     :returns: the files, and the 1-based line from which on lines of the main one have moved down by one; 0 if none
         has.
     """

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from postproc import cell
 from postproc.cli import main
 from postproc.dialects.krl.callers import callers
-from postproc.jobs import Job, find_jobs, shared_files
+from postproc.jobs import Job, conversion, find_jobs, output_plan
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
@@ -236,7 +236,7 @@ def test_those_that_may_correct_one_file_in_common_are_one_line():
         found: dict[Path, list[Job]] = {}
         for job in find_jobs([f"{name}.src" for name in names], **keywords):
             found.setdefault(job.output, []).append(job)
-        groups = [line for jobs in found.values() for line in shared_files.lines(jobs, cell.load("cell.toml"))]
+        groups = [line for jobs in found.values() for line in output_plan.sequences(jobs, cell.load("cell.toml"))]
         return sorted(" ".join(sorted(job.program.stem for job in line)) for line in groups)
 
     assert lines("five", "four", "one", "six", "two") == ["five six", "four", "one two"]
@@ -363,8 +363,34 @@ def test_motions_that_carry_no_force_are_not_refused_under_one():
 def test_what_fails_leaves_the_file_of_its_name_that_another_program_calls():
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
-    assert "there before" not in run("convert", "sub.src", "-o", "out", code=1).stderr.lower()
+    assert (
+        "out/sub.src: this file was written for one, which calls it"
+        in run("convert", "sub.src", "-o", "out", code=1).stderr
+    )
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+
+
+G_CODE = "G90 G21 G17\nG0 X0 Y0 Z20\n(FORCE FX=200 FY=0 FZ=0)\nG1 X50 F1000\nM30\n"
+
+
+@pytest.mark.parametrize("more", [[], ["--overwrite"]])
+@pytest.mark.parametrize("force", [200, 0])
+def test_g_code_does_not_replace_the_subprogram_of_its_name_that_another_program_calls(more, force):
+    if not force:  # the subprogram is copied, not corrected
+        program("one", 0)
+        Path("one.src").write_text(Path("one.src").read_text().replace(";FORCE FX=0 FY=100 FZ=-100", ""))
+    run("convert", "one.src", "-o", "out")
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    Path("sub.nc").write_text(G_CODE)
+    told = run("convert", "sub.nc", "-o", "out", *more, code=1).stderr
+    assert "out/sub.src: this file was written for one, which calls it" in told
+    assert "--name" in told
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+    run("convert", "sub.nc", "-o", "out", "--name", "pocket", *more)
+    assert {name: Path("out", name).read_bytes() for name in before} == before
+    for path in Path("out").glob("one.*"):
+        path.unlink()
+    run("convert", "sub.nc", "-o", "out", "--overwrite")  # nobody calls it any more
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
@@ -425,7 +451,7 @@ def test_a_called_file_that_is_missing_beside_one_of_two_programs_is_told():
 def test_a_copy_by_which_the_program_would_move_differently_is_refused(monkeypatch, old, new):
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
-    rename = shared_files.with_own_names
+    rename = output_plan.with_own_copies
 
     def wrong(*arguments):
         documents, names = rename(*arguments)
@@ -433,7 +459,7 @@ def test_a_copy_by_which_the_program_would_move_differently_is_refused(monkeypat
         assert old in main.text
         return (replace(main, text=main.text.replace(old, new)), *others), names
 
-    monkeypatch.setattr(shared_files, "with_own_names", wrong)
+    monkeypatch.setattr(conversion, "with_own_copies", wrong)
     done = run("convert", "two.src", "-o", "out", code=1)
     assert "would move differently" in done.output
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before

@@ -110,9 +110,9 @@ class LazyGroup(click.Group):
         except OSError as cause:  # of the machine, not of postproc
             raise click.ClickException(str(cause)) from cause
         except Exception as cause:
-            from postproc.cli.faults import told
+            from postproc.cli.faults import fault_message
 
-            text = told(f"unexpected {type(cause).__name__}: {cause}", traceback.format_exc())
+            text = fault_message(f"unexpected {type(cause).__name__}: {cause}", traceback.format_exc())
             raise click.ClickException(text) from cause
 
 

@@ -8,7 +8,7 @@ import os
 import click
 
 
-def told(message: str, traceback: str) -> str:
+def fault_message(message: str, traceback: str) -> str:
     """Return the message about a fault; its traceback is written to a file, or with ``--debug`` to stderr.
 
     :param message: description of the fault, without a full stop.
@@ -17,7 +17,7 @@ def told(message: str, traceback: str) -> str:
     if click.get_current_context().find_root().params.get("debug"):
         click.echo(traceback, err=True, nl=False)
         return f"{message}. {advice}"
-    import tempfile  # needed where something went wrong
+    import tempfile  # needed for a fault only
 
     with contextlib.suppress(OSError):
         handle, path = tempfile.mkstemp(prefix="postproc-fault-", suffix=".log")

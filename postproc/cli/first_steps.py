@@ -13,7 +13,7 @@ from postproc.cli.completion import complete_robots
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station
-    from postproc.jobs.cell_file import Numbers
+    from postproc.jobs.first_steps import Numbers
 
 _PATH = click.Path(path_type=Path)
 _START = "0,-70,110,0,50,0"
@@ -123,7 +123,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
       postproc init --robodk milling.rdk
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import load_robot
-    from postproc.jobs.cell_file import CellRequest, write_cell
+    from postproc.jobs.first_steps import CellRequest, write_cell
 
     station = None if robodk is None else _station(robodk, given)
     asked = _asked(given)
@@ -156,13 +156,13 @@ def _of_station(station: Station, robot: str) -> tuple[str, ...]:
     """Return warnings about a cell from a station."""
     from postproc.jobs import load_robot
 
-    off = station.beside(load_robot(robot))
-    return (*station.remarks, *(() if off is None else (off,)))
+    warning = station.check_flange(load_robot(robot))
+    return (*station.remarks, *(() if warning is None else (warning,)))
 
 
 def _asked(given: dict[str, Any]) -> dict[str, Any]:
     """Ask for values without an option; without a terminal take the default, or raise if there is none."""
-    from postproc.jobs import cell_file
+    from postproc.jobs import first_steps
 
     if given["tool"] is None and given["tools"]:
         given["tool"] = next(iter(given["tools"].values()))
@@ -182,18 +182,18 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
         click.echo(f"Robots: {', '.join(shipped())}")
     ask("robot", "Robot, or the path of a model folder", "kuka_kr270", _robot)
     if given["base"] is None:
-        usual = ",".join(f"{value:g}" for value in cell_file.usual_base(given["robot"]))
+        usual = ",".join(f"{value:g}" for value in first_steps.usual_base(given["robot"]))
         ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, _frame)
     ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", _frame)
     if missing and not given["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
         given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_tools_line)
     ask("start", "Joints where programs start: A1,…,A6", _START, _numbers)
-    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{cell_file.CLEARANCE_MM:g}", _number)
+    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", _number)
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-    ask("tool_change", text, cell_file.BY_HAND, str)
+    ask("tool_change", text, first_steps.BY_HAND, str)
     text = "What the part may be off (95 %)"
-    ask("part_tolerance", text, f"{cell_file.PART_TOLERANCE_MM:g}", _number)
+    ask("part_tolerance", text, f"{first_steps.PART_TOLERANCE_MM:g}", _number)
     return given
 
 
@@ -213,7 +213,7 @@ def samples(folder: Path, overwrite: bool) -> None:
     Example:
       postproc samples my_samples
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.jobs.sample_files import copy_samples
+    from postproc.jobs.first_steps import copy_samples
 
     written = copy_samples(folder, overwrite=overwrite)
     click.echo(f"written: {len(written)} files in {folder}. To try them:")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from postproc.cli.faults import told
+from postproc.cli.faults import fault_message
 
 if TYPE_CHECKING:
     from postproc.jobs import Job, Outcome, Settings
@@ -117,7 +117,7 @@ def _print_failures(outcomes: Iterable[Outcome]) -> None:
 
     for outcome in outcomes:
         if outcome.message:
-            text = told(outcome.message, outcome.traceback) if outcome.traceback else outcome.message
+            text = fault_message(outcome.message, outcome.traceback) if outcome.traceback else outcome.message
             click.echo(text if outcome.skipped else f"Error: {text}", err=True)
         for issue in outcome.issues:
             click.echo(issue_line(issue_entry(issue), outcome.program), err=True)

@@ -17,7 +17,7 @@ from postproc.under_load import ImpossiblePathError, PathUnderLoad
 _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large. Move the part or check the forces."
 
 
-def as_it_stands(path: PathUnderLoad) -> Compensation:
+def as_programmed(path: PathUnderLoad) -> Compensation:
     """Return the uncorrected commands of the program; poses in `$BASE`."""
     return Compensation(path.joints.q, path.sample.pose, np.zeros((len(path), path.setting.robot.actual.nv)))
 
@@ -37,7 +37,7 @@ def corrected(path: PathUnderLoad) -> Compensation:
 
     found = _balanced(path, in_chunk, movable)
     if len(movable) < len(path):
-        unchanged = as_it_stands(path)
+        unchanged = as_programmed(path)
         whole = unchanged.q.copy(), unchanged.pose.copy(), unchanged.theta
         for array, part in zip(whole, found, strict=True):
             array[movable] = part

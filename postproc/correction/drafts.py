@@ -43,7 +43,7 @@ class Task(Struct, frozen=True, eq=False):
     """Settings for processing a program, see `process`.
 
     :param in_file: True if its forces are read from and written to a file, False for comments.
-    :param told: issues found before anything is computed.
+    :param initial_issues: issues found before anything is computed.
     """
 
     robot: RobotModel
@@ -51,7 +51,7 @@ class Task(Struct, frozen=True, eq=False):
     linearize_arcs: bool
     writer: Writer
     in_file: bool
-    told: tuple[Issue, ...]
+    initial_issues: tuple[Issue, ...]
 
 
 class Draft(Struct, frozen=True, eq=False):
@@ -75,7 +75,12 @@ class Draft(Struct, frozen=True, eq=False):
     @classmethod
     def of(cls, task: Task, path: PathUnderLoad, command: Compensation, chosen: Chosen) -> Draft:
         """Return the draft with the issues of the task, the program, its forces and its commanded path."""
-        issues = (*task.told, *path.program.issues, *path.motions.forces.issues, *inspection.of_path(path, command))
+        issues = (
+            *task.initial_issues,
+            *path.program.issues,
+            *path.motions.forces.issues,
+            *inspection.of_path(path, command),
+        )
         return cls(path, command.q, command.theta, chosen, issues)
 
     @property

@@ -76,9 +76,9 @@ def process(
         linearize_arcs=linearize_arcs,
         writer=writer,
         in_file=source is not None,
-        told=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell)),
+        initial_issues=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell)),
     )
-    wrong = [issue for issue in task.told if issue.level == "error"]
+    wrong = [issue for issue in task.initial_issues if issue.level == "error"]
     if not wrong:
         try:
             task, draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
@@ -111,7 +111,7 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
             slowed = joint_speeds.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
             if slowed is not None:
                 motions, slow = slowed
-                task = replace(task, told=(*task.told, slow))
+                task = replace(task, initial_issues=(*task.initial_issues, slow))
                 draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
         if draft.simulated is None or task.mode == "nominal" or len(draft.simulated.missed[0]) == 0:
             break
@@ -143,13 +143,13 @@ def _closer(
 def _commands(task: Task, path: PathUnderLoad) -> Compensation:
     """Return the commands of all samples, in `$BASE`."""
     if task.mode == "nominal":
-        return commanded.as_it_stands(path)
+        return commanded.as_programmed(path)
     try:
         return commanded.corrected(path)
     except ImpossiblePathError:
         if task.mode == "convert":
             raise
-        return commanded.as_it_stands(path)  # what cannot be corrected can still be predicted
+        return commanded.as_programmed(path)  # what cannot be corrected can still be predicted
 
 
 def _drafted(task: Task, path: PathUnderLoad) -> Draft:
@@ -174,4 +174,4 @@ def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft with the uncorrected commands: the correction only served to place the targets."""
     path, chosen = draft.path, draft.chosen
     chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose[chosen.row]))
-    return Draft.of(task, path, commanded.as_it_stands(path), chosen)
+    return Draft.of(task, path, commanded.as_programmed(path), chosen)

@@ -1,4 +1,4 @@
-"""Readers and writers of program formats: each format's rules stand in one place, behind one protocol."""
+"""Readers and writers of program formats: the rules of a format are in one place, behind one protocol."""
 
 from postproc.dialects.dialect import Dialect, Writer
 

@@ -28,7 +28,7 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
 
     :param kind: (K,) PTP targets carry none, and change nothing.
     :param note: (K,) the last of the program's own `notes` at each target, −1 before the first.
-    :param start: what is in force before the first of these: 0, or NaN for what must not be relied on.
+    :param start: values before the first of these: 0, or NaN where they are unknown.
     """
     out = np.zeros(len(kind), dtype=np.bool_)
     rows = np.flatnonzero(kind != PTP)

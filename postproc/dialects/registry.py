@@ -40,7 +40,7 @@ _EXTENSIONS = {
 _WRITTEN = "krl"
 """What a program becomes whose own dialect is not written."""
 _NO_PROGRAMS = {
-    ".dat": "the data of a KRL program. Give the .src file; the .dat beside it is read with it.",
+    ".dat": "the data of a KRL program. Give the .src file; the .dat of the same name is read with it.",
     ".sub": "a KRL submit program, which moves no robot. Give the .src file of the part.",
     ".h": "conversational code of a Heidenhain control. Have the CAM system post-process the part as plain G-code.",
     ".spf": "a subprogram of a Siemens Sinumerik control. Have the CAM system post-process the part as plain G-code, "
@@ -91,7 +91,7 @@ def extensions() -> dict[str, str]:
 
 
 def of_file(path: Path) -> Dialect:
-    """Return the dialect that the extension of a file stands for.
+    """Return the dialect of a file by its extension.
 
     :raises ProgramError: the extension is not known.
     """

@@ -20,7 +20,7 @@ _ENCODINGS = ("utf-8", "cp1252", "latin-1")
 def decode(name: str, data: bytes) -> Document:
     """Return the content of a program file as text that encodes back to the same bytes.
 
-    UTF-8 with or without byte order mark; what is not UTF-8 is taken as cp1252, and as latin-1 where cp1252 has no
+    UTF-8 with or without byte order mark; other text is taken as cp1252, and as latin-1 where cp1252 has no
     character for a byte (comments in other code pages survive that way).
 
     :param name: file name with extension, for messages and for `Document.name`.

@@ -51,7 +51,7 @@ class Station:
         known = {_letters(robot.load(folder).title): name for name, folder in robot.shipped().items()}
         return known.get(wanted, known.get(f"kuka{wanted}"))
 
-    def beside(self, model: RobotModel) -> str | None:
+    def check_flange(self, model: RobotModel) -> str | None:
         """Return a warning if the flange of a robot model is not where it is in RoboDK, else None."""
         q = np.array([self.start]) * RAD_PER_DEG
         flange = kinematics.tcp(model.nominal, q, np.eye(4))[0][0, :3, 3] * MM_PER_M

@@ -13,8 +13,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.errors import PostprocError
+from postproc.jobs.output_plan import Task
 from postproc.jobs.settings import FAILED, Outcome, Settings
-from postproc.jobs.shared_files import Task
 from postproc.version import VERSION
 
 _PATIENCE = 10.0

@@ -15,8 +15,7 @@ from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
-from postproc.jobs.conversion import read_program
-from postproc.jobs.marking import origin_of
+from postproc.jobs.conversion import origin_of, read_program
 from postproc.jobs.output_plan import protect
 from postproc.jobs.settings import EXCEEDED, GOOD, Settings, load_setup
 from postproc.program import Program
@@ -37,7 +36,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     :param corrected: the robot program that is compared with it.
     :param cell: cell file.
     :param forces: CSV file of cutting forces, by lines of the nominal program, or process.toml to compute them from.
-    :param output: folder to write into; None = a folder `corrected` beside the nominal program.
+    :param output: folder to write into; None = a folder `corrected` next to the nominal program.
     :param keep_unresolved: read KRL with motions that are known at run time only, and list them as not compared.
     :param overwrite: replace files that postproc did not write.
     """
@@ -58,8 +57,8 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     def reads(self) -> list[Path]:
         """Return the input files."""
         programs = (self.nominal, self.corrected)
-        beside = [path for each in programs for path in registry.of_file(each).companions(each)]
-        return [*programs, *beside, self.cell, *([] if self.forces is None else [self.forces])]
+        companions = [path for each in programs for path in registry.of_file(each).companions(each)]
+        return [*programs, *companions, self.cell, *([] if self.forces is None else [self.forces])]
 
 
 class ComparisonFiles(Struct, frozen=True):
@@ -157,7 +156,7 @@ def _origin(program: Program) -> provenance.Provenance:
 
 
 def _made_from(request: CompareRequest, cell: Cell, nominal: Program, corrected: Program) -> MadeFrom:
-    """Return what is known of the origin of the second program."""
+    """Return the origin of the second program, as far as it states it."""
     origin, first = _origin(corrected), _origin(nominal)
     if not origin.sums:
         return MadeFrom(origin, {})

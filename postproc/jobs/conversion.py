@@ -1,30 +1,111 @@
-"""One program from file to files."""
+"""One program from file to files: read, corrected, marked with its provenance, staged."""
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc import correction, files, forces, report
+from postproc import correction, files, forces, provenance, report
+from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.frames import M_PER_MM
-from postproc.jobs import held_feed, shared_files
-from postproc.jobs.marking import marked, subprograms
+from postproc.jobs import held_feed
+from postproc.jobs.output_plan import Task, differing, needed_copies, with_own_copies
 from postproc.jobs.programs import Job, read_documents
 from postproc.jobs.settings import EXCEEDED, FAILED, GOOD, Outcome, Settings
-from postproc.jobs.shared_files import Task
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
+from postproc.version import VERSION
+
+_OPTIONS = ("tolerance_mm", "lines_per_file", "linearize_arcs", "keep_unresolved")
+"""Settings that a written program depends on in addition to its files."""
+
+
+def options_of(settings: Settings) -> dict[str, str]:
+    """Return the settings that were given, as a written program says them."""
+    given = {name: getattr(settings, name) for name in _OPTIONS}
+    given = {name: value for name, value in given.items() if value is not None and value is not False}
+    return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in given.items()}
+
+
+def marked(
+    result: Result, job: Job, settings: Settings, cell: Cell, own_names: Mapping[str, str] | None = None
+) -> Result:
+    """Return a result whose program states where it comes from; one that is unchanged to the byte states nothing new.
+
+    :param own_names: names of copies of subprograms → names as they were read.
+    """
+    source = [document.to_bytes() for document in result.program.documents]
+    if not result.documents or [document.to_bytes() for document in result.documents] == source:
+        return result
+    mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
+    origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
+    origin = replace(origin, options=options_of(settings))
+    documents, moved = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
+    line = result.output_line
+    return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
+
+
+def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
+    """Return the names of the files that are written with a program because it calls routines in them."""
+    own = {path.name for path in job.reads()}
+    called = {document.name for document in result.program.documents} - own
+    return [document.name for document in result.documents if own_names.get(document.name, document.name) in called]
+
+
+def _subprograms_marked(
+    result: Result, job: Job, origin: provenance.Origin, own_names: Mapping[str, str]
+) -> list[Document]:
+    """Return the files of a program; those of subprograms that differ from what was read state their own origin.
+
+    It does not depend on the program that calls them: two programs may be given the same file.
+    """
+    before = {document.name: document for document in result.program.documents}
+    after = {document.name: document for document in result.documents}
+
+    def read(name: str) -> Document:
+        return before[own_names.get(name, name)]
+
+    for name in subprograms(result, job, own_names):
+        files = [other for other in after if Path(other).stem.lower() == Path(name).stem.lower()]
+        files.sort(key=lambda other: other != name)
+        if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != read(n).text for n in files):
+            source = provenance.digest(read(other).to_bytes() for other in files)
+            own, _ = job.writer.marked(
+                [after[other] for other in files], replace(origin, source=source, forces="-", options={})
+            )
+            after[name] = own[0]
+    return list(after.values())
+
+
+def origin_of(
+    source: Sequence[Document], path: Path, cell: Cell, forces: Path | None, mode: Literal["corrected", "nominal"]
+) -> provenance.Origin:
+    """Return the provenance of a program that is made from a source now.
+
+    :param path: cell file, `cell` its content.
+    :param forces: CSV file, or None.
+    """
+    folder = robots.find(cell.robot, Path(cell.folder))
+    return provenance.Origin(
+        version=VERSION,
+        mode=mode,
+        source=provenance.digest(document.to_bytes() for document in source),
+        cell=provenance.digest([path.read_bytes()]),
+        model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
+        forces="-" if forces is None else provenance.digest([forces.read_bytes()]),
+    )
+
 
 if TYPE_CHECKING:
     from postproc.machining import ProcessForces
@@ -107,7 +188,7 @@ def _result(
             result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
         found = process.found
     if job.forces is None and job.process is None:
-        result = replace(result, issues=tuple(_with_file_beside(issue, job) for issue in result.issues))
+        result = replace(result, issues=tuple(_with_force_file(issue, job) for issue in result.issues))
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     fault = job.writer.fault_of(job.program.stem)
@@ -118,7 +199,7 @@ def _result(
     return result, found
 
 
-def _with_file_beside(issue: Issue, job: Job) -> Issue:
+def _with_force_file(issue: Issue, job: Job) -> Issue:
     """Return an issue that forces are missing with the name of a force file next to the program."""
     found = job.program.with_name(f"{job.program.stem}.forces.csv")
     if issue.kind != "no-force" or not found.is_file():
@@ -201,7 +282,7 @@ def _with_subprograms(
     """Return a result whose program states where it comes from, with subprograms that are no other program's.
 
     :returns: the result, the names of the files of its subprograms, and files that are written as they were read.
-    :raises InputError: see `shared_files`.
+    :raises InputError: see `output_plan.with_own_copies`.
     """
     job, read = task.job, result.program.documents
     own_names: dict[str, str] = {}
@@ -211,11 +292,11 @@ def _with_subprograms(
         if not written.documents or settings.mode == "predict":
             return written, called, {}
         texts = {document.name: document.to_bytes() for document in written.documents}
-        copies = shared_files.copies(task, result.program.needed, [*texts, *own_names.values()])
-        others = shared_files.conflicts(task, texts | copies if job.keeps_text else copies, called, copies, read)
+        copies = needed_copies(task, result.program.needed, [*texts, *own_names.values()])
+        others = differing(task, texts | copies if job.keeps_text else copies, called, copies, read)
         if not others:
             return written, called, copies
-        documents, more = shared_files.with_own_names(task, result.documents, others, called, copies)
+        documents, more = with_own_copies(task, result.documents, others, called, copies)
         _check_same_motions(result, documents, robot, cell)
         own_names |= {new: own_names.get(old, old) for new, old in more.items()}
         issues = [each for each in result.issues if each.kind != "shared-file" or each.subject not in more.values()]

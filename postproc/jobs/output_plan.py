@@ -1,15 +1,20 @@
-"""The plan of a run: which files it will write, which of earlier runs go, and which programs wait for others.
+"""The plan of a run: files that it will write, files of earlier runs that it retires, and the order of programs.
 
-`OutputPlan` is made before work begins, from the list of programs and from what is in the output folders. It alone
-looks at the files of other programs, and puts files in their places: programs are converted into folders of their own
-(`files.stage`), in any process and on any machine, and the plan decides what these replace, and when.
-Its process has locked the output folders from the plan to the last replacement (`files.locked`).
+`OutputPlan` is made before work begins, from the list of programs and from the reports in the output folders. It alone
+knows the files of several programs, and puts files in their places. Programs are converted into folders of their own
+(`files.stage`), in any process and on any machine. A `Task` hands a program to its process together with the files of
+other programs; `needed_copies`, `differing` and `with_own_copies` decide from the task alone. The plan decides what the
+staged files replace, and when. Its process has locked the output folders from the plan to the last replacement
+(`files.locked`).
+
+Programs may call one subprogram. Its corrected file is shared by the programs for which it is equal. For another
+program it is written under a name of its own, and that program calls this copy.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path, PurePath
 
@@ -21,11 +26,12 @@ from postproc.cell import Cell
 from postproc.correction import Mode
 from postproc.dialects import registry
 from postproc.dialects.dialect import Calling
+from postproc.dialects.text import decode
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.files import foreign, foreign_single, listed, noted, recorded, refuse
 from postproc.jobs.programs import Job, read_documents
 from postproc.jobs.settings import FAILED, Outcome, Settings
-from postproc.jobs.shared_files import Record, Task, lines
+from postproc.program import Document, Needed
 from postproc.provenance import digest
 
 OVERVIEW = "index.html"
@@ -36,12 +42,177 @@ COPIED = "copied"
 """Key of a report: files that were written as they were read, and in which nothing is called that moves."""
 
 
+class Record(Struct, frozen=True):
+    """The files that were written for a program, as its report lists them.
+
+    :param program: its name.
+    :param at: the folder that contains them: the output folder, or a staging folder in it.
+    :param files: name → SHA-256.
+    :param copied: names of those that were written as they were read.
+    :param renewed: whether this run will convert the program again.
+    """
+
+    program: str
+    at: Path
+    files: Mapping[str, str]
+    copied: frozenset[str] = frozenset()
+    renewed: bool = False
+
+
+class Task(Struct, frozen=True):
+    """A job, and the files of other programs in its output folder when it begins.
+
+    :param job: the job.
+    :param names: names of the other programs that the run writes there, lower case.
+    :param records: files of other programs there.
+    :param taken: names that a copy of a subprogram must not have, lower case, without extension.
+    """
+
+    job: Job
+    names: frozenset[str] = frozenset()
+    records: tuple[Record, ...] = ()
+    taken: frozenset[str] = frozenset()
+
+
+def needed_copies(task: Task, needed: Sequence[Needed], written: Collection[str]) -> dict[str, bytes]:
+    """Return the unchanged files that are written with a program because it needs them: name → content.
+
+    A file that is a program of this run itself is omitted. So is one that was corrected for another program from the
+    same source: its routines without motions are unchanged.
+
+    :param written: names of the other files of the program.
+    """
+    job, taken = task.job, {name.lower() for name in written}
+    found: dict[str, bytes] = {}
+    for each in needed:
+        path = Path(each.path)
+        if path.name.lower() in taken or path.stem.lower() in task.names:
+            continue
+        if path.parent.resolve() == job.output.resolve():
+            continue
+        group = [Path(other.path) for other in needed if Path(other.path).stem.lower() == path.stem.lower()]
+        if each.moves or not _corrected_from(task, group):
+            found[path.name] = path.read_bytes()
+    return found
+
+
+def _corrected_from(task: Task, paths: Sequence[Path]) -> bool:
+    """Return whether files were corrected for other programs from these sources, and are intact."""
+    writer = task.job.writer
+    paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)
+    found: list[bytes] = []
+    for path in paths:
+        record = next((record for record in task.records if path.name in record.files), None)
+        try:
+            content = b"" if record is None else (record.at / path.name).read_bytes()
+        except OSError:
+            return False
+        if record is None or digest([content]) != record.files[path.name]:
+            return False
+        found.append(content)
+    try:
+        origin = writer.origin([decode(paths[0].name, found[0])])
+        return origin.sums.get("source") == digest(path.read_bytes() for path in paths)
+    except (OSError, ProgramError):
+        return False
+
+
+def differing(
+    task: Task, texts: Mapping[str, bytes], called: Sequence[str], copied: Collection[str], read: Sequence[Document]
+) -> dict[str, str]:
+    """Return the files that differ from those written for another program: name → that program.
+
+    Programs that the run will convert again do not count. Nor do those for which the same source was only copied: the
+    routines without motions are equal in the corrected file.
+
+    :param texts: files of the program, of its subprograms, and unchanged copies: name → content.
+    :param called: names of the files of subprograms; `copied`: names of the unchanged copies.
+    :param read: the documents of the program as they were read.
+    :raises InputError: a subprogram is also converted as a program of its own in this run.
+    """
+    for name in called:
+        if PurePath(name).stem.lower() in task.names:
+            raise InputError(
+                f"{task.job.program} calls {name}, which is also converted as a program of its own in this run",
+                advice="Name the main programs instead of their folder, or move the file of the subprogram into a "
+                "folder that [krl] search in the cell names.",
+            )
+    before = {document.name: document.to_bytes() for document in read} if task.records else {}
+    found: dict[str, str] = {}
+    for record in task.records:
+        for name in texts.keys() & record.files.keys() - found.keys() if not record.renewed else ():
+            sum_ = record.files[name]
+            if sum_ == digest([texts[name]]):
+                continue
+            same_source = name in before and sum_ == digest([before[name]])
+            if not (name in record.copied and name not in copied and same_source):
+                found[name] = record.program
+    return found
+
+
+def with_own_copies(
+    task: Task,
+    documents: Sequence[Document],
+    others: Mapping[str, str],
+    called: Sequence[str],
+    copied: Mapping[str, bytes],
+) -> tuple[tuple[Document, ...], dict[str, str]]:
+    """Return the files of a program that calls subprograms under names of their own, where others need them different.
+
+    :param documents: files of the program and of its subprograms; `called`: names of the latter.
+    :param others: see `differing`.
+    :param copied: unchanged files: name → content.
+    :returns: the files, and the new name of each copied file → its name in the source.
+    :raises InputError: a subprogram cannot have another name.
+    """
+    job, kind = task.job, registry.by_name(task.job.dialect)
+    if isinstance(kind, Calling) and set(others) <= set(called):
+        stems = sorted({PurePath(name).stem for name in others})
+        found = kind.with_own_copies(documents, [*copied.values()], stems, job.stem, set(task.taken))
+        if found is not None:
+            return found
+    name, other = next(iter(others.items()))
+    how = "stays as it is" if name in copied else "is corrected differently"
+    raise InputError(
+        f"this file was written for {other}, which calls it too, and {how} for {job.stem}",
+        file=str(job.output / name),
+        advice="Nothing was written. Write this program into another folder with -o, or give each of the programs "
+        f"a {name} of its own.",
+    )
+
+
+def sequences(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
+    """Return jobs in groups; those of a group may correct one file in common, and are converted one after the other.
+
+    :param jobs: of one output folder. If KRL programs come from different folders, they are one group.
+    """
+    kinds: dict[str, list[Job]] = {}
+    for job in jobs:
+        kinds.setdefault(job.dialect, []).append(job)
+    group_of: dict[Path, list[Job]] = {job.program: [job] for job in jobs}
+    for dialect, same in kinds.items():
+        kind = registry.by_name(dialect)
+        if len(same) == 1 or not isinstance(kind, Calling):
+            continue
+        paths = [job.program for job in same]
+        one_folder = len({path.parent.resolve() for path in paths}) == 1
+        moving = kind.moving(paths, cell) if one_folder else {path: {paths[0]} for path in paths}
+        first: dict[Path, Job] = {}
+        for job in same:
+            for path in moving[job.program]:
+                group, joined = group_of[first.setdefault(path, job).program], group_of[job.program]
+                if group is not joined:
+                    group += joined
+                    group_of |= dict.fromkeys((each.program for each in joined), group)
+    return list({id(group): group for group in group_of.values()}.values())
+
+
 class _Complete(Struct, frozen=True, eq=False):
     """A converted program whose files are not in their places yet.
 
-    :param obsolete: names of files of an earlier run that go.
-    :param partners: reports of programs of this run whose earlier results need a file that is replaced: they are
-        replaced, or set aside, together with this one.
+    :param obsolete: names of files of an earlier run that are removed.
+    :param partners: reports of programs of this run whose earlier results need a file that is replaced. Their results
+        are replaced, or set aside, together with these.
     """
 
     task: Task
@@ -51,12 +222,12 @@ class _Complete(Struct, frozen=True, eq=False):
 
 
 class OutputPlan:
-    """What a run writes.
+    """The files that a run writes, in all its output folders.
 
-    :param jobs: programs; those that are only called by others are left to these.
+    :param jobs: programs; those that others call are written with their callers.
     :param settings: of the run.
     :raises InputError: two programs would be written to one file (names that differ in case are one), an input would
-        be overwritten, or a file that postproc did not write.
+        be overwritten, or a file that postproc did not write or that another program calls.
     """
 
     def __init__(self, jobs: Sequence[Job], settings: Settings) -> None:
@@ -67,33 +238,33 @@ class OutputPlan:
         for job in self.jobs:
             self._folders[job.output].add(job)
         self._check(settings.cell)
-        self._lines = deque([job] for job in self.jobs)
+        self._waiting = deque([job] for job in self.jobs)
         self._later: dict[Path, deque[Job]] = {}
         self._complete: list[_Complete] = []
 
     def divide(self, cell: Cell) -> None:
-        """Find which programs may correct one file in common: they will be converted one after the other."""
+        """Let programs that may correct one file in common wait for each other."""
         if self._mode != "predict":
-            groups = [lines(folder.jobs, cell) for folder in self._folders.values()]
+            groups = [sequences(folder.jobs, cell) for folder in self._folders.values()]
             order = {job.program: number for number, job in enumerate(self.jobs)}
             found = [sorted(group, key=lambda job: order[job.program]) for each in groups for group in each]
-            self._lines = deque(sorted(found, key=lambda group: order[group[0].program]))
+            self._waiting = deque(sorted(found, key=lambda group: order[group[0].program]))
 
     def ready(self) -> Iterable[Task]:
-        """Yield tasks that may begin now; the others follow when those before them are `finished`."""
-        while self._lines:
-            job, *later = self._lines.popleft()
+        """Yield tasks that may begin now; others wait until those before them are `finished`."""
+        while self._waiting:
+            job, *later = self._waiting.popleft()
             self._later[job.program] = deque(later)
             yield self._folders[job.output].task(job)
 
     def finished(self, task: Task, outcome: Outcome) -> list[Outcome]:
-        """Take in what came of a task; put files in their places as soon as those that belong together are complete.
+        """Accept the outcome of a task; put files in their places as soon as those that belong together are complete.
 
-        :returns: final outcomes, of this task and of tasks that waited for it.
+        :returns: final outcomes of this task, and of tasks that waited for it.
         """
         later = self._later.pop(task.job.program)
         if later:
-            self._lines.appendleft(list(later))
+            self._waiting.appendleft(list(later))
         folder = self._folders[task.job.output]
         folder.converted(task.job)
         final: list[Outcome] = []
@@ -111,7 +282,10 @@ class OutputPlan:
         return final
 
     def _check(self, cell: Path) -> None:
-        """Raise for clashes that are known from the names."""
+        """Refuse clashes that are known from the names.
+
+        :raises InputError: see the class.
+        """
         taken: dict[tuple[str, str], Path] = {}
         for job in self.jobs:
             first = taken.setdefault((_key(job.output), job.stem.lower()), job.program)
@@ -128,14 +302,31 @@ class OutputPlan:
             names[folder].append(OVERVIEW)
         for folder, written in names.items():
             protect(inputs, folder, written)
+        for job in self.jobs:
+            self._refuse_called(job, job.writes(self._mode))
         if not self._overwrite:
             found = [path for job in self.jobs for path in self._not_ours(job, job.writes(self._mode))]
             refuse(found + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
 
-    def _checked(self, task: Task, outcome: Outcome) -> _Complete:
-        """Return a converted program with what its files replace.
+    def _refuse_called(self, job: Job, names: Iterable[str]) -> None:
+        """Refuse to replace files that a program of an earlier run calls: it would call another program.
 
-        :raises InputError: they must not replace it.
+        :raises InputError: names the first of them, and that program.
+        """
+        for path in (job.output / name for name in names):
+            owner = self._folders[job.output].caller(job, path)
+            if owner is not None:
+                raise InputError(
+                    f"this file was written for {owner.program}, which calls it",
+                    file=str(path),
+                    advice=f"Nothing was written. Write {job.program} into another folder with -o, or under another "
+                    "name with --name.",
+                )
+
+    def _checked(self, task: Task, outcome: Outcome) -> _Complete:
+        """Return a converted program with the files that it retires.
+
+        :raises InputError: its files must not replace those in their places.
         """
         job, mode, folder = task.job, self._mode, self._folders[task.job.output]
         assert outcome.staged is not None
@@ -152,16 +343,19 @@ class OutputPlan:
                     "run",
                     advice="Rename one, or convert them one by one with different -o folders.",
                 )
+        self._refuse_called(job, [name for name in more if name not in outcome.shared])
         sums = {entry["name"]: entry["sha256"] for entry in outcome.summary["files"]}
         changed = [name for name in outcome.shared if _sum(job.output / name) not in ("", sums[name])]
         if not self._overwrite:
             found = self._not_ours(job, [name for name in more if name not in outcome.shared or name in changed])
-            refuse([p for p in found if not folder.others_wrote(job, p, only_pending=p.name not in outcome.shared)])
+            refuse(
+                [p for p in found if not folder.written_by_others(job, p, only_pending=p.name not in outcome.shared)]
+            )
         kept = {name.lower() for name in names}
         inputs = {_key(path) for path in job.reads()}
         obsolete = [
             name
-            for name in _there(job, recorded(job.output / job.report(mode)))
+            for name in _existing(job, recorded(job.output / job.report(mode)))
             if name.lower() not in kept and PurePath(name).name == name and _key(job.output / name) not in inputs
         ]
         obsolete = [name for name in obsolete if not folder.owners(job, name)]
@@ -171,7 +365,7 @@ class OutputPlan:
         return _Complete(task, outcome, tuple(obsolete), partners)
 
     def _groups(self) -> list[list[_Complete]]:
-        """Return, and take away, programs whose files belong together and are all complete."""
+        """Remove and return groups of programs whose files belong together and are all complete."""
         waiting, ready, later = self._complete, [], []
         while waiting:
             group = [waiting[0]]
@@ -214,33 +408,33 @@ class OutputPlan:
         ]
 
     def _not_ours(self, job: Job, names: Iterable[str]) -> list[Path]:
-        """Return which of the files that are there are not as postproc wrote them."""
+        """Return existing files that postproc did not write, or that were changed since."""
         folder = self._folders[job.output]
         found = [path for path in foreign(job.output, names, job.report(self._mode)) if not folder.copied(job, path)]
-        return [path for path in found if path.name not in _marked(job, self._mode)] if found else []
+        return [path for path in found if path.name not in _intact(job, self._mode)] if found else []
 
     def _failed(self, job: Job, outcome: Outcome) -> Outcome:
-        """Return the outcome of a program of which nothing was written, with what becomes of its earlier results."""
+        """Return the outcome of a program that was not written, with a sentence on its earlier results."""
         if outcome.skipped:
             return outcome
         return replace(outcome, earlier=left([job], self._mode) if outcome.keeps_earlier else self._set_aside(job))
 
     def _set_aside(self, job: Job) -> str:
-        """Rename what an earlier run wrote for a program that failed now, so that nobody takes it for this run's.
+        """Rename the earlier results of a program that failed now, so they are not mistaken for new ones.
 
         :returns: a sentence for the user; empty if there was nothing.
         """
         mode, folder = self._mode, self._folders[job.output]
-        there = _there(job, _of_run(job, mode))
-        owners = {name: folder.owners(job, name) for name in there}
-        own = [name for name in there if not owners[name]]
+        existing = _existing(job, _of_run(job, mode))
+        owners = {name: folder.owners(job, name) for name in existing}
+        own = [name for name in existing if not owners[name]]
         changed = self._not_ours(job, own)
         changed += [
             path
             for name, others in owners.items()
             if others
             for path in self._not_ours(job, [name])
-            if not folder.others_wrote(job, path)
+            if not folder.written_by_others(job, path)
         ]
         if not own:
             return ""
@@ -257,7 +451,7 @@ class OutputPlan:
 
 
 class _Folder:
-    """An output folder: the records in it before the run, and what the run has added."""
+    """An output folder: its records before the run, and those that the run has added."""
 
     def __init__(self, path: Path, mode: Mode) -> None:
         self.jobs: list[Job] = []
@@ -266,7 +460,7 @@ class _Folder:
         self._new: dict[str, Record] = {}
 
     def add(self, job: Job) -> None:
-        """Take in a job of the run."""
+        """Add a job of the run."""
         self.jobs.append(job)
         self._pending.add(job.report(self._mode))
 
@@ -276,21 +470,21 @@ class _Folder:
 
     @cached_property
     def _earlier(self) -> dict[str, Record]:
-        """The records in the folder by the names of their reports; of their files those that are still there."""
+        """The records in the folder, by the names of their reports, with the files that still exist."""
         found: dict[str, Record] = {}
-        there = {path.name for path in self._path.glob("*")}
+        existing = {path.name for path in self._path.glob("*")}
         for path in sorted(self._path.glob("*.report.json")):
-            named = {name: sum_ for name, sum_ in recorded(path).items() if name in there}
+            named = {name: sum_ for name, sum_ in recorded(path).items() if name in existing}
             program = path.name.removesuffix(".report.json")
             found[path.name] = Record(program, self._path, named, frozenset(noted(path, COPIED)))
         return found
 
     def _records(self) -> dict[str, Record]:
-        """The records as they will be when what is complete is in its place."""
+        """The records after all complete programs are in their places."""
         return self._earlier | self._new
 
     def task(self, job: Job) -> Task:
-        """Return a task of the run, with the other records if the program may have files in common with them."""
+        """Return the task of a job, with the other records if the program may share files with them."""
         names = self._names - {job.stem.lower()}
         if self._mode == "predict" or not _may_share(job):
             return Task(job, names)
@@ -305,16 +499,21 @@ class _Folder:
             for report, record in self._records().items()
             if report != job.report(self._mode)
         ]
-        own = self._earlier.get(job.report(self._mode))
-        earlier = frozenset[str]() if own is None else frozenset(own.files)
-        return Task(job, names, tuple(record for record in records if record.files), earlier)
+        taken = {PurePath(name).stem.lower() for record in records for name in record.files} | names
+        taken |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._own(job)}
+        return Task(job, names, tuple(record for record in records if record.files), frozenset(taken))
+
+    def _own(self, job: Job) -> Mapping[str, str]:
+        """Return the files that an earlier run wrote for a job, with their sums."""
+        record = self._earlier.get(job.report(self._mode))
+        return {} if record is None else record.files
 
     def converted(self, job: Job) -> None:
-        """Note that a job has been done."""
+        """Record that a job was converted, or failed."""
         self._pending.discard(job.report(self._mode))
 
     def written(self, job: Job, outcome: Outcome) -> None:
-        """Note the files of a converted program."""
+        """Record the files of a converted program."""
         assert outcome.staged is not None
         assert outcome.summary is not None
         sums = {entry["name"]: entry["sha256"] for entry in outcome.summary["files"]}
@@ -322,16 +521,16 @@ class _Folder:
         self._new[job.report(self._mode)] = Record(job.stem, outcome.staged.path / "new", sums, copied)
 
     def in_place(self, job: Job) -> None:
-        """Note that the files of a converted program are in their places."""
+        """Record that the files of a converted program are in their places."""
         report = job.report(self._mode)
         self._new[report] = replace(self._new[report], at=self._path)
 
     def waits(self, reports: Iterable[str]) -> bool:
-        """Return whether one of some programs is yet to be converted."""
+        """Return whether one of these programs is still to be converted."""
         return not self._pending.isdisjoint(reports)
 
     def needing(self, names: Sequence[str]) -> frozenset[str]:
-        """Return the reports of programs of the run, yet to be converted, whose earlier results need a file."""
+        """Return the reports of programs, still to be converted, whose earlier results need one of these files."""
         return frozenset(
             report
             for report in self._pending
@@ -339,7 +538,7 @@ class _Folder:
         )
 
     def owners(self, job: Job, name: str, *, only_pending: bool = False) -> list[Record]:
-        """Return the records of other programs that list a file; of those only that are yet to be converted."""
+        """Return the records of other programs that list a file; optionally of those still to be converted."""
         own = job.report(self._mode)
         return [
             record
@@ -347,13 +546,27 @@ class _Folder:
             if report != own and name in record.files and (not only_pending or report in self._pending)
         ]
 
-    def others_wrote(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
-        """Return whether a file is as it was written for another program."""
+    def written_by_others(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
+        """Return whether a file is intact as written for another program."""
         owners = self.owners(job, path.name, only_pending=only_pending)
         return bool(owners) and _sum(path) in {record.files[path.name] for record in owners}
 
+    def caller(self, job: Job, path: Path) -> Record | None:
+        """Return the record of a program of an earlier run that needs a file as it is, or None.
+
+        A file that is the source of this job, unchanged, is not meant: its routines without motions stay the same.
+        """
+        pending = self.owners(job, path.name, only_pending=True)
+        records = [record for record in self.owners(job, path.name) if record not in pending]
+        found = _sum(path) if records else ""
+        if not found or self._own(job).get(path.name) == found:
+            return None
+        if job.keeps_text and any(each.name == path.name and _sum(each) == found for each in job.reads()):
+            return None
+        return next((record for record in records if record.files[path.name] == found), None)
+
     def copied(self, job: Job, path: Path) -> bool:
-        """Return whether a file is as another program needs it, and as it was read for that program."""
+        """Return whether a file is an intact, unchanged copy that another program needs."""
         return any(
             path.name in record.copied and record.files[path.name] == _sum(path)
             for record in self.owners(job, path.name)
@@ -361,7 +574,7 @@ class _Folder:
 
 
 def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
-    """Raise an `InputError` if an output would overwrite an input; case of names is ignored.
+    """Refuse outputs that would overwrite an input; case of names is ignored.
 
     :param inputs: files that are read.
     :param folder: folder that is written into.
@@ -376,13 +589,13 @@ def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
 
 
 def left(jobs: Iterable[Job], mode: Mode) -> str:
-    """Return a sentence on programs in the output folders that are not of this run; empty if there are none."""
-    there = [job.output / name for job in jobs for name in _there(job, job.mains(mode))]
-    return f"There before, not of this run: {listed(there)}." if there else ""
+    """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
+    existing = [job.output / name for job in jobs for name in _existing(job, job.mains(mode))]
+    return f"There before, not of this run: {listed(existing)}." if existing else ""
 
 
 def _overviews(jobs: Sequence[Job]) -> list[Path]:
-    """Return the folders that get an overview: those of several programs, and those that have one already."""
+    """Return the folders that get an overview: those with several programs, or with an overview already."""
     count: dict[Path, int] = {}
     for job in jobs:
         count[job.output] = count.get(job.output, 0) + 1
@@ -394,7 +607,7 @@ def _has_overview(folder: Path) -> bool:
 
 
 def _may_share(job: Job) -> bool:
-    """Return whether a program may call files, or need files, that it does not consist of."""
+    """Return whether a program may call or need files of other programs."""
     if not (job.keeps_text and isinstance(registry.by_name(job.dialect), Calling)):
         return False
     own = {_key(path) for path in job.reads()}
@@ -402,24 +615,24 @@ def _may_share(job: Job) -> bool:
 
 
 def _of_divided(name: str, other: str) -> bool:
-    """Return whether a file may be one of those of a divided program."""
+    """Return whether a file may be a part of a divided program."""
     stem = PurePath(name).stem.lower()
     return stem.startswith(other) and (stem[len(other) :] in ("", "main") or stem[len(other) :].isdecimal())
 
 
-def _there(job: Job, names: Iterable[str]) -> list[str]:
+def _existing(job: Job, names: Iterable[str]) -> list[str]:
     return [name for name in names if (job.output / name).exists()]
 
 
 def _of_run(job: Job, mode: Mode) -> list[str]:
-    """Return the names of the files that a run may write, and those that an earlier one has written."""
+    """Return the names of files that this run may write, and of those that an earlier run has written."""
     foreseen = job.writes(mode)
     return list(dict.fromkeys([*job.mains(mode), *foreseen, *recorded(job.output / job.report(mode))]))
 
 
-def _marked(job: Job, mode: Mode) -> list[str]:
-    """Return the files of a program that states itself that it is as it was written, although its report is gone."""
-    program = next((job.output / name for name in _there(job, job.mains(mode))), None)
+def _intact(job: Job, mode: Mode) -> list[str]:
+    """Return the files of an earlier result whose own provenance line states that it is intact."""
+    program = next((job.output / name for name in _existing(job, job.mains(mode))), None)
     if mode == "predict" or program is None or not program.is_file():
         return []
     try:

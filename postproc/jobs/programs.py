@@ -18,7 +18,7 @@ from postproc.forces.sources import extensions
 from postproc.program import Document
 
 _PROCESS = ".toml"
-"""The extension by which a process is told from other files of forces."""
+"""Extension that distinguishes a process from other files of forces."""
 
 
 class Job(Struct, frozen=True):
@@ -60,8 +60,8 @@ class Job(Struct, frozen=True):
 
     def reads(self) -> list[Path]:
         """Return the files that are read for this program, without the cell."""
-        beside = registry.by_name(self.dialect).companions(self.program)
-        return [self.program, *beside, *([] if self.forces is None else [self.forces])]
+        companions = registry.by_name(self.dialect).companions(self.program)
+        return [self.program, *companions, *([] if self.forces is None else [self.forces])]
 
     def report(self, mode: Mode) -> str:
         """Return the name of the report that says what was written (`report.json`)."""
@@ -113,7 +113,7 @@ def find_jobs(
     :param dialect: how to read all of them; None = by extension.
     :param forces: CSV file (for one program), process.toml (for all), or a folder that holds NAME.csv or
         NAME.forces.csv for each.
-    :param output: folder to write into; None = a folder `corrected` beside each program.
+    :param output: folder to write into; None = a folder `corrected` next to each program.
     :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
     :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, or
@@ -140,7 +140,7 @@ def find_jobs(
 
 
 def read_documents(path: Path, dialect: str) -> list[Document]:
-    """Read the files of a program: the main file, and those beside it that go with it, as the `.dat` of KRL.
+    """Read the files of a program: the main file, and its companions, such as the `.dat` of KRL.
 
     :param dialect: name of its format.
     :raises ProgramError: a file cannot be read, is empty or binary.

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from postproc import files, interrupts
 from postproc.cell import Cell
 from postproc.jobs.conversion import convert
-from postproc.jobs.output_plan import OVERVIEW, OutputPlan
+from postproc.jobs.output_plan import OVERVIEW, OutputPlan, Task
 from postproc.jobs.programs import Job
 from postproc.jobs.settings import GOOD, Outcome, Settings, load_setup
-from postproc.jobs.shared_files import Task
 from postproc.report.index import Entry, index_page
 from postproc.report.summary import Summary
 from postproc.robot import RobotModel

@@ -95,7 +95,7 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
 
 
 class _Watcher:
-    """What is known of the programs of a folder."""
+    """State of the programs of a folder."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class _Watcher:
         self.seen: dict[Path, tuple[Signature, float]] = {}
         self.finished: dict[Path, Signature] = {}
         self.entries = self._known()
-        self.told: set[str] = set()
+        self.reported: set[str] = set()
 
     def scan(self, now: float) -> list[Path]:
         """Return the programs that are new or have changed, and are quiet and readable.
@@ -121,9 +121,9 @@ class _Watcher:
         try:
             found = {path: self._signature(path) for path in self._programs()}
         except OSError:
-            self._tell(f"{self.folder} cannot be read at present. Waiting for it.")
+            self._say_once(f"{self.folder} cannot be read at present. Waiting for it.")
             return []
-        self.told.discard(f"{self.folder} cannot be read at present. Waiting for it.")
+        self.reported.discard(f"{self.folder} cannot be read at present. Waiting for it.")
         for gone in self.seen.keys() - found.keys():
             self.seen.pop(gone)
             self.finished.pop(gone, None)
@@ -190,11 +190,11 @@ class _Watcher:
 
     def _reads(self, path: Path) -> list[Path]:
         """Return the files that belong to a program: it, those read with it, its forces."""
-        beside = registry.of_file(path).companions(path) if self.options.get("dialect") is None else []
+        companions = registry.of_file(path).companions(path) if self.options.get("dialect") is None else []
         forces = self.options.get("forces")
         if forces is not None and forces.is_dir():
-            beside += [one for end in (".csv", ".forces.csv") if (one := forces / f"{path.stem}{end}").is_file()]
-        return [path, *beside]
+            companions += [one for end in (".csv", ".forces.csv") if (one := forces / f"{path.stem}{end}").is_file()]
+        return [path, *companions]
 
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one is not there any more."""
@@ -208,7 +208,7 @@ class _Watcher:
         try:
             return provenance.digest(one.read_bytes() for one in self._reads(path))
         except OSError:
-            self._tell(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
+            self._say_once(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
             return None
 
     def _is_new(self, path: Path, signature: Signature) -> bool:
@@ -246,8 +246,8 @@ class _Watcher:
         except (OSError, msgspec.MsgspecError):
             return {}
 
-    def _tell(self, sentence: str) -> None:
-        """Say something once."""
-        if sentence not in self.told:
-            self.told.add(sentence)
+    def _say_once(self, sentence: str) -> None:
+        """Report a sentence once."""
+        if sentence not in self.reported:
+            self.reported.add(sentence)
             self.say(sentence)

@@ -22,8 +22,8 @@ from typing import Any
 
 from postproc.cell import Cell
 from postproc.jobs.conversion import convert, failure
+from postproc.jobs.output_plan import Task
 from postproc.jobs.settings import FAILED, Outcome, Settings, load_setup
-from postproc.jobs.shared_files import Task
 from postproc.robot import RobotModel
 
 _START = "from postproc.jobs.workers import main; main()"

@@ -187,7 +187,7 @@ def test_a_model_folder_on_another_drive_is_named_as_it_stands(monkeypatch):
     Path("mödel 🤖").mkdir()
     for name in ("robot.urdf", "model.toml"):
         (Path("mödel 🤖") / name).write_bytes((source / name).read_bytes())
-    monkeypatch.setattr("postproc.jobs.cell_file.relpath", none)
+    monkeypatch.setattr("postproc.jobs.first_steps.relpath", none)
     assert run("init", "--robot", "mödel 🤖", *FRAMES).exit_code == 0
     assert Path(cells.load("cell.toml").robot) == Path("mödel 🤖").absolute()
 

@@ -78,7 +78,7 @@ def convert(
     name: str,
     extension: str,
     options: Sequence[tuple[str, str]],
-    beside: Mapping[str, bytes] | None = None,
+    inputs: Mapping[str, bytes] | None = None,
 ) -> Converted:
     """Convert a program with postproc.
 
@@ -89,8 +89,8 @@ def convert(
     :param name: of the written program.
     :param extension: by which postproc knows the format of the blocks.
     :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by path, or
-        by name if they are among `beside`.
-    :param beside: contents of additional input files by name; they are written to the folder too.
+        by name if they are among `inputs`.
+    :param inputs: contents of additional input files by name; they are written to the folder too.
     :raises HostError: nothing was written; the message gives the errors with the host's names of places.
     """
     text = "\n".join([block.text for block in blocks] + [""]).encode("utf-8")
@@ -98,14 +98,14 @@ def convert(
         program = Path(scratch) / f"{name}.{extension}"
         try:
             program.write_bytes(text)
-            for own, content in (beside or {}).items():
+            for own, content in (inputs or {}).items():
                 (Path(scratch) / own).write_bytes(content)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as cause:
             raise HostError(f"{folder}: cannot be written to: {cause.strerror}. Choose another folder.") from cause
         words = [str(program), "-o", str(folder)]
         for option, value in options:
-            value = str(Path(scratch) / value) if beside and value in beside else value
+            value = str(Path(scratch) / value) if inputs and value in inputs else value
             words += [option, value] if value else [option]
         entry = _run(["convert", *words, "--json"])["programs"][0]
     issues = [(issue["level"], _described(issue, program, blocks)) for issue in entry["issues"]]
@@ -115,9 +115,9 @@ def convert(
     warnings = [text for level, text in issues if level == "warning"]
     moves = folder / f"{name}.moves.txt"
     moves.write_bytes(text)
-    for own, content in (beside or {}).items():
+    for own, content in (inputs or {}).items():
         (folder / own).write_bytes(content)
-    left = [moves, *(folder / own for own in beside or ())]
+    left = [moves, *(folder / own for own in inputs or ())]
     return Converted([*(_from_linux(path) for path in entry["written"]), *left], entry, warnings)
 
 
