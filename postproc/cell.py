@@ -177,6 +177,45 @@ class ExternalAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     direction: tuple[Length, Length, Length]
 
 
+class Box(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A box along the axes of its frame: smallest and largest X, Y, Z [mm]."""
+
+    X: tuple[Length, Length]
+    Y: tuple[Length, Length]
+    Z: tuple[Length, Length]
+
+
+class HolderTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A cylinder on the one before it, the first from the tip upwards; or a mesh in the flange frame."""
+
+    name: str | None = None
+    diameter_mm: Positive | None = None
+    length_mm: Positive | None = None
+    mesh: str | None = None
+
+
+class ObstacleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A mesh [mm] or a box, in the cell's `$BASE` or in the robot root."""
+
+    name: str | None = None
+    mesh: str | None = None
+    box: Box | None = None
+    frame: Literal["base", "root"] = "base"
+
+
+class Collision(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What the arm must not touch.
+
+    :param clearance_mm: smallest allowed distance; 0: no contact.
+    :param arm: collision shapes of robot.urdf, or capsules along the links.
+    """
+
+    clearance_mm: NotNegative = 5.0
+    holder: list[HolderTable] = []
+    obstacles: list[ObstacleTable] = []
+    arm: Literal["urdf", "capsules"] = "urdf"
+
+
 class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of a `cell.toml`, in the units of the file."""
 
@@ -199,6 +238,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     config_dat: str | None = None
     part: Part = Part()
     external_axes: dict[str, ExternalAxis] = {}
+    collision: Collision | None = None
 
 
 class Cell(CellFile, frozen=True):
@@ -296,6 +336,8 @@ def load(path: str | Path) -> Cell:
         raise CellError('[gcode] motions = "SLIN": a KRC2 has no spline motions', file=str(path), advice=advice)
     if cell.rotary is not None:
         _check_rotary(cell.rotary, str(path))
+    if cell.collision is not None:
+        _check_collision(cell.collision, str(path))
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
     content["config_dat"] = None if cell.config_dat is None else _portable(cell.config_dat)
     content["krl"] = msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search])
@@ -309,6 +351,22 @@ def _check_rotary(rotary: Rotary, file: str) -> None:
         raise CellError("[rotary] signs", file=file, advice="Give 1 or -1 for each of the axes.")
     if bool(rotary.tcp_on) != bool(rotary.tcp_off):
         raise CellError("[rotary] tcp_on without tcp_off, or the reverse", file=file, advice="Give both, or none.")
+
+
+def _check_collision(collision: Collision, file: str) -> None:
+    for held in collision.holder:
+        if (held.mesh is None) != (held.diameter_mm is not None and held.length_mm is not None):
+            advice = '{ diameter_mm = 63, length_mm = 80 }, from the tip upwards, or { mesh = "spindle.stl" }.'
+            raise CellError("[collision] holder: a part needs diameter and length, or a mesh", file=file, advice=advice)
+    for obstacle in collision.obstacles:
+        if (obstacle.mesh is None) == (obstacle.box is None):
+            advice = '{ mesh = "fixture.stl" } or { box = { X = [0, 200], Y = [0, 300], Z = [-60, -20] } }.'
+            raise CellError("[collision] obstacles: each needs a mesh or a box", file=file, advice=advice)
+        if obstacle.box is not None and any(
+            low >= high for low, high in (obstacle.box.X, obstacle.box.Y, obstacle.box.Z)
+        ):
+            advice = "Give the smaller number first."
+            raise CellError("[collision] obstacles: a box has no inside", file=file, advice=advice)
 
 
 def _portable(path: str) -> str:

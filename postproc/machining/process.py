@@ -9,14 +9,13 @@ import msgspec
 import numpy as np
 
 from postproc import files
-from postproc.cell import Frame, Length, Positive
+from postproc.cell import Box, Frame, Positive
 from postproc.errors import ForceError
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.machining.material import CuttingLaw, MaterialTable, law
 from postproc.machining.tool import Cutter
 from postproc.program import ForceFrame
 
-Span = tuple[Length, Length]
 Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 
@@ -43,14 +42,6 @@ class SpindleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """
 
     power_kW: Positive | None = None
-
-
-class Box(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A box in `$BASE`, mm."""
-
-    X: Span
-    Y: Span
-    Z: Span
 
 
 class StockTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -1,0 +1,12 @@
+"""Distances between arm, tool and obstacles: at poses, and along a path with a bound on the motion between samples.
+
+The arm has the geometry of the controller: the tool of a corrected program is on the nominal path, so the arm is where
+the nominal geometry has it, but for its deflection. Bodies are convex solids and meshes; FCL computes their distances
+(Pan, Chitta, Manocha, "FCL: a general purpose library for collision and proximity queries", ICRA 2012).
+"""
+
+from postproc.collision.along import Closest, Hits, along
+from postproc.collision.bodies import Body, Scene
+from postproc.collision.distance import Clearance, clearance
+
+__all__ = ["Body", "Clearance", "Closest", "Hits", "Scene", "along", "clearance"]

@@ -1,0 +1,186 @@
+"""Collisions along a path: distances at samples, and a bound on how far bodies move between them.
+
+A distance changes by at most as far as the bodies move against each other. So between two poses at distances d₁ and d₂
+it is at least (d₁ + d₂ − L) / 2, with the length L of that motion. Intervals in which this bound is too small are
+halved, also between two samples. Source of the idea: Schwarzer, Saha, Latombe, "Adaptive dynamic collision checking for
+single and multiple articulated robots in complex environments", IEEE Trans. Robotics 21, 2005.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.collision.bodies import Scene
+from postproc.collision.distance import Solids, link_frames
+from postproc.frames import Array, norm
+from postproc.program import Ints
+
+_FIRST = 64
+"""Samples of one interval at first."""
+_EXACT = 0.25e-3
+"""The smallest distance is found to this [m]."""
+_SHORT = 0.05e-3
+"""Motions between poses that are shorter [m] are not halved."""
+
+
+class Closest(Struct, frozen=True):
+    """The smallest distance along a path.
+
+    :param distance: [m]; 0 where bodies touch or overlap.
+    :param first: the body that moves, a row of `Scene.bodies`; `second` the other one.
+    :param row: sample at which, or before which, it is reached.
+    """
+
+    distance: float
+    first: int
+    second: int
+    row: int
+
+
+class Hits(Struct, frozen=True, eq=False):
+    """Result of a path.
+
+    :param closest: None without bodies to compare.
+    :param row: (h,) samples at which, or before which, two bodies are closer than allowed.
+    :param first: (h,) the body that moves, `second` the other one: rows of `Scene.bodies`.
+    :param distance: (h,) the smallest distance found there [m].
+    :param calls: number of distances that were computed.
+    """
+
+    closest: Closest | None
+    row: Ints
+    first: Ints
+    second: Ints
+    distance: Array
+    calls: int
+
+
+def along(scene: Scene, q: Array, need: float) -> Hits:
+    """Return where bodies come closer than allowed along a path, and the smallest distance.
+
+    Between two samples the joints move in proportion.
+
+    :param q: (n, 6) joint angles [rad].
+    :param need: smallest allowed distance [m]; 0: they must not touch.
+    :raises InputError: the package python-fcl is not installed.
+    """
+    pairs = list(scene.pairs())
+    if not pairs or not len(q):
+        empty = np.zeros(0, dtype=np.int64)
+        return Hits(None, empty, empty, empty, np.zeros(0), 0)
+    search = _Search(scene, q, need)
+    for pair in pairs:
+        search.look(*pair)
+    found = search.hits
+    keys = sorted(found)
+    rows = np.array(keys, dtype=np.int64).reshape(-1, 3)
+    distance = np.array([found[key] for key in keys])
+    return Hits(search.closest, rows[:, 0], rows[:, 1], rows[:, 2], distance, search.solids.calls)
+
+
+class _Search:
+    """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far."""
+
+    def __init__(self, scene: Scene, q: Array, need: float) -> None:
+        self.scene, self.q, self.need = scene, q, need
+        self.solids = Solids(scene)
+        self.frames = link_frames(scene.robot.nominal, q)
+        self.closest: Closest | None = None
+        self.hits: dict[tuple[int, int, int], float] = {}
+
+    def look(self, first: int, second: int) -> None:
+        """Search one pair of bodies."""
+        count = len(self.q)
+        length = np.append(0.0, np.cumsum(self._motion(first, second, self.q, self.frames)))
+        distance = np.full(count, np.nan)
+        ends = np.unique(np.append(np.arange(0, count, _FIRST), count - 1))
+        self._measure(first, second, ends, distance)
+        if self.solids.distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
+            distance[0] = 0.0  # also where one is inside the other
+            self._note(first, second, 0, 0.0)
+        low, high = ends[:-1], ends[1:]
+        between = []
+        while len(low):
+            bound = 0.5 * (distance[low] + distance[high] - (length[high] - length[low]))
+            open_ = self._open(bound)
+            low, high = low[open_], high[open_]
+            near = high - low == 1
+            between.append(low[near])
+            low, high = low[~near], high[~near]
+            middle = (low + high) // 2
+            self._measure(first, second, np.unique(middle), distance)
+            low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+        rows = np.concatenate(between) if between else np.zeros(0, dtype=np.int64)
+        self._between(first, second, np.sort(rows), distance)
+
+    def _open(self, bound: Array) -> np.ndarray:
+        """Return which lower bounds decide neither whether the distance is kept nor that a smaller one was found."""
+        least = np.inf if self.closest is None else self.closest.distance
+        return np.asarray((bound < self.need) | (bound < least - _EXACT))
+
+    def _measure(self, first: int, second: int, rows: Ints, distance: Array) -> None:
+        """Compute distances at samples where they are not known."""
+        rows = rows[np.isnan(distance[rows])]
+        distance[rows] = self.solids.distance(first, second, self.frames[rows], solid=False)
+        for row in rows[distance[rows] < self.need].tolist():
+            self._note(first, second, row, float(distance[row]))
+        for row in rows[distance[rows] <= 0.0].tolist():
+            self._note(first, second, row, 0.0)
+        if len(rows):
+            row = int(rows[np.argmin(distance[rows])])
+            self._nearer(first, second, row, float(distance[row]))
+
+    def _nearer(self, first: int, second: int, row: int, distance: float) -> None:
+        if self.closest is None or distance < self.closest.distance:
+            self.closest = Closest(distance, first, second, row)
+
+    def _note(self, first: int, second: int, row: int, distance: float) -> None:
+        key = (row, first, second)
+        self.hits[key] = min(distance, self.hits.get(key, np.inf))
+        self._nearer(first, second, row, distance)
+
+    def _between(self, first: int, second: int, rows: Ints, distance: Array) -> None:
+        """Halve the motions from samples to the next ones."""
+        begin, end = self.q[rows], self.q[rows + 1]
+        one, other = distance[rows], distance[rows + 1]
+        while len(rows):
+            frames = link_frames(self.scene.robot.nominal, np.stack([begin, end], axis=1).reshape(-1, 6))
+            pair = np.stack([begin, end], axis=1).reshape(-1, 6)
+            length = self._motion(first, second, pair, frames)[::2]
+            bound = 0.5 * (one + other - length)
+            failed = np.minimum(one, other)
+            seen = (failed < self.need) | (failed <= 0.0)  # reported already
+            least = np.inf if self.closest is None else self.closest.distance
+            open_ = ((bound < self.need) & ~seen | (bound < least - _EXACT)) & (length > _SHORT)
+            rows, begin, end, one, other = rows[open_], begin[open_], end[open_], one[open_], other[open_]
+            if not len(rows):
+                return
+            middle = 0.5 * (begin + end)
+            frames = link_frames(self.scene.robot.nominal, middle)
+            found = self.solids.distance(first, second, frames, solid=False)
+            for k in np.flatnonzero((found < self.need) | (found <= 0.0)).tolist():
+                self._note(first, second, int(rows[k]) + 1, float(found[k]))
+            k = int(np.argmin(found))
+            self._nearer(first, second, int(rows[k]) + 1, float(found[k]))
+            rows = np.concatenate([rows, rows])
+            begin, end = np.concatenate([begin, middle]), np.concatenate([middle, end])
+            one, other = np.concatenate([one, found]), np.concatenate([found, other])
+
+    def _motion(self, first: int, second: int, q: Array, frames: Array) -> Array:
+        """Return how far any point of one body moves at most against the other, from pose to pose (n − 1,) [m].
+
+        That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
+        joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
+        """
+        bodies, chain = self.scene.bodies, self.scene.robot.nominal
+        one, other = bodies[first], bodies[second]
+        centre, radius = one.sphere
+        moving = frames[:, one.carrier + 1]
+        still = frames[:, other.carrier + 1]
+        point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - still[:, :3, 3]
+        point = np.einsum("nji,nj->ni", still[:, :3, :3], point)
+        turning = np.abs(np.diff(q, axis=0))[:, other.carrier + 1 : min(one.carrier, 5) + 1].sum(axis=1)
+        links = np.concatenate([chain.placement[:, :3, 3], chain.flange[None, :3, 3]])
+        reach = norm(links[other.carrier + 1 : one.carrier + 1]).sum() + norm(centre[None])[0] + radius
+        return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)

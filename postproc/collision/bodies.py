@@ -1,0 +1,230 @@
+"""Bodies of a cell: links of the arm, cylinders of holder and spindle, obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from postproc import files
+from postproc.cell import Cell, HolderTable, ObstacleTable
+from postproc.errors import CellError, ModelError
+from postproc.frames import M_PER_MM, Array, norm
+from postproc.robot import JOINTS, RobotModel
+
+FLANGE = len(JOINTS)
+"""Carrier of what is fixed to the flange."""
+APART = 3
+"""Bodies of the arm whose carriers are fewer joints apart are not compared: they are joined, or share a wrist."""
+_WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
+"""Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
+_SIDES = 32
+Kind = Literal["box", "cylinder", "capsule", "mesh"]
+Of = Literal["arm", "tool", "obstacle"]
+
+
+class Body(Struct, frozen=True, eq=False):
+    """A rigid body.
+
+    :param name: in messages.
+    :param carrier: 0…5: the joint that carries it; 6: the flange; −1: it stands in the robot root.
+    :param of: arm, tool or obstacle.
+    :param kind: of its shape.
+    :param size: of a box its edges, of a cylinder or capsule radius and length along z between the middles of its ends.
+    :param pose: (4, 4) of the middle of the shape in the frame of the carrier [m]; of a mesh the unit.
+    :param points: (P, 3) corners, in the frame of the carrier [m]; of round shapes of a mesh around them, to be drawn.
+    :param faces: (F, 3) rows of `points`.
+    """
+
+    name: str
+    carrier: int
+    of: Of
+    kind: Kind
+    size: tuple[float, ...]
+    pose: Array
+    points: Array
+    faces: NDArray[np.int64]
+
+    @property
+    def sphere(self) -> tuple[Array, float]:
+        """Centre (3,) and radius of a sphere around the body, in the frame of its carrier [m]."""
+        centre = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        return centre, float(norm(self.points - centre).max())
+
+
+class Scene(Struct, frozen=True, eq=False):
+    """The bodies of a cell and the robot that moves them.
+
+    :param robot: the robot.
+    :param bodies: of the arm, its tool and the obstacles.
+    :param remarks: what is assumed of them, in words.
+    """
+
+    robot: RobotModel
+    bodies: tuple[Body, ...]
+    remarks: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, robot: RobotModel, cell: Cell, tool: Array | None = None, base: Array | None = None) -> Scene:
+        """Return the scene of a cell with [collision].
+
+        :param tool: (4, 4) `$TOOL` in the flange frame [m]; None: of the cell.
+        :param base: (4, 4) `$BASE` in the robot root [m]; None: of the cell.
+        :raises CellError: a mesh cannot be read, or an external axis carries the robot.
+        :raises ModelError: a shape of the arm cannot be read.
+        """
+        table = cell.collision
+        if table is None:
+            return cls(robot, ())
+        if cell.carriage is not None:
+            raise CellError(
+                "[collision]: a robot that [external_axes.E1] carries cannot be checked",
+                advice="Remove [collision], and check the path in the simulation of your CAM system.",
+            )
+        tool = cell.tool.pose() if tool is None else tool
+        base = cell.base.pose() if base is None else base
+        arm, remarks = _arm(robot, table.arm)
+        folder = Path(cell.folder)
+        held = _held(table.holder, tool, cell.tool.axis, folder)
+        obstacles = [_obstacle(each, number, base, folder) for number, each in enumerate(table.obstacles, 1)]
+        return cls(robot, (*arm, *held, *obstacles), tuple(remarks))
+
+    def pairs(self) -> Iterator[tuple[int, int]]:
+        """Yield the pairs of bodies whose distance may change and matters; the first one has the later carrier."""
+        for i, one in enumerate(self.bodies):
+            for j, other in enumerate(self.bodies):
+                if other.of == "obstacle":
+                    if one.of != "obstacle" and one.carrier >= 0:
+                        yield i, j
+                elif one.of != "obstacle" and one.carrier - other.carrier >= APART:
+                    yield i, j
+
+
+def _arm(robot: RobotModel, wanted: str) -> tuple[list[Body], list[str]]:
+    if wanted == "urdf" and robot.geometries:
+        shapes, problems = robot.link_shapes(drawn=False)
+        if problems:
+            raise ModelError(
+                f"a shape of the arm is missing: {problems[0]}",
+                file=robot.urdf,
+                advice='Add the file, or give arm = "capsules" in [collision].',
+            )
+        return [_mesh(_link(each.carrier), each.carrier, "arm", each.points, each.faces) for each in shapes], []
+    return list(_capsules(robot)), ["the arm is checked as capsules of assumed radius: its model has no meshes"]
+
+
+def _link(carrier: int) -> str:
+    return "base of the robot" if carrier < 0 else f"link of {JOINTS[carrier]}"
+
+
+def _capsules(robot: RobotModel) -> Iterator[Body]:
+    """Yield capsules along each link: along the axis of its joint, and from there to the next joint."""
+    chain = robot.nominal
+    ends = [*chain.placement[:, :3, 3], chain.flange[:3, 3]]
+    length = float(sum(norm(end[None])[0] for end in ends))
+    for carrier, end in enumerate(ends, -1):
+        axis = np.array([0.0, 0.0, 1.0]) if carrier < 0 else chain.axis[carrier]
+        bend = axis * (end @ axis)
+        for begin, to in ((np.zeros(3), bend), (bend, end)):
+            if float(norm((to - begin)[None])[0]) > 1e-3:
+                radius = _WIDE[carrier + 1] * length
+                yield capsule(_link(carrier), carrier, "arm", begin, to, radius)
+
+
+def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
+    """Yield what the flange carries: cylinders stacked from the tip upwards, and meshes in the flange frame."""
+    sign, letter = axis[0], axis[1]
+    up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
+    tip = tool[:3, 3]
+    for number, part in enumerate(parts, 1):
+        name = f"holder {number}" if part.name is None else part.name
+        if part.mesh is not None:
+            points, faces = _read(part.mesh, folder)
+            yield _mesh(name, FLANGE, "tool", points, faces)
+            continue
+        assert part.diameter_mm is not None
+        assert part.length_mm is not None
+        above = tip + up * part.length_mm * M_PER_MM
+        yield cylinder(name, FLANGE, "tool", tip, above, 0.5 * part.diameter_mm * M_PER_MM)
+        tip = above
+
+
+def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
+    frame = np.eye(4) if table.frame == "root" else base
+    name = table.name or (f"obstacle {number}" if table.mesh is None else Path(table.mesh).name)
+    if table.mesh is not None:
+        points, faces = _read(table.mesh, folder)
+        return _mesh(name, -1, "obstacle", points @ frame[:3, :3].T + frame[:3, 3], faces)
+    assert table.box is not None
+    spans = np.array([table.box.X, table.box.Y, table.box.Z]) * M_PER_MM
+    pose = frame.copy()
+    pose[:3, 3] += frame[:3, :3] @ spans.mean(axis=1)
+    return box(name, -1, "obstacle", pose, spans[:, 1] - spans[:, 0])
+
+
+def _read(name: str, folder: Path) -> tuple[Array, NDArray[np.int64]]:
+    mesh = files.read_mesh(folder / name, CellError, "mesh of [collision]")
+    return np.asarray(mesh.vertices) * M_PER_MM, np.asarray(mesh.faces, dtype=np.int64)
+
+
+def _mesh(name: str, carrier: int, of: Of, points: Array, faces: NDArray[np.int64]) -> Body:
+    return Body(name, carrier, of, "mesh", (), np.eye(4), points, faces)
+
+
+def box(name: str, carrier: int, of: Of, pose: Array, edges: Array) -> Body:
+    """Return a box with its middle at `pose` (4, 4) and edges (3,) [m]."""
+    from trimesh import creation
+
+    mesh = creation.box(extents=edges, transform=pose)
+    return _round(name, carrier, of, "box", tuple(edges.tolist()), pose, mesh)
+
+
+def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:
+    """Return a cylinder between two points (3,) [m]."""
+    from trimesh import creation
+
+    pose, length = _along(begin, end)
+    around = radius / np.cos(np.pi / _SIDES)
+    mesh = creation.cylinder(radius=around, height=length, sections=_SIDES, transform=pose)
+    return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh)
+
+
+def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:
+    """Return all points within `radius` of the line between two points (3,) [m]."""
+    from trimesh import creation
+
+    pose, length = _along(begin, end)
+    lower = np.eye(4)
+    mesh = creation.capsule(height=length, radius=radius / np.cos(np.pi / _SIDES) ** 2, count=[_SIDES, _SIDES])
+    lower[2, 3] = -0.5 * (mesh.bounds[0, 2] + mesh.bounds[1, 2])
+    return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose @ lower))
+
+
+def _along(begin: Array, end: Array) -> tuple[Array, float]:
+    """Return the pose (4, 4) of the middle of a line, z along it, and its length [m]."""
+    line = end - begin
+    length = float(np.sqrt(line @ line))
+    z = line / length
+    x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    x /= np.sqrt(x @ x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    pose[:3, 3] = 0.5 * (begin + end)
+    return pose, length
+
+
+def _round(
+    name: str,
+    carrier: int,
+    of: Of,
+    kind: Kind,
+    size: tuple[float, ...],
+    pose: Array,
+    mesh: object,
+) -> Body:
+    points = np.asarray(mesh.vertices)  # type: ignore[attr-defined]
+    return Body(name, carrier, of, kind, size, pose, points, np.asarray(mesh.faces, dtype=np.int64))  # type: ignore[attr-defined]

@@ -1,0 +1,161 @@
+"""Distances between the bodies of a scene at given joint angles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from postproc.chunks import in_chunks
+from postproc.collision.bodies import Body, Scene
+from postproc.errors import InputError
+from postproc.frames import Array, rotation_from_vector
+from postproc.program import Ints
+from postproc.robot.chain import Chain
+
+_CONVEX = 1e-3
+"""A mesh is convex if its volume is at least that of its hull, less this share."""
+
+
+class Clearance(Struct, frozen=True, eq=False):
+    """Smallest distance of the bodies of a scene at n poses.
+
+    :param distance: (n,) [m]; 0 where two bodies touch or overlap, infinite without bodies to compare.
+    :param first: (n,) the body that moves, a row of `Scene.bodies`; −1 without bodies to compare.
+    :param second: (n,) the other one.
+    """
+
+    distance: Array
+    first: Ints
+    second: Ints
+
+
+def clearance(scene: Scene, q: Array) -> Clearance:
+    """Return the smallest distance of the bodies at poses that do not belong together.
+
+    :param q: (n, 6) joint angles of the controller [rad].
+    :raises InputError: the package python-fcl is not installed.
+    """
+    pairs = list(scene.pairs())
+    out = Clearance(np.full(len(q), np.inf), np.full(len(q), -1), np.full(len(q), -1))
+    if not pairs or not len(q):
+        return out
+    solids = Solids(scene)
+    frames = link_frames(scene.robot.nominal, q)
+    for first, second in pairs:
+        found = solids.distance(first, second, frames, solid=True)
+        less = found < out.distance
+        out.distance[less], out.first[less], out.second[less] = found[less], first, second
+    return out
+
+
+def link_frames(chain: Chain, q: Array) -> Array:
+    """Return the frames (n, 8, 4, 4) of the carriers −1, 0…5 and 6 (the flange) in the root [m]: row = carrier + 1."""
+
+    def found(q: Array) -> tuple[Array]:
+        before, flange = chain.joint_frames(q)
+        turn = rotation_from_vector(q[:, :, None] * chain.axis)
+        out = np.empty((len(q), 8, 4, 4))
+        out[:, 0], out[:, 7] = np.eye(4), flange
+        out[:, 1:7] = before
+        out[:, 1:7, :3, :3] = before[:, :, :3, :3] @ turn
+        return (out,)
+
+    return in_chunks(found, q)[0]
+
+
+class Solids:
+    """The bodies of a scene as FCL has them."""
+
+    def __init__(self, scene: Scene) -> None:
+        try:
+            import fcl
+        except ImportError:
+            raise InputError(
+                "[collision] needs the package python-fcl, which is not installed",
+                advice='Install it: pip install "postproc[collision]". Or remove [collision] from the cell.',
+            ) from None
+        self.fcl = fcl
+        self.bodies = scene.bodies
+        self.calls = 0
+        self.convex = [body.kind != "mesh" or _is_convex(body) for body in scene.bodies]
+        self.objects = [
+            fcl.CollisionObject(self._geometry(body, convex))
+            for body, convex in zip(scene.bodies, self.convex, strict=True)
+        ]
+        self.request = fcl.DistanceRequest(enable_nearest_points=False, enable_signed_distance=False)
+
+    def _geometry(self, body: Body, convex: bool) -> Any:
+        fcl, size = self.fcl, body.size
+        if body.kind == "box":
+            return fcl.Box(*size)
+        if body.kind == "cylinder":
+            return fcl.Cylinder(*size)
+        if body.kind == "capsule":
+            return fcl.Capsule(*size)
+        if convex:
+            from trimesh import Trimesh
+
+            hull = Trimesh(body.points, body.faces, process=False).convex_hull
+            faces = np.column_stack([np.full(len(hull.faces), 3), hull.faces])
+            return fcl.Convex(np.asarray(hull.vertices), len(faces), faces.ravel())
+        model = fcl.BVHModel()
+        model.beginModel(len(body.points), len(body.faces))
+        model.addSubModel(body.points, body.faces)
+        model.endModel()
+        return model
+
+    def distance(self, first: int, second: int, frames: Array, *, solid: bool) -> Array:
+        """Return the distance (n,) of two bodies [m]; 0 where they touch or overlap.
+
+        :param frames: (n, 8, 4, 4) of the carriers, see `link_frames`.
+        :param solid: see whether one body is inside the other, too; else only surfaces of meshes count. Bodies whose
+            surfaces never touch between poses are not inside each other if they are not at one of them.
+        """
+        poses = [frames[:, self.bodies[row].carrier + 1] @ self.bodies[row].pose for row in (first, second)]
+        one, other = self.objects[first], self.objects[second]
+        out = np.empty(len(frames))
+        turn, shift = (pose[:, :3, :3] for pose in poses), (pose[:, :3, 3] for pose in poses)
+        turns, shifts = [np.ascontiguousarray(each) for each in turn], [np.ascontiguousarray(each) for each in shift]
+        transform, measure, request = self.fcl.Transform, self.fcl.distance, self.request
+        result = self.fcl.DistanceResult
+        for k in range(len(out)):
+            one.setTransform(transform(turns[0][k], shifts[0][k]))
+            other.setTransform(transform(turns[1][k], shifts[1][k]))
+            out[k] = measure(one, other, request, result())
+        self.calls += len(out)
+        out = np.maximum(out, 0.0)
+        if solid:
+            for inner, outer in ((first, second), (second, first)):
+                if not self.convex[outer]:
+                    out[self._inside(inner, outer, frames)] = 0.0
+        return out
+
+    def _inside(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
+        """Return where (n,) a point of a body is in a mesh, by the solid angle of its triangles.
+
+        Source: van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 30, 1983.
+        """
+        body, mesh = self.bodies[inner], self.bodies[outer]
+        point = (frames[:, body.carrier + 1] @ np.append(body.points[0], 1.0))[:, :3]
+        frame = frames[:, mesh.carrier + 1]
+        local = np.einsum("nji,nj->ni", frame[:, :3, :3], point - frame[:, :3, 3])
+        low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+        out = ((local > low) & (local < high)).all(axis=1)
+        for row in np.flatnonzero(out).tolist():
+            a, b, c = (mesh.points[mesh.faces[:, k]] - local[row] for k in range(3))
+            la, lb, lc = (np.sqrt(np.einsum("fi,fi->f", each, each)) for each in (a, b, c))
+            volume = np.einsum("fi,fi->f", a, np.cross(b, c))
+            base = la * lb * lc + np.einsum("fi,fi->f", a, b) * lc
+            base += np.einsum("fi,fi->f", b, c) * la + np.einsum("fi,fi->f", c, a) * lb
+            out[row] = abs(float(np.sum(2.0 * np.arctan2(volume, base)))) > 2.0 * np.pi
+        return np.asarray(out)
+
+
+def _is_convex(body: Body) -> bool:
+    from trimesh import Trimesh
+
+    mesh = Trimesh(body.points, body.faces, process=True)
+    return bool(mesh.is_watertight and abs(mesh.volume) >= (1.0 - _CONVEX) * mesh.convex_hull.volume)

@@ -1,0 +1,85 @@
+"""Collisions along a path: none between two samples is missed, and none is invented.
+
+`python -m tests.collision.test_along --count 10000` tries as many random scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import pytest
+
+from postproc.collision import along, bodies, clearance
+from tests.collision.setting import frame, pose, random_scene, sampled, scene
+
+pytest.importorskip("fcl")
+
+
+def check(rng) -> str:
+    """Try one scene, and return what it was."""
+    what, path, numbers = random_scene(rng)
+    seen = sampled(path, numbers)
+    need = float(rng.choice([0.0, 0.005, 0.05]))
+    found = along(what, path, need)
+    assert found.closest is not None
+    assert found.closest.distance <= seen.min() + 0.5e-3
+    exact = np.array([clearance(what, path[:1] + s * (b - path[0])).distance[0] for b in path[1:2] for s in (0.0, 1.0)])
+    assert found.closest.distance <= exact.min() + 1e-6
+    hit = {int(first) for first in found.first}
+    for body, distance in enumerate(seen):
+        if distance < need - 1e-4 or distance == 0.0:
+            assert body in hit, (distance, need)
+        if body in hit:
+            assert distance < need + 0.025  # the samples of the oracle are some 20 mm apart
+    assert (found.distance <= need).all()
+    return "hit" if hit else "free"
+
+
+def test_random_scenes_against_dense_samples():
+    rng = np.random.default_rng(33)
+    kinds = [check(rng) for _ in range(60)]
+    assert 10 < kinds.count("hit") < 55
+
+
+def test_a_post_between_two_samples_is_not_missed():
+    """A1 swings the spindle through a post that both ends of the motion are far from."""
+    q = np.radians([[-60.0, -90.0, 90.0, 0.0, 0.0, 0.0], [60.0, -90.0, 90.0, 0.0, 0.0, 0.0]])
+    tip = frame(np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]), 6)[:3, 3]
+    post = bodies.box("post", -1, "obstacle", pose(np.eye(3), [*tip, 0.05, 0, 0]), np.array([0.02, 0.02, 1.0]))
+    spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
+    assert clearance(scene(spindle, post), q).distance.min() > 1.0
+    found = along(scene(spindle, post), q, 0.0)
+    assert found.row.tolist() == [1]
+    assert found.distance[0] == 0.0
+
+
+def test_a_clearance_that_is_held_everywhere_is_no_hit():
+    """The spindle sweeps along a plate at 30 mm; 29 are kept and 31 are not."""
+    turn = np.linspace(-0.5, 0.5, 400)
+    q = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]) + turn[:, None] * np.eye(6)[0]
+    height = frame(q[0], 6)[2, 3]
+    plate = bodies.box("plate", -1, "obstacle", pose(np.eye(3), [0, 0, height - 0.58]), np.array([9.0, 9.0, 1.0]))
+    spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
+    kept, broken = (along(scene(spindle, plate), q, need) for need in (0.029, 0.031))
+    assert len(kept.row) == 0
+    assert kept.closest.distance == pytest.approx(0.03, abs=0.5e-3)
+    assert set(broken.row) == set(range(400))
+
+
+def test_a_long_path_far_from_everything_costs_little():
+    turn = np.linspace(-0.5, 0.5, 20_000)
+    q = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]) + turn[:, None] * np.eye(6)[0]
+    post = bodies.box("post", -1, "obstacle", pose(np.eye(3), [-5, 0, 0]), np.ones(3))
+    spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
+    assert along(scene(spindle, post), q, 0.005).calls < 2000
+
+
+if __name__ == "__main__":
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--count", type=int, default=1000)
+    options.add_argument("--seed", type=int, default=1)
+    chosen = options.parse_args()
+    random = np.random.default_rng(chosen.seed)
+    outcomes = [check(random) for _ in range(chosen.count)]
+    print(f"{chosen.count} scenes, {outcomes.count('hit')} with hits: none missed")
