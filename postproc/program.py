@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from msgspec import Struct, field
@@ -586,6 +586,11 @@ class Written(Struct, frozen=True, eq=False):
 
 
 Record = TypeVar("Record")
+
+
+def constant(value: float, rows: int) -> NDArray[Any]:
+    """Return an array (rows,) of one value, read-only, which takes no memory; a whole number gives integers."""
+    return np.broadcast_to(np.array(value), (rows,))
 
 
 def distinct(values: Ints) -> Ints:

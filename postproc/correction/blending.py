@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from postproc import toolpath
 from postproc.cell import Cell
+from postproc.chunks import in_chunks
 from postproc.frames import M_PER_MM, Array, norm, sine_and_cosine
 from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program, Targets
 from postproc.toolpath import Segments, circle_through
@@ -88,8 +89,12 @@ def of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corner
 def of_motions(program: Program, path: Segments, motion: Ints) -> Corners:
     """Return the corners at the ends of some motions (n,), in order."""
     kind = program.motions.kind[motion]
-    arrive = toolpath.tangent(program, path, motion, np.ones(len(motion)))
-    leave = toolpath.tangent(program, path, motion, np.zeros(len(motion)))
+
+    def at_ends(motion: Ints) -> tuple[Array, Array]:
+        begin, end = np.zeros(len(motion)), np.ones(len(motion))
+        return toolpath.tangent(program, path, motion, end), toolpath.tangent(program, path, motion, begin)
+
+    arrive, leave = in_chunks(at_ends, motion)
     return _corners(arrive, leave, path.length[motion], _joined(program, motion, kind))
 
 

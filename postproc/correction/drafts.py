@@ -18,7 +18,7 @@ from postproc.elastostatics import Compensation, Reversals
 from postproc.errors import Issue, group_issues
 from postproc.forces import Axes, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
-from postproc.program import TargetForces, TargetJoints, Written
+from postproc.program import Ints, TargetForces, TargetJoints, Written
 from postproc.robot import RobotModel
 from postproc.under_load import PathUnderLoad
 
@@ -63,6 +63,8 @@ class Draft(Struct, frozen=True, eq=False):
     :param chosen: the targets.
     :param issues: issues found so far.
     :param simulated: simulation of the written program; None if it is not written yet, or cannot be used.
+    :param carried: forces that a file must give to the written program, and `unlike`, the issues of that file; None if
+        its comments do.
     """
 
     path: PathUnderLoad
@@ -71,6 +73,8 @@ class Draft(Struct, frozen=True, eq=False):
     chosen: Chosen
     issues: tuple[Issue, ...]
     simulated: Simulated | None = None
+    carried: Knots | None = None
+    unlike: tuple[Issue, ...] = ()
 
     @classmethod
     def of(cls, task: Task, path: PathUnderLoad, command: Compensation, chosen: Chosen) -> Draft:
@@ -109,7 +113,11 @@ class Draft(Struct, frozen=True, eq=False):
             return replace(draft, issues=(*draft.issues, cause.issue))
         known = {issue.kind for issue in draft.issues}
         more = [issue for issue in simulated.issues if issue.kind not in known or issue.kind == "blending"]
-        return replace(draft, simulated=simulated, issues=(*draft.issues, *more))
+        draft = replace(draft, simulated=simulated, issues=(*draft.issues, *more))
+        if draft.failed or not task.in_file:
+            return draft
+        carried, unlike = _carried(draft, back)
+        return replace(draft, carried=carried, unlike=tuple(unlike))
 
     def _text(self, task: Task) -> Written:
         path, q = self.path, self.q.take(self.chosen.row, axis=0)
@@ -151,16 +159,16 @@ def result_of(task: Task, draft: Draft) -> Result:
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
-        nominal=path.sample.pose.take(row, axis=0),
+        nominal=_at(path.sample.pose, row),
         printed=_numbers(task, draft),
-        wrench=path.wrench.take(row, axis=0),
+        wrench=_at(path.wrench, row),
         deflection=deflection,
         deflection_by_tool=None if path.setting.tool_spring is None else by_tool,
         deviation_before=deviation,
         deviation_after=deviation,
         bound=bound,
         doubt=doubt if task.mode == "convert" else None,
-        q=draft.q[row],
+        q=_at(draft.q, row),
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
         between=between,
@@ -173,17 +181,21 @@ def result_of(task: Task, draft: Draft) -> Result:
     )
     if (written := draft.simulated) is None:
         return result
-    carried, unlike = (None, ()) if draft.failed or not task.in_file else _carried(draft, written.back)
     return replace(
         result,
-        issues=group_issues([*result.issues, *unlike]),
-        documents=() if draft.failed else written.back.text.documents,
-        output_line=written.back.text.output_line,
+        issues=group_issues([*result.issues, *draft.unlike]),
+        documents=() if draft.failed else written.text.documents,
+        output_line=written.text.output_line,
         deviation_after=written.deviation,
         between=written.between,
         rounding=written.rounding,
-        carried=carried,
+        carried=draft.carried,
     )
+
+
+def _at(samples: Array, row: Ints) -> Array:
+    """Return rows (K,) of an array of samples; the array itself, without a copy, if these are all of them."""
+    return samples if len(row) == len(samples) else samples.take(row, axis=0)
 
 
 def _causes(path: PathUnderLoad) -> tuple[str, ...]:
@@ -205,7 +217,7 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
 def _numbers(task: Task, draft: Draft) -> Array:
     """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
     if draft.simulated is not None:
-        return draft.simulated.back.numbers
+        return draft.simulated.numbers
     targets, program = draft.chosen.targets, draft.path.program
     numbers = xyzabc_from_pose(targets.pose)
     if task.mode == "predict" and program.keeps_text:

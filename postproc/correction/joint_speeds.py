@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from msgspec.structs import replace
 
+from postproc.chunks import in_chunks
 from postproc.correction import checks, closely
 from postproc.correction.read_back import ReadBack
 from postproc.correction.targets import Chosen
@@ -89,9 +90,12 @@ def of_written(
     :param q: (n, 6) joint angles at places along the written program [rad], in order; `position` (n, 3) there [m].
     """
     written, robot = back.program, path.setting.robot
-    travel = norm(np.diff(position, axis=0))
+
+    def steps(place: Array, next_place: Array, q: Array, next_q: Array) -> tuple[Array, Array]:
+        return norm(next_place - place), (np.abs(next_q - q) / robot.speed).max(axis=1, initial=0.0)
+
+    travel, turned = in_chunks(steps, position[:-1], position[1:], q[:-1], q[1:])
     feed = np.nan_to_num(written.motions.feed[back.row[target[1:]]])
-    turned = (np.abs(np.diff(q, axis=0)) / robot.speed).max(axis=1, initial=0.0)
     if not ((turned * feed > _NEAR * travel) & (travel > _STILL)).any():
         return
     motions = MotionsUnderLoad.of(written, path.setting, None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.correction import checks, commanded, inspection, joint_speeds, select, targets
 from postproc.correction.drafts import Draft, Task, result_of
+from postproc.correction.read_back import LARGE_TEXT
 from postproc.correction.result import Mode, Result
 from postproc.dialects import registry
 from postproc.elastostatics import Compensation
@@ -40,6 +42,8 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     program = registry.by_name(dialect).read(documents, cell, RobotInCell.of(robot, cell).forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
+    if sum(len(document.text) for document in documents) > LARGE_TEXT:
+        gc.collect()  # readers leave reference cycles, which hold columns of the text
     return read_only(program)
 
 

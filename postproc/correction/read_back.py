@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -19,6 +21,9 @@ from postproc.under_load import PathUnderLoad
 _PRINTED = 1e-6
 """What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
 1e-5° and 1e-3 mm/s."""
+
+LARGE_TEXT = 200_000
+"""Characters of a program after whose reading memory is released at once."""
 
 
 class UnusableTextError(PostprocError):
@@ -67,6 +72,8 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
         raise UnusableTextError(mismatch)
     numbers = written.numbers_as_written()[row]
     written = replace(written, documents=(), layout=None)
+    if text.size > LARGE_TEXT:
+        gc.collect()
     return ReadBack(text, written, toolpath.segments(written, setting.start_flange), row, numbers)
 
 

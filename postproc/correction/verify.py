@@ -19,7 +19,7 @@ from postproc.correction.targets import Chosen
 from postproc.errors import Issue, Level, NotConvergedError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import CIRC, PTP, SPL, Bools, Ints
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, Written
 from postproc.under_load import PathUnderLoad
 
 _HELD = 1e-6
@@ -59,7 +59,8 @@ _NOT_BETWEEN = "simulating the written program leaves {left} between targets (al
 class Simulated(Struct, frozen=True, eq=False):
     """Simulated path of the written program.
 
-    :param back: the program, as its text says.
+    :param text: as written.
+    :param numbers: (K, 6) X, Y, Z, A, B, C as printed in the text [mm, deg].
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
     :param between: largest distance from the nominal path anywhere looked at [m].
     :param rounding: (K,) how far approximate positioning passes each target [m].
@@ -68,7 +69,8 @@ class Simulated(Struct, frozen=True, eq=False):
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
-    back: ReadBack
+    text: Written
+    numbers: Array
     deviation: Array
     between: float
     rounding: Array
@@ -106,6 +108,8 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     """
     probes = _probes(path, chosen, back)
     off, q, position = _deviation(path, chosen, theta, back, probes)
+    too_fast = tuple(joint_speeds.of_written(path, chosen, back, probes.target, q, position))
+    del q, position
     distance, inside, targets = norm(off), probes.inside, chosen.targets
     written, m, tolerance = back.program.motions, path.program.motions, path.setting.tolerance
     rounding = blending.of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
@@ -120,10 +124,11 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
         issues += _left(path, probes, distance, step=step, jump=settled & jump, smooth=settled & ~jump)
         if path.program.keeps_text:
             issues += checks.blending(path.program, targets.motion, rounding - chosen.programmed, tolerance)
-    issues += joint_speeds.of_written(path, chosen, back, probes.target, q, position)
+    issues += too_fast
     bad = settled & inside & ~(distance <= _SAFE * tolerance) & ~jump
     return Simulated(
-        back,
+        back.text,
+        back.numbers,
         off[~inside],
         float(distance[settled].max(initial=0.0)),
         rounding,

@@ -469,3 +469,11 @@ def test_most_points_are_read_in_bulk():
     rows = "".join(f"GOTO/{x},{y},0.5,0.0,0.0,1.0\n" for x, y in itertools.product(range(40), range(50)))
     source = statements.split(decode("part.apt", (HEAD + rows).encode()))
     assert (len(source.points), len(source.others)) == (2001, 3)
+
+
+@pytest.mark.parametrize(("name", "kinds"), [("catia_apt.nc", [PTP]), ("nx_clsf.nc", [PTP, LIN])])
+def test_files_as_catia_and_nx_write_them(name, kinds):
+    document = decode(name, (Path(__file__).parent / "collection" / name).read_bytes())
+    program = reader.read(document, CELL, forward, "part")
+    assert program.motions.kind.tolist() == kinds
+    np.testing.assert_allclose(points(program)[0], [10, 20, {"catia_apt.nc": 30, "nx_clsf.nc": 50}[name]], atol=1e-9)

@@ -695,7 +695,7 @@ FOREIGN = {
 def test_programs_for_other_controls_are_named(name: str, text: str) -> None:
     (error,) = problems(text)
     assert name in error[1]
-    assert "post-processor for LinuxCNC" in fault(text).advice or name == "KRL"
+    assert "post-processor for LinuxCNC" in fault(text).advice or name in ("KRL", "APT")
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ from postproc.program import (
     Ints,
     Motions,
     Program,
+    constant,
     distinct,
     parse_force_note,
     read_only,
@@ -177,7 +178,7 @@ def _motions(
     feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.each("feed")[kept] * (M_PER_MM / _S_PER_MIN))
     feed[free] = np.nan
     blend = np.where(moves.each("exact")[kept], 0.0, cell.gcode.approximation_mm * M_PER_MM)
-    unset = np.full(count, -1)
+    unset = constant(-1, count)
     motions = Motions(
         kind=np.where(free, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),
         rapid=rapid,
@@ -188,12 +189,12 @@ def _motions(
         normal=normal,
         sweep=sweep,
         feed=feed,
-        base=np.zeros(count, dtype=np.int64),
+        base=constant(0, count),
         tool=tool,
         blend=blend,
-        rounding=np.full(count, cell.gcode.corner_tolerance_mm * M_PER_MM),
+        rounding=constant(cell.gcode.corner_tolerance_mm * M_PER_MM, count),
         status=unset,
-        turn=unset.copy(),
+        turn=unset,
     )
     return kept, read_only(motions)
 

@@ -38,7 +38,20 @@ from postproc.dialects.gcode.moves import (
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MOST, Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Swivel, direction, distinct, tilted, turning
+from postproc.program import (
+    CIRC,
+    LIN,
+    PTP,
+    Bools,
+    Ints,
+    Motions,
+    Swivel,
+    constant,
+    direction,
+    distinct,
+    tilted,
+    turning,
+)
 
 _NEAR_MM = 1e-6
 
@@ -458,7 +471,10 @@ def _motions(
     blend = in_force(modes.blends, speeds.approximation, modes.rows)[row]
     blend[moves.bottom[kept]] = 0.0
     limit = in_force(modes.roundings, np.nan, modes.rows)[row]
-    unset = np.full(len(kept), -1)
+    unset = constant(-1, len(kept))
+    rounding = (
+        np.where(np.isnan(limit), speeds.rounding, limit) if modes.roundings else constant(speeds.rounding, len(kept))
+    )
     motions = Motions(
         kind=kind.astype(np.int64),
         rapid=rapid,
@@ -469,12 +485,12 @@ def _motions(
         normal=normal,
         sweep=sweep,
         feed=feed,
-        base=np.zeros(len(kept), dtype=np.int64),
+        base=constant(0, len(kept)),
         tool=moves.tool[kept],
         blend=blend,
-        rounding=np.where(np.isnan(limit), speeds.rounding, limit),
+        rounding=rounding,
         status=unset,
-        turn=unset.copy(),
+        turn=unset,
     )
     for name in Motions.__struct_fields__:
         getattr(motions, name).flags.writeable = False

@@ -101,7 +101,7 @@ class _Follower:
         self.base, self.tool, self.bases, self.tools = frames
         self.present = present
         self.numbers = given.copy()
-        self.joints = np.full(given.shape, np.nan)
+        self.joints = np.broadcast_to(np.nan, given.shape)  # takes no memory
         self.resumed = np.zeros(len(given), dtype=np.bool_)
 
     def flange(self) -> Array:
@@ -280,6 +280,8 @@ def end_poses(
     follower.numbers[led.constant, 3:] = np.nan  # missing components keep their previous value
     special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
     anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
+    if special:
+        follower.joints = follower.joints.copy()
     row = 0
     for at in sorted(special | set(np.flatnonzero(led.constant & (anew | led.with_path)).tolist())):
         follower.absolute(row, at)

@@ -103,6 +103,8 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
     numbers = np.full((len(moves), NUMBERS), np.nan)
     spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))
+    if any(move.via is not None for move in moves):
+        via, via_spans, via_target = via.copy(), via_spans.copy(), via_target.copy()
     for row, move in enumerate(moves):
         position = move.end.position
         if not position.axis and not move.relative:
@@ -140,9 +142,13 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
 
 
 def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
-    """Return the columns of auxiliary points of motions that have none."""
-    spans = np.full((count, 3, 2), -1, dtype=np.int32)
-    return np.full((count, 3), np.nan), spans, np.full((count, 2), -1, dtype=np.int64)
+    """Return the columns of auxiliary points of motions that have none: read-only, they take no memory."""
+    spans, target = np.array(-1, dtype=np.int32), np.array(-1, dtype=np.int64)
+    return (
+        np.broadcast_to(np.nan, (count, 3)),
+        np.broadcast_to(spans, (count, 3, 2)),
+        np.broadcast_to(target, (count, 2)),
+    )
 
 
 def _ints(values: Sequence[object]) -> Ints:
@@ -154,16 +160,25 @@ def merged(parts: Sequence[MotionColumns], place: Ints) -> MotionColumns:
 
     :param place: for the motions of the first part, then for those of the next, …
     """
-    columns = [np.empty((len(place), *values.shape[1:]), values.dtype) for values in parts[0].columns()]
+    columns = [_room(len(place), values) for values in zip(*(rows.columns() for rows in parts), strict=True)]
     begin = 0
     for rows in parts:
         where: Ints | slice = place[begin : begin + len(rows)]
         if len(rows) and place[begin + len(rows) - 1] - place[begin] == len(rows) - 1:  # nothing between them
             where = slice(place[begin], place[begin] + len(rows))
         for column, values in zip(columns, rows.columns(), strict=True):
-            column[where] = values
+            if column.flags.writeable:
+                column[where] = values
         begin += len(rows)
     return MotionColumns(*columns)
+
+
+def _room(count: int, parts: Sequence[Any]) -> Any:
+    """Return a column of `count` motions to be filled; that of `no_circles` if no part has circles."""
+    filled = [values for values in parts if len(values)]
+    if filled and all(values.strides[0] == 0 for values in filled):
+        return np.broadcast_to(filled[0][0], (count, *filled[0].shape[1:]))
+    return np.empty((count, *parts[0].shape[1:]), parts[0].dtype)
 
 
 def none() -> MotionColumns:

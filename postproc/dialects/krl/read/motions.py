@@ -25,7 +25,7 @@ from postproc.dialects.krl.read.spline_blocks import approximated, check_words, 
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
-from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, distinct
+from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, constant, distinct
 
 _BY_ROTATION = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
@@ -134,7 +134,7 @@ def motions_and_layout(
         base=base,
         tool=tool,
         blend=np.where(rows.approximated, cdis, 0.0),
-        rounding=np.full(len(rows), np.inf),
+        rounding=constant(np.inf, len(rows)),
         status=_whole(rows.numbers[:, 6]),
         turn=_whole(rows.numbers[:, 7]),
     )
@@ -222,6 +222,8 @@ def _column(states: list[State], state: Ints, value: Callable[[State], object]) 
 
 
 def _whole(numbers: Array) -> Ints:
+    if np.isnan(numbers).all():
+        return constant(-1, len(numbers))
     return np.where(np.isnan(numbers), -1.0, numbers).astype(np.int64)
 
 

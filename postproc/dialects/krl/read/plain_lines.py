@@ -159,6 +159,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
     if circles:
         via, via_spans = numbers[:, :3], spans[:, :3]
         numbers, spans = numbers[:, NUMBERS:], spans[:, NUMBERS:]
+        via_target = via_target.copy()
         via_target[line[~target]] = points[~target] + shift[line[~target], None]
         points = points[target]
 

@@ -72,9 +72,11 @@ def read_program(
     code = code_of(source, (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, forward, name, library, entry, faults, code)
     elsewhere: dict[Routine | Occasion, ProgramError] = {}
+    once = [plain]
+    del plain  # what follows needs the memory
     while True:
         try:
-            return reading.program(plain, elsewhere, bulk=_bulk)
+            return reading.program(once.pop() if once else plain_of(source, bulk=_bulk), elsewhere, bulk=_bulk)
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             raise source.line_error(problem, entry.first, "Write fewer of them into each other.") from None

@@ -1,0 +1,36 @@
+"""Memory that a conversion takes grows with the program by a bounded number of bytes for each target."""
+
+import tracemalloc
+from pathlib import Path
+
+from postproc import correction
+from postproc.cell import load as load_cell
+from postproc.dialects.text import decode
+from postproc.robot import find, load
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+MOST = 1600
+"""Bytes for each target at the peak: five poses of 128, forces, joint angles, texts, and what computing them takes. The
+columns of a text that is no longer needed are 300 more."""
+
+
+def peak(count: int) -> int:
+    """Return the largest memory of a conversion of `count` lines [bytes]."""
+    cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
+    lines = "".join(f"X{0.1 * (n % 900):.1f} Y{0.1 * (n // 900):.1f}\n" for n in range(count))
+    text = f"G21 G90\n(FORCE FX=100 FZ=50)\nG0 X0 Y0 Z0\nG1 F1000\n{lines}M2\n"
+    tracemalloc.start()
+    try:
+        program = correction.read([decode("part.nc", text.encode())], robot, cell, "part", "gcode")
+        result = correction.process(program, robot, cell)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(result) >= count
+    assert not result.failed
+    return most
+
+
+def test_memory_for_each_target_is_bounded():
+    small, large = peak(8_000), peak(40_000)
+    assert (large - small) / 32_000 < MOST
