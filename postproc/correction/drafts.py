@@ -117,7 +117,7 @@ class Draft(Struct, frozen=True, eq=False):
         if draft.failed or not task.in_file:
             return draft
         carried, unlike = _carried(draft, back)
-        return replace(draft, carried=carried, unlike=tuple(unlike))
+        return replace(draft, carried=carried, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
         path, q = self.path, self.q.take(self.chosen.row, axis=0)
