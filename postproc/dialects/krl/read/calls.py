@@ -212,9 +212,8 @@ class Calls:
             return None
         written = self._by_reference(at, call, routine)
         roots = [self.run.stored(reference.name) for _, reference in written]
-        elsewhere = effects.writes.keys() | effects.anytime.keys() | self.run.variables.changing.keys() | RELEVANT
-        if len(set(roots)) < len(roots) or not elsewhere.isdisjoint(roots):
-            return None  # one variable under two names: written by the routine, an interrupt, a cyclic statement
+        if len(set(roots)) < len(roots) or not (effects.writes.keys() | RELEVANT).isdisjoint(roots):
+            return None  # one variable under two names
         if roots and not self.run.analysis.names(module, routine).isdisjoint(roots):
             return None  # the same
         if any(reference.indices == () for _, reference in written) or len(call.arguments) > len(routine.parameters):
@@ -230,7 +229,12 @@ class Calls:
         for index, argument in enumerate(call.arguments):
             left_out = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
             given[index] = NOTHING if left_out else self.value(at, argument)
-        return _Bound(at, module, routine, scope, arguments, given, self.run.level, self.run.variables.scope)
+        changing = {
+            scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
+            for (index, _), root in zip(written, roots, strict=True)
+            if index < len(routine.parameters) and root in self.run.variables.changing
+        }
+        return _Bound(at, module, routine, scope, arguments, given, changing, self.run.level, self.run.variables.scope)
 
     def _begin(self, bound: _Bound, *, traced: bool) -> Level:
         """Make a routine the running one."""
@@ -241,6 +245,7 @@ class Calls:
             given = bound.given.get(index, NOTHING)
             value = converted(given, kind) if kind else given
             self.run.variables.put(stored, given if value == given else value)
+        self.run.variables.changing |= bound.changing
         self.run.level = Level(bound.module, bound.routine, bound.scope, traced=traced)
         self.run.stack.append(bound.routine)
         self.run.variables.scope = bound.scope
@@ -249,6 +254,8 @@ class Calls:
     def _back(self, bound: _Bound) -> None:
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
+        for name in bound.changing:
+            self.run.variables.changing.pop(name, None)
 
     def _end(self, bound: _Bound) -> None:
         """Continue after a call, with the values that it leaves in its arguments."""
@@ -282,6 +289,7 @@ class _Bound(Struct, frozen=True, eq=False):
     """A call.
 
     :param written: arguments that the routine may write; `given` the values of all, by place.
+    :param changing: stored names of parameters whose arguments may change at any time, and what changes them.
     """
 
     at: Place
@@ -290,5 +298,6 @@ class _Bound(Struct, frozen=True, eq=False):
     scope: Scope
     written: list[_Argument]
     given: dict[int, Known]
+    changing: dict[str, Unknown]
     caller: Level
     caller_scope: Scope

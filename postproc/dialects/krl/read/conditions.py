@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from postproc.dialects.krl.language.expressions import calls
+from postproc.dialects.krl.language.tree import Case, Statement
 from postproc.dialects.krl.language.values import Condition, Number, Value, Word
 from postproc.dialects.krl.read.known import Known
 from postproc.dialects.krl.read.variables import Variables
@@ -43,6 +44,24 @@ def chosen(variables: Variables, value: Known, cases: Sequence[Value]) -> bool |
             return True
         found = None if same is None else found
     return found
+
+
+def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
+    """Return which of the parts of a SWITCH is chosen by each integer; None: by any other, −2 if there is no DEFAULT.
+
+    :param heads: the statements CASE and DEFAULT, in order.
+    :returns: None if not all values are integer constants.
+    """
+    table: dict[float | None, int] = {}
+    for index, head in enumerate(heads):
+        if head.word == "DEFAULT":
+            table[None] = index
+            break
+        for value in head.cases if isinstance(head, Case) else (None,):
+            if not isinstance(value, Number) or not value.integer:
+                return None
+            table.setdefault(value.value, index)
+    return {None: -2, **table}
 
 
 def _condition(variables: Variables, condition: Condition) -> Term:

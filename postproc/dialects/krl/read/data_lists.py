@@ -35,9 +35,15 @@ def read_data(
     """
     text = source.text
     opened = closed = False
+    each = only is None and not fill
     for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
         while start < stop and text[start] in " \t\r":
             start += 1
+        if each and (element := ELEMENT.match(text, start, stop)):
+            name = variables.scope.stored(element[1].upper())
+            variables.initial.add(name)
+            variables.put(f"{name}[{int(element[2])}]", Unread(source, element.end(), stop))
+            continue
         first = text[start : start + 1]
         if first in ("", ";", "&", "\r"):
             continue
@@ -69,11 +75,6 @@ def _declare(
     only: Set[str] | None,
 ) -> None:
     """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
-    if only is None and not fill and (element := ELEMENT.match(source.text, start, stop)):
-        name = variables.scope.stored(element[1].upper())
-        variables.initial.add(name)
-        variables.put(f"{name}[{int(element[2])}]", Unread(source, element.end(), stop))
-        return
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return

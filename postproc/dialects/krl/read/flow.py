@@ -17,7 +17,7 @@ from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Value
-from postproc.dialects.krl.read.conditions import chosen, truth
+from postproc.dialects.krl.read.conditions import chosen, constant_cases, truth
 from postproc.dialects.krl.read.explanations import without_value
 from postproc.dialects.krl.read.inexact import InexactError, inexact
 from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
@@ -64,6 +64,7 @@ class Flow:
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
         self._plain: dict[Block, tuple[int, ...]] = {}
+        self._cases: dict[Block, dict[float | None, int] | None] = {}
         self._way: list[tuple[Place, int]] = []
         self._traced = self._still = self._forks = 0
         self._least = LeastStatements(run)
@@ -330,19 +331,19 @@ class Flow:
                 raise
             self._all(source, block, trace, occasion, cause)
             return
-        level = self.run.level
+        part = block.parts[taken] if taken >= 0 else None
         if trace is not None:
             trace.run_to(block.first - 1)
-        for index, part in enumerate(block.parts):
-            if trace is not None:
+            trace.pass_to(block.first)
+            if part is not None:
+                trace.pass_to(part.head - 1, live=False)
                 trace.pass_to(part.head)
-            if index == taken:
-                self.follow(source, part.nodes)
-                if trace is not None and not level.broken_off:
-                    trace.run_to(part.beyond - 1)
-            if trace is not None:
-                trace.pass_to(part.beyond - 1, live=False)
+        if part is not None:
+            self.follow(source, part.nodes)
         if trace is not None:
+            if part is not None and not self.run.level.broken_off:
+                trace.run_to(part.beyond - 1)
+            trace.pass_to(block.last - 1, live=False)
             trace.pass_to(block.last)
 
     def _all(self, source: Source, block: Block, trace: Trace, occasion: Occasion, why: InexactError) -> None:
@@ -471,6 +472,10 @@ class Flow:
             self.run.steps += len(block.parts) // _CASES
         else:
             self._traced += len(block.parts) // _CASES
+        if block not in self._cases:
+            self._cases[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
+        if isinstance(known, Number) and known.integer and (table := self._cases[block]) is not None:
+            return 1 + table.get(known.value, table[None])
         for index, part in enumerate(block.parts[1:], 1):
             case = statement(source, part.head)
             if isinstance(case, tree.Faulty):

@@ -134,7 +134,7 @@ class NamedPoints(Struct, eq=False):
 
 
 def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapping[str, Sequence[int]]:
-    """Return where the code of a trace names each variable, upper case, in lines other than plain motions.
+    """Return where the code of a trace names each variable, upper case, in lines other than some that name no points.
 
     Names in routines that also run unchanged are listed at −1, an offset that is never understood.
     """

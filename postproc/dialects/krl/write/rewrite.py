@@ -93,8 +93,9 @@ class _Rewriter:
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
         moves = self.layout.statements
         named = self.layout.elements or any(move.end.name or (move.via and move.via.name) for move in moves.values())
-        plain_lines = np.delete(self.layout.line, list(moves)).tolist()
-        self.mentions = mentions(self.source, plain_lines, self.layout.course) if named else {}
+        counts = [np.arange(each.first, each.beyond, each.length) for each in self.layout.course.plain_rounds()]
+        read = np.concatenate([np.delete(self.layout.line, list(moves)), *counts]).tolist()
+        self.mentions = mentions(self.source, read, self.layout.course) if named else {}
         self.layout = settled(self.layout, self.program.motions, self.mentions, len(self.sources), self._alone())
         self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
