@@ -300,3 +300,46 @@ def _word(letter: str, value: float) -> str:
     if value == int(value):
         return f"{letter}{int(value) * (60 if letter == 'F' else 1)}"
     return f"{letter}{value * (60.0 if letter == 'F' else 1.0):.7f}".rstrip("0").rstrip(".")
+
+
+def _machine_based() -> type | None:
+    """Return the class that FreeCAD 1.2 looks for; None in older versions, which call `export` as they do here.
+
+    FreeCAD 1.2 posts a job that names a machine by `export2`. That of its wrapper for scripts like this one writes
+    G-code itself: the path without correction.
+    """
+    try:
+        from Path.Post.Processor import WrapperPost
+    except ImportError:
+        return None
+    if not hasattr(WrapperPost, "export2"):
+        return None
+
+    class MachineBased(WrapperPost):  # type: ignore[misc]
+        """The post for jobs with a machine; without one, FreeCAD's own `export` calls that of the script."""
+
+        def __init__(self, job: Any) -> None:
+            """Load the script for a job, or for the editor of machines (None)."""
+            super().__init__(job, __file__, Path(__file__).stem)
+
+        @classmethod
+        def get_property_schema(cls) -> list[dict[str, Any]]:
+            """Return the property of a machine that this post has."""
+            text = {"name": "arguments", "type": "string", "label": "Arguments", "default": "", "help": TOOLTIP_ARGS}
+            return [text]
+
+        def get_file_extension(self) -> str:
+            """Return the extension of the file that FreeCAD writes."""
+            return "src"
+
+        def export2(self) -> list[tuple[str, str]]:
+            """Return name and corrected KRL of each section; the arguments are the machine's, else the job's."""
+            own = getattr(self._machine, "postprocessor_properties", {}).get("arguments", "")
+            arguments = own or self._job.PostProcessorArgs
+            return [(name, export(items, "-", arguments)) for name, items in self._buildPostList()]
+
+    return MachineBased
+
+
+if (_class := _machine_based()) is not None:
+    Kuka_Compensated = _class  # the name that FreeCAD makes of that of the file

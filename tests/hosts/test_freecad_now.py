@@ -2,8 +2,8 @@
 
 Read in FreeCAD's sources, `Mod/CAM/Path/Post/Processor.py` (`PostProcessorFactory`, `WrapperPost`) and `PostList.py`
 (`Postable`): a post is found by its file name, loaded from its path, asked for a class of its name, loaded once more as
-a script, and its `export` is called with "-" for each section; FreeCAD writes the text. It was not run in a FreeCAD
-newer than 0.20.
+a script, and its `export` is called with "-" for each section; FreeCAD writes the text. In 1.2 the wrapper inherits
+`export2`, which posts jobs that name a machine, and writes G-code itself. It was not run in a FreeCAD newer than 0.20.
 """
 
 from __future__ import annotations
@@ -206,3 +206,62 @@ def test_the_post_says_what_was_corrected(before, after, force, sentence):
     spec.loader.exec_module(module)
     summary = {"before": {"max_mm": before}, "after": {"max_mm": after}, "max_force_N": force}
     assert module._result(summary).startswith(sentence)
+
+
+class PostProcessor:
+    """Base class of FreeCAD 1.2 (development version of 2026), as far as the post uses it."""
+
+    def __init__(self, job, tooltip, tooltipargs, units):
+        self._job, self._machine = job, getattr(job, "machine", None)
+        self._tooltip, self._tooltipargs, self._units = tooltip, tooltipargs, units
+
+    def _buildPostList(self, early_tool_prep=False):
+        return self._job.sections
+
+    def export2(self):
+        return [("allitems", "G1 X0 (not corrected)")]
+
+
+class WrapperPost(PostProcessor):
+    """Wrapper of scripts, as in FreeCAD 1.2."""
+
+    def __init__(self, job, script_path, module_name):
+        super().__init__(job, tooltip=None, tooltipargs=None, units=None)
+        spec = importlib.util.spec_from_file_location(module_name, script_path)
+        self.script_module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(self.script_module)
+
+    def export(self):
+        return [
+            (name, self.script_module.export(items, "-", self._job.PostProcessorArgs))
+            for name, items in self._buildPostList()
+        ]
+
+
+@pytest.mark.parametrize("machine", [False, True], ids=["legacy", "machine-based"])
+def test_freecad_1_2_posts_a_job_with_and_without_a_machine_to_the_same_program(freecad, monkeypatch, machine):
+    posts, document, _ = freecad
+    for name in ("Path", "Path.Post", "Path.Post.Processor"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    sys.modules["Path.Post.Processor"].WrapperPost = WrapperPost
+    operations, tools = job()
+    in_document(document, operations, "/parts/bracket.src")
+    items = [item for pair in zip(operations, tools, strict=True) for item in section(*pair, wrapped=True)]
+    asked = SimpleNamespace(sections=[("allitems", items)], PostProcessorArgs=f"--cell {CELL}")
+    spec = importlib.util.spec_from_file_location("kuka_compensated_post", posts / "kuka_compensated_post.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if machine:
+        asked.machine = SimpleNamespace(postprocessor_properties={"arguments": f"--cell {CELL}"})
+        asked.PostProcessorArgs = ""
+    processor = module.Kuka_Compensated(asked)
+    ((name, text),) = processor.export2() if machine else processor.export()
+    assert name == "allitems"
+    assert text.startswith("&ACCESS RVP")
+    assert "LIN {" in text
+    assert processor.get_file_extension() == "src"
+    assert [one["name"] for one in module.Kuka_Compensated.get_property_schema()] == ["arguments"]
+
+
+def test_freecad_1_2_would_write_the_path_without_correction_by_its_own_wrapper():
+    assert "not corrected" in WrapperPost.export2(SimpleNamespace())[0][1]
