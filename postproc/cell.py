@@ -110,10 +110,13 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     :param tool_change: None: the cell does not say how a tool is changed, so a second tool is refused; []: it is
         changed by hand, without lines in the program.
+    :param redundancy: turn of the tool about its axis: `redundancy_deg` everywhere, the best one for each operation, or
+        one that changes along the path.
     :param motions: path motions of new KRL: LIN and CIRC, or the spline motions SLIN and SCIRC of a KRC4.
     """
 
     redundancy_deg: Angle = 0.0
+    redundancy: Literal["constant", "best", "path"] = "constant"
     rapid_m_per_s: Positive = 0.5
     approximation_mm: NotNegative = 0.5
     corner_tolerance_mm: NotNegative = 0.05

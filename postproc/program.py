@@ -15,7 +15,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue, Level, ProgramError
-from postproc.frames import Array, inverse, norm
+from postproc.frames import Array, inverse, norm, rotation_from_vector
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -108,6 +108,8 @@ class Swivel(Struct, frozen=True, eq=False):
     :param active: (M,) False for motions that do not start where these angles say.
     :param rate: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: as fast as the controller
         does it, and for all others.
+    :param spin: (M, 2) turn of the tool about d in addition, at the start and at the end of each motion [rad]; None: it
+        is that of `tool` everywhere.
     """
 
     begin: Array
@@ -118,16 +120,27 @@ class Swivel(Struct, frozen=True, eq=False):
     tool: Array
     active: Bools
     rate: Array
+    spin: Array | None = None
 
     @property
     def travel(self) -> Array:
         """(M,) largest rotation of the tool [rad]: 0 where it is parallel to the axis that turns."""
-        return np.asarray(np.where(self.active, turning(self.axes, self.begin, self.end), 0.0))
+        out = turning(self.axes, self.begin, self.end)
+        if self.spin is not None:
+            out = out + np.abs(self.spin[:, 1] - self.spin[:, 0])
+        return np.asarray(np.where(self.active, out, 0.0))
 
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
         begin, end = self.begin[motion], self.end[motion]
-        return self.of(begin + t[:, None] * (end - begin), self.frame[motion])
+        out = self.of(begin + t[:, None] * (end - begin), self.frame[motion])
+        if self.spin is None:
+            return out
+        first, last = self.spin[motion].T
+        angle = first + t * (last - first)
+        # about d in the program frame is about z before the tool is tilted
+        about = rotation_from_vector(angle[:, None] * self.tool[2])
+        return np.asarray(out @ about)
 
     def of(self, angles: Array, frame: Ints) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` for angles (n, k) [rad] in frames (n,)."""

@@ -18,6 +18,7 @@ from postproc.elastostatics import Compensation, Reversals
 from postproc.errors import Issue, group_issues
 from postproc.forces import Axes, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
+from postproc.placement import Turn
 from postproc.program import Ints, TargetForces, TargetJoints, Written
 from postproc.robot import RobotModel
 from postproc.under_load import PathUnderLoad
@@ -44,6 +45,7 @@ class Task(Struct, frozen=True, eq=False):
 
     :param in_file: True if its forces are read from and written to a file, False for comments.
     :param initial_issues: issues found before anything is computed.
+    :param turn: the turn of the tool about its axis, if it was chosen.
     """
 
     robot: RobotModel
@@ -52,6 +54,7 @@ class Task(Struct, frozen=True, eq=False):
     writer: Writer
     in_file: bool
     initial_issues: tuple[Issue, ...]
+    turn: Turn | None = None
 
 
 class Draft(Struct, frozen=True, eq=False):
@@ -177,6 +180,8 @@ def result_of(task: Task, draft: Draft) -> Result:
         reversals=turned,
         causes=_causes(path),
         exact_forces=path.motions.forces.spread is None,
+        turn=task.turn,
+        redundancy_deg=None if program.keeps_text else path.setting.cell.gcode.redundancy_deg,
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
     )
     if (written := draft.simulated) is None:

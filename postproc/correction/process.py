@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from postproc import placement
 from postproc.cell import Cell
 from postproc.correction import checks, commanded, inspection, joint_speeds, select, targets
 from postproc.correction.drafts import Draft, Task, result_of
@@ -83,9 +84,15 @@ def process(
         initial_issues=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell)),
     )
     wrong = [issue for issue in task.initial_issues if issue.level == "error"]
+    setting = RobotInCell.of(robot, cell)
+    if not wrong and cell.gcode.redundancy != "constant" and not program.keeps_text:
+        turn, told = placement.chosen(program, setting, source, cell.gcode.redundancy)
+        task, wrong = replace(task, turn=turn, initial_issues=(*task.initial_issues, *told)), [each for each in told if turn is None]
+        if turn is not None:
+            program = placement.turned(program, cell.tool.axis, turn.of_motion)
     if not wrong:
         try:
-            task, draft = _settled(task, MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source))
+            task, draft = _settled(task, MotionsUnderLoad.of(program, setting, source))
             return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
         except ImpossiblePathError as cause:
             wrong = [cause.issue]

@@ -11,6 +11,7 @@ from postproc.elastostatics import Reversals
 from postproc.errors import Issue
 from postproc.forces import Knots
 from postproc.frames import Array, norm
+from postproc.placement import Turn
 from postproc.program import Bools, Document, Ints, Program
 from postproc.robot import RobotModel
 
@@ -101,6 +102,8 @@ class Result(Struct, frozen=True, eq=False):
     :param causes: causes of deviation from nominal without correction, in words.
     :param exact_forces: True if no force states a standard deviation.
     :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
+    :param turn: the turn of the tool about its axis, if it was chosen.
+    :param redundancy_deg: turn that the cell states for all of a program; None if the program states orientations.
     """
 
     program: Program
@@ -133,6 +136,8 @@ class Result(Struct, frozen=True, eq=False):
     causes: tuple[str, ...] = ()
     exact_forces: bool = False
     held_feed: HeldFeed | None = None
+    turn: Turn | None = None
+    redundancy_deg: float | None = None
 
     def __len__(self) -> int:
         return len(self.motion)

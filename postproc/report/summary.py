@@ -137,6 +137,14 @@ class Limits(TypedDict):
     joint_margins_deg: list[float | None]
 
 
+class Redundancy(TypedDict):
+    """Turn of the tool about its axis: "constant", "best" or "path", and its range; None where text is kept."""
+
+    mode: str
+    min_deg: float
+    max_deg: float
+
+
 class IssueEntry(TypedDict):
     """An issue, grouped."""
 
@@ -172,6 +180,7 @@ class Summary(TypedDict):
     tool_deflection: Bound | None  # None where holder, spindle and tool are rigid
     max_force_N: float
     limits: Limits
+    redundancy: Redundancy | None  # None where the program is KRL or RAPID: its turn is kept
     reversals: list[Reversal]
     issues: list[IssueEntry]
     verdict: Judged
@@ -230,6 +239,7 @@ def summary(
             "min_singular_value": _finite(result.singular_value),
             "joint_margins_deg": [_finite(float(value)) for value in margin],
         },
+        redundancy=_redundancy(result),
         reversals=_reversals(result),
         issues=[issue_entry(issue) for issue in result.issues],
         verdict={"state": "ok", "reasons": []},
@@ -239,6 +249,14 @@ def summary(
     judged = verdict(result, content)
     content["verdict"] = {"state": judged.state, "reasons": list(judged.reasons)}
     return content
+
+
+def _redundancy(result: Result) -> Redundancy | None:
+    if result.turn is None:
+        constant = result.redundancy_deg
+        return None if constant is None else {"mode": "constant", "min_deg": constant, "max_deg": constant}
+    low, high = result.turn.range_deg()
+    return {"mode": result.turn.mode, "min_deg": round(low, 3), "max_deg": round(high, 3)}
 
 
 def _held(result: Result, after: Statistics, tolerance: float | None) -> bool | None:

@@ -238,6 +238,23 @@ class Lines(msgspec.Struct, frozen=True, tag="lines"):
     places: list[int] | None = None
 
 
+class Map(msgspec.Struct, frozen=True, tag="map"):
+    """Values on a grid, and why cells have none.
+
+    :param values: (rows, columns); null where a cell is refused.
+    :param reasons: (rows, columns) index in `names`; 0 = not refused.
+    :param names: of the reasons; the first is not shown.
+    :param title: of the values, with their unit.
+    """
+
+    x: Numbers
+    y: Numbers
+    values: list[list[float | None]]
+    reasons: list[list[int]]
+    names: tuple[str, ...]
+    title: str
+
+
 class Mark(msgspec.Struct, frozen=True):
     """A vertical or horizontal (`level`) line across a plot, with a text."""
 
@@ -247,7 +264,7 @@ class Mark(msgspec.Struct, frozen=True):
     level: bool = False
 
 
-Traced = Curve | Points | Span | Bars | Counts | Matrix | Lines
+Traced = Curve | Points | Span | Bars | Counts | Matrix | Map | Lines
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):

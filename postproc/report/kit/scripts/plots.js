@@ -2,6 +2,7 @@
 // Plots that are plain data (`kit/plots.py`) become figures of the plot library.
 const plots = (() => {
   const { colour } = theme;
+  const REFUSED = ["#3b3b44", "#b24a3c", "#8a63b8", "#d98b2b", "#c2185b"]; // of cells of a map, by reason
 
   const traced = {
     curve: ({ x, y, name, colour: of, dots, dashed, places }) => ({
@@ -32,6 +33,21 @@ const plots = (() => {
       hovertemplate: "%{y} – %{x}: %{z:.2f}<extra></extra>",
       colorbar: { title: { text: "correlation" }, tickvals: [-1, 0, 1], thickness: 12 },
     }),
+    map: ({ x, y, values, reasons, names, title }) => {
+      const known = new Set(reasons.flat());
+      return [
+        { type: "heatmap", x, y, z: values, colorscale: theme.scale("rising"), hoverongaps: false,
+          hovertemplate: `%{x:.4~r}, %{y:.4~r}: %{z:.3~r}<extra>${title}</extra>`,
+          colorbar: { title: { text: title, side: "right" }, thickness: 12 } },
+        { type: "heatmap", x, y, z: reasons.map((row) => row.map((reason) => reason || null)), showscale: false, hoverongaps: false,
+          zmin: 0.5, zmax: names.length - 0.5, text: reasons.map((row) => row.map((reason) => names[reason])),
+          colorscale: REFUSED.slice(0, names.length - 1).flatMap((of, k, all) => [[k / all.length, of], [(k + 1) / all.length, of]]),
+          hovertemplate: "%{x:.4~r}, %{y:.4~r}: %{text}<extra></extra>" },
+        ...names.map((name, k) => ({ name, k })).filter(({ k }) => k && known.has(k)).map(({ name, k }) => ({
+          type: "scatter", mode: "markers", x: [null], y: [null], name, showlegend: true, hoverinfo: "skip",
+          marker: { symbol: "square", size: 11, color: REFUSED[k - 1] } })),
+      ];
+    },
     lines: ({ x, y, z, name, colour: of, width, dots }) => ({
       type: "scatter3d", x, y, z, name, mode: dots ? "markers" : "lines", hoverinfo: "skip", connectgaps: false,
       line: { color: colour(of), width }, marker: { color: colour(of), size: width },
@@ -97,13 +113,14 @@ const plots = (() => {
   const NARROW = 14; // pixels for a letter of a name left of a plot
   function figure(plot, width) {
     const square = plot.traces.some(({ type }) => type === "matrix");
-    const layout = theme.layout({ height: theme.printing ? Math.min(plot.height, PAGE) : plot.height, showlegend: plot.traces.filter(({ name }) => name).length > 1 });
+    const layout = theme.layout({ height: theme.printing ? Math.min(plot.height, PAGE) : plot.height, showlegend: plot.traces.filter(({ name }) => name).length > 1 || plot.traces.some(({ type }) => type === "map") });
     const upright = plot.marks.filter(({ level }) => !level); // their texts are above the plot, the legend above them
-    const wide = plot.traces.reduce((sum, { name }) => sum + (name ? 7 * name.length + 45 : 0), 0);
+    const titles = plot.traces.flatMap(({ name, names, type }) => (type === "map" ? names.slice(1) : name ? [name] : []));
+    const wide = titles.reduce((sum, name) => sum + 7 * name.length + 45, 0);
     layout.margin.t = LINE * (upright.length + layout.showlegend * 1.3 * Math.ceil(wide / width)) + 12;
     layout.legend = { orientation: "h", yref: "container", y: 1, yanchor: "top", x: 0 };
     layout.hovermode = "closest";
-    const data = plot.traces.map((trace) => traced[trace.type](trace));
+    const data = plot.traces.flatMap((trace) => traced[trace.type](trace));
     layout.xaxis = axis(plot, "x", square);
     layout.yaxis = axis(plot, "y", square);
     if (square) {

@@ -1,0 +1,171 @@
+"""What the robot can drive and how exactly it cuts: reach, limits, singular poses, joint speeds, expected error.
+
+Arrays of joint angles are (6, n) here, the sample index last, as in `kinematics`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import elastostatics, kinematics, toolpath
+from postproc.elastostatics import ToolSpring
+from postproc.errors import NotConvergedError
+from postproc.frames import RAD_PER_DEG, Array, norm
+from postproc.placement.samples import PathSamples
+from postproc.program import Bools, Ints
+from postproc.robot import RobotModel
+
+_TURN = 2.0 * np.pi
+REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
+"""Why a pose is refused, in the order in which they are checked."""
+FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
+WINDING = (3, 5)
+"""A4 and A6: the joints that may turn by more than a whole turn."""
+
+Clearance = Callable[[Array, Ints], Array]
+"""Returns the clearance (n,) [m] between bodies at joint angles (n, 6) [rad] of samples (n,)."""
+
+
+class Keep(Struct, frozen=True):
+    """Margins to keep.
+
+    :param joint: distance of each joint to its limits [rad].
+    :param wrist: distance of A5 from where A4 and A6 are in line [rad].
+    :param elbow: distance of A3 from the stretched arm [rad].
+    :param shoulder: distance of the wrist centre from the axis of A1 [m].
+    :param speed: largest share of a joint's speed.
+    :param jump: largest turn of a joint between neighbouring samples [rad].
+    :param clearance: between bodies [m].
+    """
+
+    joint: float = 2.0 * RAD_PER_DEG
+    wrist: float = 1.0 * RAD_PER_DEG
+    elbow: float = 1.0 * RAD_PER_DEG
+    shoulder: float = 0.02
+    speed: float = 0.95
+    jump: float = 40.0 * RAD_PER_DEG
+    clearance: float = 0.0
+
+
+BARE = Keep(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
+"""The least that a program must keep to be converted."""
+
+
+class Margins(Struct, frozen=True, eq=False):
+    """Margins of n configurations. NaN where there is none: out of reach.
+
+    :param joint: smallest distance of a joint to its limits [rad]; of A4 and A6 on the best of their turns.
+    :param wrist: distance of A5 from where A4 and A6 are in line [rad].
+    :param elbow: distance of A3 from the stretched arm [rad].
+    :param shoulder: distance of the wrist centre from the axis of A1 [m].
+    """
+
+    joint: Array
+    wrist: Array
+    elbow: Array
+    shoulder: Array
+
+
+def wrapped(angle: Array) -> Array:
+    """Return angles from −π to π."""
+    return np.asarray(angle - _TURN * np.rint(angle / _TURN))
+
+
+def solve(robot: RobotModel, flange: Array, branch: int | Ints) -> Array:
+    """Return joint angles (6, n) [rad] of flanges (3, 4, n), within half a turn of the middle of the limits."""
+    q = kinematics.closed_form(robot).solve(flange, branch)
+    middle = 0.5 * (robot.lower + robot.upper)[:, None]
+    return middle + wrapped(q - middle)
+
+
+def margins(robot: RobotModel, q: Array) -> Margins:
+    """Return the margins of joint angles (6, n) [rad] as `solve` returns them."""
+    form = kinematics.closed_form(robot)
+    with np.errstate(invalid="ignore"):
+        joint = np.minimum(q - robot.lower[:, None], robot.upper[:, None] - q).min(axis=0)
+        rows = q.T
+        return Margins(
+            joint,
+            np.abs(wrapped(q[4] + form.bend)),
+            np.abs(form.elbow(rows)),
+            np.abs(form.reach(rows)),
+        )
+
+
+def reason(margin: Margins, speed: Array, jump: Array, keep: Keep, clearance: Array | None = None) -> Ints:
+    """Return the first reason (...,) in `REASONS` to refuse configurations, 0 = none.
+
+    :param speed: (...,) largest joint speed as a share of its limit; `jump` (...,) largest turn of a joint from the
+        sample before [rad]; `clearance` (...,) [m], None = not checked.
+    """
+    with np.errstate(invalid="ignore"):
+        out = np.zeros(margin.joint.shape, dtype=np.int64)
+        if clearance is not None:
+            out[~(clearance >= keep.clearance)] = COLLISION
+        out[~(speed <= keep.speed)] = SPEED
+        singular = ~((margin.wrist >= keep.wrist) & (margin.elbow >= keep.elbow) & (margin.shoulder >= keep.shoulder))
+        out[singular | ~(jump <= keep.jump)] = SINGULAR
+        out[~(margin.joint >= keep.joint)] = LIMIT
+        out[np.isnan(margin.joint)] = REACH
+    return out
+
+
+def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
+    """Return the expected error (95 %) and the deflection (n,) [m] at samples (n,); NaN where q is, or no equilibrium.
+
+    The expected error is that of the model and the forces, as `u95_mm` of the report has it, without flanks of lost
+    motion that turn on the way; NaN if the model has none.
+
+    :param turn: (n,) turn of the tool about its axis [rad].
+    :param q: (n, 6) joint angles [rad].
+    """
+    setting = samples.setting
+    robot = setting.robot
+    u95, moved = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    good = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if not len(good):
+        return u95, moved
+    wrench, spread, pose = samples.load(rows[good], turn[good])
+    tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[good]])
+    q = q[good]
+    moved[good] = _deflections(samples, q, tool, wrench, pose)
+    series = _in_series(setting.tool_spring, pose)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = elastostatics.position_bound(robot, q, tool, wrench, spread, series)
+    if found is not None:
+        u95[good] = found
+    return u95, moved
+
+
+def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
+    return None if spring is None else spring.matrices(pose[:, :3, :3])
+
+
+def _deflections(samples: PathSamples, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
+    """Return how far the tip is from nominal (n,) [m] if nothing is corrected; NaN without equilibrium."""
+    out = np.full(len(q), np.nan)
+    left = np.arange(len(q))
+    while len(left):
+        tools = tool if tool.ndim == 2 else tool[left]
+        try:
+            tip = samples.setting.tip(q[left], tools, wrench[left])
+        except NotConvergedError as cause:
+            left = np.delete(left, list(cause.rows))
+            continue
+        out[left] = norm(tip - pose[left, :3, 3])
+        break
+    return out
+
+
+def timed_speed(robot: RobotModel, step: Array, time: Array) -> Array:
+    """Return the largest joint speed (n,) as a share of its limit, for turns (6, n) [rad] within times (n,) [s]."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.abs(step) / robot.speed[:, None]).max(axis=0) / time)
+
+
+def any_bad(reasons: Ints) -> Bools:
+    """Return where configurations are refused."""
+    return np.asarray(reasons != FREE)

@@ -1,0 +1,115 @@
+"""Samples of the path of a program that do not depend on reach: poses in the root, forces, times."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import forces, toolpath
+from postproc.forces import ForceSource, PathForces
+from postproc.frames import Array, norm, rotation_from_vector
+from postproc.program import PTP, SPL, Ints, Program
+from postproc.toolpath import Segments, Toolpath
+from postproc.under_load import RobotInCell
+
+_STEP = 0.020
+"""Largest spacing of samples [m]."""
+_TURN = np.radians(5.0)
+"""Largest rotation of the tool between samples [rad]."""
+AXIS = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
+
+
+class PathSamples(Struct, frozen=True, eq=False):
+    """N samples of the nominal path of a program, without joint angles.
+
+    :param program: the program.
+    :param setting: the robot in its cell.
+    :param segments: start and length of its motions.
+    :param along: the forces along them.
+    :param sample: the places and their poses in `$BASE`.
+    :param time: (N,) time from the sample before at the programmed feed [s]; infinite where the feed does not time it:
+        joint interpolation, rapid moves (which are slowed if a joint would be too fast), turns in place.
+    """
+
+    program: Program
+    setting: RobotInCell
+    segments: Segments
+    along: PathForces
+    sample: Toolpath
+    time: Array
+
+    @classmethod
+    def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> PathSamples:
+        """Sample a program: the end of every motion, and places between.
+
+        :param source: forces that take precedence over the comments of the program.
+        :raises ForceError: the forces do not match the motions.
+        """
+        m = program.motions
+        segments = toolpath.segments(program, setting.start_flange)
+        along = forces.along(program, segments, source, setting.spindle, setting.ramp)
+        count = np.ceil(np.maximum(segments.way / _STEP, segments.turn / _TURN) - 1e-9)
+        count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
+        number = np.maximum(count, 1.0).astype(np.int64)
+        motion = np.repeat(np.arange(len(m)), number)
+        inside = np.arange(len(motion)) - np.repeat(np.cumsum(number) - number, number) + 1
+        sample = toolpath.at(program, segments, motion, inside / number[motion])
+        travel = segments.length[motion] / number[motion]
+        feed = m.feed[motion]
+        timed = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > 1e-6) & (feed > 0.0)
+        time = np.where(timed, travel / np.where(timed, feed, 1.0), np.inf)
+        return cls(program, setting, segments, along, sample, time)
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+    @property
+    def axis(self) -> Array:
+        """Direction (3,) from the spindle to the tip in the tool frame."""
+        return np.array(AXIS[self.setting.spindle])
+
+    def rotation(self, turn: Array) -> Array:
+        """Return the rotations (n, 3, 3), in the tool frame, that turn the tool by angles (n,) [rad] about its axis.
+
+        The sign is that of `redundancy_deg`: about the direction from the tip to the spindle.
+        """
+        return rotation_from_vector(-np.asarray(turn)[..., None] * self.axis)
+
+    def flange(self, rows: Ints, turn: Array) -> Array:
+        """Return the flange (n, 4, 4) in the root at samples (n,) with the tool turned by angles (n,) [rad]."""
+        motion, t = self.sample.motion[rows], self.sample.t[rows]
+        return toolpath.flange_from_tcp(self.program, motion, self._turned(rows, turn), t)
+
+    def load(self, rows: Ints, turn: Array) -> tuple[Array, Array | None, Array]:
+        """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes.
+
+        :returns: wrench (n, 6) [N, N·m]; L (n, 6, 6) of its covariance L·Lᵀ, None if it is certain; the tool frame
+            (n, 4, 4) in the root [m].
+        """
+        pose = self._turned(rows, turn)
+        motion, t = self.sample.motion[rows], self.sample.t[rows]
+        here = Toolpath(motion, t, pose, self.sample.distance[rows])
+        wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(here))
+        spread, halves = None, self.along.spread_at(here)
+        if halves is not None:
+            halves = toolpath.columns_in_root(self.program, motion, halves)
+            spread = np.zeros((len(rows), 6, 6))
+            spread[:, :3, :3], spread[:, 3:, 3:] = halves[:, 0], halves[:, 1]
+        return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t)
+
+    def _turned(self, rows: Ints, turn: Array) -> Array:
+        pose = self.sample.pose.take(rows, axis=0)
+        if turn.any():
+            pose[:, :3, :3] = pose[:, :3, :3] @ self.rotation(turn)
+        return pose
+
+    @property
+    def cuts(self) -> Array:
+        """(N,) True on motions at feed."""
+        return np.asarray(~self.program.motions.rapid[self.sample.motion])
+
+    @property
+    def travel(self) -> Array:
+        """(N,) path length from the sample before [m]; joint interpolation by its chord."""
+        out = np.append(0.0, norm(np.diff(self.sample.pose[:, :3, 3], axis=0)))
+        return np.asarray(out)

@@ -1,0 +1,180 @@
+"""The turn of the tool about its axis: chosen for a program, and applied to it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.errors import Issue
+from postproc.forces import ForceSource
+from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.placement import drive, turn_line, turn_map
+from postproc.placement.drive import BARE, REASONS, Clearance, Keep
+from postproc.placement.samples import AXIS, PathSamples
+from postproc.placement.turn_line import Blocked, Line
+from postproc.placement.turn_map import Blocks, TurnMap
+from postproc.program import Bools, Program, read_only
+from postproc.under_load import RobotInCell
+
+Mode = Literal["best", "path"]
+_COARSE = 5.0 * RAD_PER_DEG
+_FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
+
+
+class Turn(Struct, frozen=True, eq=False):
+    """The turn of the tool along a program, and the map that it was chosen on.
+
+    :param mode: "best" (one for each operation) or "path" (changing along the path).
+    :param map: reasons to refuse and errors by path and turn; its turns are added to `constant`.
+    :param keep: margins that the line keeps.
+    :param constant: `redundancy_deg` of the cell [rad].
+    :param knots: (B,) chosen turn at the end of each block, without `constant` [rad]; continuous along the path.
+    :param of_motion: (M,) the same at the end of each motion.
+    """
+
+    mode: Mode
+    map: TurnMap
+    keep: Keep
+    constant: float
+    knots: Array
+    of_motion: Array
+
+    def range_deg(self) -> tuple[float, float]:
+        """Return the smallest and the largest turn of the program [deg], as `redundancy_deg` counts it."""
+        turn = (self.of_motion + self.constant) * DEG_PER_RAD
+        return float(turn.min()), float(turn.max())
+
+
+def turned(program: Program, axis: str, turn: Array) -> Program:
+    """Return a program with its tool turned about its axis.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip.
+    :param turn: (M,) at the end of each motion [rad], about the direction from the tip to the spindle, continuous along
+        the path: between the ends it changes evenly with the place. Axis targets are not changed.
+    """
+    m = program.motions
+    about = rotation_from_vector(-turn[:, None] * np.array(AXIS[axis]))
+    about[np.isfinite(m.joints[:, 0])] = np.eye(3)
+    target = m.target.copy()
+    target[:, :3, :3] = target[:, :3, :3] @ about
+    swivel = program.swivel
+    if swivel is not None:
+        begin = np.append(turn[:1], turn[:-1])
+        swivel = replace(swivel, spin=np.stack([begin, turn], axis=1))
+    return read_only(replace(program, motions=replace(m, target=target), swivel=swivel))
+
+
+def chosen(
+    program: Program, setting: RobotInCell, source: ForceSource | None, mode: Mode, clearance: Clearance | None = None
+) -> tuple[Turn | None, tuple[Issue, ...]]:
+    """Choose the turn of the tool.
+
+    :param source: forces in addition to those of the program.
+    :param clearance: see `drive.Clearance`; None = collisions are not checked.
+    :returns: the turn, None if no turn can be driven; issues.
+    :raises ForceError: the forces do not match the motions.
+    """
+    samples = PathSamples.of(program, setting, source)
+    blocks = Blocks.of(samples)
+    branch = turn_map.branch_of_start(samples)
+    whole = turn_map.evaluate(
+        samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), clearance
+    )
+    blocked: Blocked | None = None
+    for keep in (Keep(), BARE):
+        line = _find(samples, whole, keep, mode, closed=True)
+        if isinstance(line, Blocked):
+            blocked = blocked if blocked is not None and blocked.block > line.block else line
+            continue
+        fine = _refined(samples, blocks, branch, line, keep, mode, clearance)
+        line = fine if fine is not None else line
+        of_motion = blocks.turn_of_motions(samples, line.knots)
+        constant = setting.cell.gcode.redundancy_deg * RAD_PER_DEG
+        turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
+        return turn, (_said(turn),)
+    assert blocked is not None
+    return None, (_why(samples, whole, blocked, mode),)
+
+
+def _find(
+    samples: PathSamples, found: TurnMap, keep: Keep, mode: Mode, *, closed: bool, forbidden: Bools | None = None
+) -> Line | Blocked:
+    robot, start = samples.setting.robot, samples.setting.cell.start_joints
+    return turn_line.find(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed, forbidden=forbidden)
+
+
+def _refined(
+    samples: PathSamples,
+    blocks: Blocks,
+    branch: int,
+    line: Line,
+    keep: Keep,
+    mode: Mode,
+    clearance: Clearance | None,
+) -> Line | None:
+    """Return the cheapest line next to one, on a fine map around it; None if there is none."""
+    base = _at_samples(samples, blocks, line.knots)
+    near = turn_map.evaluate(samples, blocks, branch, base, _FINE, clearance)
+    found = _find(samples, near, keep, mode, closed=False)
+    return None if isinstance(found, Blocked) else found
+
+
+def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
+    """Return the turn (N,) [rad] at samples for turns at the ends of blocks."""
+    ends = blocks.turn_of_motions(samples, knots)
+    motion, t = samples.sample.motion, samples.sample.t
+    begin = np.append(ends[0], ends[:-1])
+    starts = np.zeros(len(ends), dtype=bool)
+    starts[np.append(0, blocks.motion[:-1] + 1)[blocks.begins]] = True
+    begin = np.where(starts, ends, begin)
+    return np.asarray(begin[motion] + t * (ends - begin)[motion])
+
+
+def _said(turn: Turn) -> Issue:
+    low, high = turn.range_deg()
+    if turn.mode == "best":
+        message = f"The tool is turned about its axis by one angle for each operation, from {low:.0f}° to {high:.0f}°."
+    else:
+        message = f"The tool is turned about its axis along the path, from {low:.0f}° to {high:.0f}°."
+    if turn.map.clearance is None:
+        message += " Collisions are not checked."
+    return Issue("info", "redundancy", message)
+
+
+def _why(samples: PathSamples, whole: TurnMap, blocked: Blocked, mode: Mode) -> Issue:
+    """Return the error that names the motion that no line passes, and the reasons there."""
+    blocks = whole.blocks
+    rows = np.flatnonzero(blocks.block == blocked.block)
+    reasons = whole.reasons(BARE)[rows]
+    closed = (reasons != drive.FREE).all(axis=1)
+    row = int(np.argmax(closed)) if closed.any() else len(rows) - 1
+    counts = np.bincount(reasons[row], minlength=len(REASONS))
+    many = reasons.shape[1]
+    parts = [f"{REASONS[k]} at {100.0 * n / many:.0f} % of all turns" for k, n in enumerate(counts) if k and n]
+    motion = np.array([int(samples.sample.motion[blocks.first[rows[row]]])])
+    if closed.any():
+        what = f"no turn of the tool about its axis can be driven here ({', '.join(parts)}). Move the part or [start]."
+    elif mode == "best":
+        what = (
+            "no single turn of the tool about its axis can be driven through this operation"
+            + (f" ({', '.join(parts)} here)" if parts else "")
+            + '. Set [gcode] redundancy = "path", or move the part.'
+        )
+    else:
+        what = (
+            "the tool cannot be turned about its axis quickly enough to stay where the robot can drive"
+            + (f" ({', '.join(parts)} here)" if parts else "")
+            + ". Lower the feed, move the part or choose other [start] joints."
+        )
+    return samples.program.motions.issue("error", "redundancy", what, motion)
+
+
+def bin_turns(turn: Turn) -> Array:
+    """Return the chosen turn (K,) at the end of each bin of the map, without `constant` [rad]."""
+    blocks = turn.map.blocks
+    before = np.append(turn.knots[0], turn.knots[:-1])
+    before = np.where(blocks.begins, turn.knots, before)[blocks.block]
+    return np.asarray(before + blocks.share * (turn.knots[blocks.block] - before))

@@ -1,0 +1,102 @@
+"""The line through a map, against all lines of small random maps."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import robot
+from postproc.placement import turn_line
+from postproc.placement.drive import Keep, Margins, wrapped
+from postproc.placement.turn_line import Blocked
+from postproc.placement.turn_map import Blocks, TurnMap, whole_circle
+
+ROBOT = robot.load(robot.find("kuka_kr270"))
+COLUMNS = 12
+STEP = np.radians(30.0)
+
+
+def made(seed, blocks=4, wide=2, closed=0.3):
+    """A random map with one bin a block; A6 follows the turn, so that a whole circle is one turn of A6."""
+    rng = np.random.default_rng(seed)
+    shape = (blocks, COLUMNS)
+    offset = whole_circle(STEP)
+    q = np.zeros((*shape, 6))
+    q[..., 1], q[..., 2], q[..., 4] = -1.2, 1.9, 0.9
+    q[..., 5] = wrapped(offset + rng.uniform(-0.2, 0.2, (blocks, 1)))
+    margin = np.where(rng.random(shape) < closed, -1.0, 1.0)
+    far = np.full(shape, 1.0)
+    error = rng.uniform(1e-4, 3e-4, shape)
+    zero = np.zeros(shape)
+    winding = np.zeros((*shape, 2, 3))
+    step = wrapped(np.diff(q[:, :1, 5], axis=0, prepend=q[:1, :1, 5]))
+    winding[:, :, 1, 0] = step
+    winding[:, :, 1, 1], winding[:, :, 1, 2] = np.minimum(step, 0.0), np.maximum(step, 0.0)
+    first = np.arange(blocks)
+    length = np.full(blocks, np.degrees(STEP) * wide * 1.01e-3)
+    begins = first == 0
+    own = Blocks(first, first, np.ones(blocks), begins, ~begins, length, np.full(blocks, 100.0), first)
+    margins = Margins(margin, far, far, far)
+    return TurnMap(own, np.zeros(blocks), offset, margins, zero, zero, zero, None, q, winding, error, error)
+
+
+def every_line(found, wide, start=0.0):
+    """Yield all lines that may be driven, as columns, with the RMS of the error halfway through each block."""
+    free = found.margin.joint > 0.0
+    steps = range(-wide, wide + 1)
+    lower, upper = ROBOT.lower[5] + Keep().joint, ROBOT.upper[5] - Keep().joint
+    for first, *changes in itertools.product(range(COLUMNS), *([steps] * (len(free) - 1))):
+        columns = np.cumsum([first, *changes]) % COLUMNS
+        crossed = [range(min(0, -change), max(0, -change) + 1) for change in changes]
+        if not free[0, first] or not all(
+            free[k, (columns[k] + each) % COLUMNS] for k, span in enumerate(crossed, 1) for each in span
+        ):
+            continue
+        angle = found.q[0, first, 5] - 2 * np.pi * np.rint((found.q[0, first, 5] - start) / (2 * np.pi))
+        angles = [angle]
+        for k, column in enumerate(columns[1:], 1):
+            angles.append(angles[-1] + wrapped(found.q[k, column, 5] - angles[-1]))
+        if lower <= min(angles) and max(angles) <= upper:
+            halfway = np.rint(columns[:-1] + 0.5 * np.array(changes)).astype(int) % COLUMNS
+            yield columns, float(np.sqrt(np.mean(found.u95[np.arange(1, len(free)), halfway] ** 2)))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_line_of_a_small_map_has_a_smaller_error_beyond_what_margin_and_steadiness_may_cost(seed):
+    found = made(seed)
+    line = turn_line.find(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    rms: dict[tuple[int, ...], float] = {}
+    for columns, own in every_line(found, 2):
+        rms[tuple(columns)] = min(own, rms.get(tuple(columns), np.inf))
+    if isinstance(line, Blocked):
+        assert not rms
+        return
+    columns = tuple(np.rint((line.knots - found.offset[0]) / STEP).astype(int) % COLUMNS)
+    assert columns in rms
+    assert rms[columns] <= 1.02 * min(rms.values())
+
+
+def test_a_line_never_winds_a6_past_its_limits():
+    """Free cells lead the line round and round: after 350° of A6 it must stop."""
+    found = made(0, blocks=24, closed=0.0)
+    ring = np.full(found.margin.joint.shape, -1.0)
+    for k in range(24):
+        ring[k, [(k - 1) % COLUMNS, k % COLUMNS]] = 1.0
+    found = replace(found, margin=replace(found.margin, joint=ring))
+    line = turn_line.find(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    assert isinstance(line, Blocked)
+    wide = replace(ROBOT, upper=ROBOT.upper + np.radians(200.0))
+    assert not isinstance(turn_line.find(wide, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True), Blocked)
+
+
+def test_one_turn_for_each_operation_changes_on_rapid_moves_alone():
+    found = made(3, blocks=5, closed=0.0)
+    blocks = replace(found.blocks, cuts=np.array([False, True, False, True, True]))
+    found = replace(found, blocks=blocks)
+    line = turn_line.find(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    assert line.knots[0] == pytest.approx(line.knots[1])
+    assert line.knots[2] == pytest.approx(line.knots[3]) == pytest.approx(line.knots[4])
+    assert line.knots[1] != pytest.approx(line.knots[2])

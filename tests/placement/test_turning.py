@@ -1,0 +1,176 @@
+"""The turn about the tool axis in whole programs: what can be driven, what it costs, and what the robot then does."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import correction, placement, robot
+from postproc.cell import Rotary
+from postproc.report import summary
+from postproc.under_load import RobotInCell
+from tests.oracle import cell_sim
+from tests.oracle.arm import Arm
+from tests.placement.setting import TWO_POCKETS, around, cell, convert, read
+
+POCKETS = TWO_POCKETS.format(1300, 1500)
+
+
+@pytest.mark.parametrize("axes", [None, ["C", "B"]])
+def test_a_turn_of_all_motions_is_the_turn_that_the_cell_could_state(axes):
+    """Five axes too: a turn about the tool axis, whatever direction that has."""
+    text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X1600 F2000\n"
+    if axes is not None:
+        text = text.replace("X1600", "X1600 C30 B20").replace("G0 X1500", "G0 C0 B0 X1500")
+    plain = cell() if axes is None else replace(cell(), rotary=Rotary(axes=axes))
+    stated = replace(plain, gcode=replace(plain.gcode, redundancy_deg=40.0))
+    one, other = read(text, plain)[0], read(text, stated)[0]
+    turned = placement.turned(one, "+X", np.full(len(one.motions), np.radians(40.0)))
+    assert np.allclose(turned.motions.target, other.motions.target, atol=1e-12)
+    if axes is not None:
+        t, rows = np.full(len(one.motions), 0.4), np.arange(len(one.motions))
+        assert np.allclose(turned.swivel.at(rows, t), other.swivel.at(rows, t), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["kuka_kr270", "abb_irb6700_200_260"])
+def test_a_program_that_no_constant_turn_can_drive_is_driven_along_the_path(name):
+    text, own = around(1900, 150), cell(name)
+    for turn in range(-180, 180, 30):
+        assert convert(text, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn)))).failed
+    best = convert(text, replace(own, gcode=replace(own.gcode, redundancy="best")))
+    assert [issue.kind for issue in best.issues if issue.level == "error"] == ["redundancy"]
+    assert 'redundancy = "path"' in next(issue.message for issue in best.issues if issue.level == "error")
+    path = convert(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
+    assert not path.failed, path.issues
+    content = summary(path)["redundancy"]
+    assert content["mode"] == "path"
+    assert content["max_deg"] - content["min_deg"] > 20.0
+
+
+FEED = 0.05
+
+
+@cache
+def driven():
+    """The written program by the simulator of a controller.
+
+    :returns: the cell, joint angles (n, 6) [rad] in the order of execution, the path since the one before (n,) [m], and
+        whether the move is a cut (n,).
+    """
+    own = cell(redundancy="path")
+    result = convert(around(1900, 150, 31), own)
+    moves = cell_sim.read(result.documents[0].to_bytes().decode())
+    frame = lambda table: tuple(getattr(table, axis) for axis in "XYZABC")  # noqa: E731
+    sim = cell_sim.Cell(Arm.load(robot.find(own.robot)), own.start.joints, frame(own.base), frame(own.tool))
+    q, place, cut = [], [], []
+    for index, _, pose, joints in sim.run(moves, shares=(0.5, 1.0)):
+        q.append(joints)
+        place.append(pose[:3, 3])
+        cut.append(moves[index]["kind"] == "LIN" and abs(moves[index]["frame"][2]) < 1.0)
+    travel = np.linalg.norm(np.diff(place, axis=0, prepend=place[:1]), axis=1)
+    return own, np.array(q), travel, np.array(cut)
+
+
+def test_the_written_program_stays_within_joint_limits_and_speeds_by_the_simulator():
+    own, q, travel, cut = driven()
+    model = robot.load(robot.find(own.robot))
+    assert (q > model.lower).all()
+    assert (q < model.upper).all()
+    rows = np.flatnonzero(cut[1:] & cut[:-1] & (travel[1:] > 1e-4)) + 1
+    assert len(rows) > 50
+    assert (np.abs(q[rows] - q[rows - 1]) * FEED <= model.speed * travel[rows, None]).all()
+
+
+def test_a6_never_jumps_by_the_simulator():
+    _, q, _, cut = driven()
+    steps = np.degrees(np.abs(np.diff(q, axis=0)))[cut[1:] & cut[:-1]]
+    assert 0.5 < steps[:, 5].max() < 6.0
+    assert np.ptp(np.degrees(q[:, 5])) < 360.0
+
+
+def expected_rms(result, lines):
+    """RMS of the expected error over cutting targets of source lines [m]."""
+    chosen = ~result.rapid & np.isin(result.source_line, lines)
+    return float(np.sqrt(np.mean(result.bound[chosen] ** 2)))
+
+
+def test_the_best_turn_of_each_operation_is_within_two_percent_of_all_constant_turns():
+    own = cell(base=(0.0, 0.0, 500.0))
+    first, second = range(4, 8), range(10, 13)
+    found = {
+        turn: result
+        for turn in range(-180, 180, 20)
+        if not (result := convert(POCKETS, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn))))).failed
+    }
+    best = convert(POCKETS, replace(own, gcode=replace(own.gcode, redundancy="best")))
+    assert not best.failed, best.issues
+    assert len(found) >= 3
+    for lines in (first, second):
+        assert expected_rms(best, lines) <= 1.02 * min(expected_rms(result, lines) for result in found.values())
+        assert np.ptp(_turns(best, lines)) < 1e-6
+
+
+def test_the_best_line_is_within_two_percent_of_every_pair_of_turns():
+    """Brute force: a start and an end for the turn along one cut, in steps of 30°."""
+    text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y-300 Z60\nG1 Z0 F600\nG1 Y300 F2000\n"
+    own = cell(base=(0.0, 0.0, 500.0))
+    program, model = read(text, own)
+    errors = []
+    for begin, end in itertools.product(range(-60, 61, 30), repeat=2):
+        turned = placement.turned(program, "+X", np.radians([begin, begin, end]))
+        result = correction.process(turned, model, own)
+        if not result.failed and abs(end - begin) <= 170:
+            errors.append(expected_rms(result, [4, 5]))
+    path = convert(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
+    assert not path.failed
+    assert expected_rms(path, [4, 5]) <= 1.02 * min(errors)
+
+
+def _turns(result, lines):
+    """Turn of the tool [deg] of targets of lines, from their nominal orientation: that of tool Z about the vertical."""
+    chosen = np.isin(result.source_line, lines) & ~result.rapid
+    z = result.nominal[chosen][:, :3, 2]
+    return np.degrees(np.unwrap(np.arctan2(z[:, 1], z[:, 0])))
+
+
+def test_no_clearance_is_checked_without_a_function_and_a_function_closes_cells():
+    own = cell(base=(0.0, 0.0, 500.0))
+    program, model = read(POCKETS, own)
+    setting = RobotInCell.of(model, own)
+    free, said = placement.chosen(program, setting, None, "best")
+    assert free.map.clearance is None
+    assert "Collisions are not checked" in said[0].message
+    chosen = np.degrees(free.of_motion[3])
+
+    def clearance(q, rows):
+        """Bodies meet where A6 is within 20° of what was chosen without them."""
+        del rows
+        near = np.degrees(free.map.q[2, :, 5])[round((chosen + 180.0) / 5.0) % 72]
+        return np.where(np.abs((np.degrees(q[:, 5]) - near + 180.0) % 360.0 - 180.0) < 20.0, -0.001, 1.0)
+
+    other, said = placement.chosen(program, setting, None, "best", clearance)
+    assert "Collisions" not in said[0].message
+    assert abs((np.degrees(other.of_motion[3]) - chosen + 180.0) % 360.0 - 180.0) > 5.0
+
+
+def test_a_program_that_no_turn_can_drive_names_the_line_and_the_reason():
+    text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X2400 F2000\nG1 X3300\nG1 X1500\n"
+    result = convert(text, cell(redundancy="path"))
+    issue = next(issue for issue in result.issues if issue.level == "error")
+    assert issue.source_line in (4, 5)
+    assert "joint limit" in issue.message or "out of reach" in issue.message
+
+
+def test_the_text_of_a_robot_program_keeps_its_turn():
+    own = cell(redundancy="path")
+    text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X1600 F2000\n"
+    written = convert(text, replace(own, gcode=replace(own.gcode, redundancy="constant")))
+    model = robot.load(robot.find(own.robot))
+    program = correction.read(written.documents, model, own, "part", "krl")
+    result = correction.process(program, model, own, mode="predict")
+    assert result.turn is None
+    assert summary(result)["redundancy"] is None
