@@ -87,7 +87,10 @@ def process(
     setting = RobotInCell.of(robot, cell)
     if not wrong and cell.gcode.redundancy != "constant" and not program.keeps_text:
         turn, told = placement.chosen(program, setting, source, cell.gcode.redundancy)
-        task, wrong = replace(task, turn=turn, initial_issues=(*task.initial_issues, *told)), [each for each in told if turn is None]
+        task, wrong = (
+            replace(task, turn=turn, initial_issues=(*task.initial_issues, *told)),
+            [each for each in told if turn is None],
+        )
         if turn is not None:
             program = placement.turned(program, cell.tool.axis, turn.of_motion)
     if not wrong:

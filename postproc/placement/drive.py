@@ -17,6 +17,7 @@ from postproc.frames import RAD_PER_DEG, Array, norm
 from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
+from postproc.under_load import RobotInCell
 
 _TURN = 2.0 * np.pi
 REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
@@ -116,42 +117,46 @@ def reason(margin: Margins, speed: Array, jump: Array, keep: Keep, clearance: Ar
 def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
     """Return the expected error (95 %) and the deflection (n,) [m] at samples (n,); NaN where q is, or no equilibrium.
 
-    The expected error is that of the model and the forces, as `u95_mm` of the report has it, without flanks of lost
-    motion that turn on the way; NaN if the model has none.
-
     :param turn: (n,) turn of the tool about its axis [rad].
     :param q: (n, 6) joint angles [rad].
     """
-    setting = samples.setting
-    robot = setting.robot
     u95, moved = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
     good = np.flatnonzero(np.isfinite(q).all(axis=1))
-    if not len(good):
-        return u95, moved
-    wrench, spread, pose = samples.load(rows[good], turn[good])
-    tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[good]])
-    q = q[good]
-    moved[good] = _deflections(samples, q, tool, wrench, pose)
+    if len(good):
+        tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[good]])
+        u95[good], moved[good] = errors(samples.setting, q[good], tool, samples.load(rows[good], turn[good]))
+    return u95, moved
+
+
+def errors(setting: RobotInCell, q: Array, tool: Array, load: tuple[Array, Array | None, Array]) -> tuple[Array, Array]:
+    """Return the expected error (95 %) and the deflection (n,) [m] at joint angles (n, 6); NaN without equilibrium.
+
+    The expected error is that of the model and the forces, as `u95_mm` of the report has it, but for flanks of lost
+    motion that turn on the way; NaN if the model has none.
+
+    :param tool: (4, 4) or (n, 4, 4) in the flange frame [m].
+    :param load: wrench, L of its covariance, and tool frame in the root, see `PathSamples.load`.
+    """
+    wrench, spread, pose = load
+    moved = _deflections(setting, q, tool, wrench, pose)
     series = _in_series(setting.tool_spring, pose)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = elastostatics.position_bound(robot, q, tool, wrench, spread, series)
-    if found is not None:
-        u95[good] = found
-    return u95, moved
+        u95 = elastostatics.position_bound(setting.robot, q, tool, wrench, spread, series)
+    return np.full(len(q), np.nan) if u95 is None else u95, moved
 
 
 def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
     return None if spring is None else spring.matrices(pose[:, :3, :3])
 
 
-def _deflections(samples: PathSamples, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
+def _deflections(setting: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
     """Return how far the tip is from nominal (n,) [m] if nothing is corrected; NaN without equilibrium."""
     out = np.full(len(q), np.nan)
     left = np.arange(len(q))
     while len(left):
         tools = tool if tool.ndim == 2 else tool[left]
         try:
-            tip = samples.setting.tip(q[left], tools, wrench[left])
+            tip = setting.tip(q[left], tools, wrench[left])
         except NotConvergedError as cause:
             left = np.delete(left, list(cause.rows))
             continue

@@ -16,6 +16,7 @@ from postproc.report.kit import (
     Facts,
     Fold,
     Lines,
+    Map,
     Mark,
     Matrix,
     Note,
@@ -61,6 +62,13 @@ PLOTS: tuple[Plot, ...] = (
         steps=[[0, 1], [1]],
         step_names=["all", "b"],
     ),
+    Plot(
+        label="map",
+        traces=[
+            Map([0.0, 1.0], [0.0, 1.0], [[1.0, None], [2.0, None]], [[0, 1], [0, 2]], ("free", "far", "fast"), "mm"),
+            Curve([0.0, 1.0], [0.0, 1.0], "line", "warning"),
+        ],
+    ),
 )
 
 
@@ -97,6 +105,7 @@ def test_every_part_is_shown_and_every_plot_drawn(browser, tmp_path):
         assert page.locator("#plot2").get_by_text("two").count() == 1
         assert page.locator("#plot1").get_by_text("k2").count() == 1
         assert page.locator("#plot5 canvas").count() >= 1
+        assert page.locator("#plot6 .legendtext").all_text_contents() == ["far", "fast", "line"]
 
 
 def test_a_page_without_plots_is_small(tmp_path):
