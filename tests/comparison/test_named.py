@@ -319,20 +319,21 @@ def lines(*points):
 
 
 @pytest.mark.parametrize(
-    ("partner", "found"),
+    ("second", "partner", "found"),
     [
-        ([0, 1, 3, 4], [0, 1, 3, 4]),
-        ([0, 2, 3, 4], [0, 1, 3, 4]),  # 1 is free, and brings the tip to the target
-        ([0, 1, 2, 4], [0, 1, 3, 4]),
-        ([-1, 1, 3, 4], [0, 1, 3, 4]),
-        ([0, 1, 3, -1], [0, 1, 3, 4]),
-        ([0, 1, 4, 5], [0, 1, 3, 4]),
-        ([0, -1, 1, 4], [0, 1, 3, 4]),  # in the second round: 1 is free once the next one has left it
-        ([-1, 0, 3, 4], [-1, 0, 3, 4]),  # 1 is not free for the first: that would be out of order
+        ((20, 0), [0, 1, 3, 4], [0, 1, 3, 4]),
+        ((20, 0), [0, 2, 3, 4], [0, 1, 3, 4]),  # 1 is free, and brings the tip to the target
+        ((20, 0), [0, 1, 2, 4], [0, 1, 3, 4]),
+        ((20, 0), [-1, 1, 3, 4], [0, 1, 3, 4]),
+        ((20, 0), [0, 1, 3, -1], [0, 1, 3, 4]),
+        ((20, 0), [0, 1, 4, 5], [0, 1, 3, 4]),
+        ((20, 0), [0, -1, 1, 4], [0, 1, 3, 4]),  # in the second round: 1 is free once the next one has left it
+        ((0, 0.003), [-1, 0, 3, 4], [-1, 0, 3, 4]),  # 0 has a partner already, behind the first
+        ((0, 0.003), [0, -1, 3, 4], [0, -1, 3, 4]),  # and before the second
     ],
 )
-def test_partners_are_exchanged_for_free_ones_that_bring_the_tip_to_the_target(partner, found):
-    one = lines((0, 0), (20, 0) if partner[1] else (0, 0.003), (40, 0), (40, 20))
+def test_partners_are_exchanged_for_free_ones_that_bring_the_tip_to_the_target(second, partner, found):
+    one = lines((0, 0), second, (40, 0), (40, 20))
     other = lines((0, 0), (20, 0), (20, 9), (40, 0), (40, 20), (50, 20))
     none = np.zeros((4, 6))
     assert _under_force(one, other, np.array(partner), none).tolist() == found
@@ -381,6 +382,7 @@ def test_pieces_begin_where_the_one_before_ends():
     begins = ways.begins(np.arange(2, 7), place)
     np.testing.assert_allclose(begins - one.along[2], ends[:-1], atol=1e-9)
     np.testing.assert_allclose(ways.begins(np.array([1]), place), one.along[1], atol=1e-9)
+    np.testing.assert_allclose(ways.guess(np.arange(2, 7)) - one.along[2], ends[1:], atol=1e-9)
 
 
 def test_forces_at_pairs_are_those_at_the_end_of_the_motion():
@@ -411,3 +413,30 @@ def test_a_target_between_two_detours_is_on_the_path():
     found = _paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
     assert found.inserted.tolist() == [3]  # row 0 is the axis target
     assert found.only_corrected.tolist() == [2, 4]
+
+
+def test_comments_of_the_second_program_alone_count_at_pairs():
+    found = compare(nominal(), read(HEAD + FORCE + BODY, "OTHER.src"), ROBOT, CELL)
+    assert [len(getattr(found.cuts, name)) for name in ("row", "t", "between_nominal", "length")] == [0] * 4
+    cutting = ~found.rapid
+    np.testing.assert_allclose(found.cuts.wrench[cutting], np.tile([-150.0, 100, 120, 0, 0, 0], (6, 1)))
+    np.testing.assert_allclose(found.cuts.corrected, found.cuts.nominal, atol=1e-9)
+    assert np.linalg.norm(found.cuts.nominal[cutting], axis=1).min() > 1e-4
+
+
+@pytest.mark.parametrize(("more", "count"), [(0.0005, 0), (0.0015, 1)])
+@pytest.mark.parametrize("frame", ["BASE", "TOOL"])
+def test_frames_that_differ_by_more_than_a_micrometre_are_reported(frame, more, count):
+    text = HEAD.replace("Z 700" if frame == "BASE" else "Z 350", f"Z {(700 if frame == 'BASE' else 350) + more:.4f}")
+    found = compare(nominal(), read(text + BODY, "OTHER.src"), ROBOT, CELL)
+    assert [(d.kind, d.count) for d in found.differences] == count * [(frame.lower(), 7)]
+
+
+def test_motions_known_at_run_time_only_are_counted():
+    keeping = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
+    unknown = "LIN $POS_ACT:{X 0,Y 5,Z -5}\n"
+    texts = [HEAD + edited((POINT, POINT + n * unknown)) for n in (1, 3)]
+    one, other = (correction.read((Document("P.src", text),), ROBOT, keeping, "part", "krl") for text in texts)
+    for pair in ((one, other), (other, one)):
+        (found,) = (d for d in compare(*pair, ROBOT, keeping).differences if d.kind == "unresolved-differs")
+        assert (found.level, found.count) == ("error", 2)
