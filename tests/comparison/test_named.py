@@ -440,3 +440,60 @@ def test_motions_known_at_run_time_only_are_counted():
     for pair in ((one, other), (other, one)):
         (found,) = (d for d in compare(*pair, ROBOT, keeping).differences if d.kind == "unresolved-differs")
         assert (found.level, found.count) == ("error", 2)
+
+
+CARRIED = (HEAD + BODY).replace("C 180", "C 180,E1 300").replace("A6 0}", "A6 0,E1 300}")
+
+
+def external_axes(texts, cell):
+    programs = (correction.read((Document("P.src", text),), ROBOT, cell, "part", "krl") for text in texts)
+    return [d for d in compare(*programs, ROBOT, cell).differences if d.kind == "external-axis"]
+
+
+def test_another_place_on_the_track_is_reported_at_pairs():
+    """At two targets, by 10 and by −9.5 mm."""
+    other = CARRIED.replace("X 80,Y 0,Z 0,A 180,B 0,C 180,E1 300", "X 80,Y 0,Z 0,A 180,B 0,C 180,E1 310")
+    other = other.replace("X 100,Y 40,Z 0,A 180,B 0,C 180,E1 300", "X 100,Y 40,Z 0,A 180,B 0,C 180,E1 290.5")
+    (found,) = external_axes((CARRIED, other), RAIL)
+    assert found.message.startswith("E1 is at 310.0000 mm instead of 300.0000 mm:")
+    assert (found.nominal, found.corrected, found.count) == (("P.src", FIRST + 4), ("P.src", FIRST + 4), 2)
+    assert external_axes((CARRIED, CARRIED.replace("E1 300", "E1 300.005")), RAIL) == []
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "which"), [(CARRIED, HEAD + BODY, "nominal"), (HEAD + BODY, CARRIED, "corrected")]
+)
+def test_a_track_that_one_program_alone_uses_is_reported(first, second, which):
+    found = external_axes((first, second), RAIL)[0]
+    assert found.message == f"E1, which carries the robot, has values in the {which} program only."
+    assert found.count == 7
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "words", "places"),
+    [
+        ("E1 300", "E1 310", "E1 is at 310 in the corrected program, E1 is at 300 in the nominal one.", (-1, -1)),
+        ("E1 300", None, "E1 at 0 or unsaid in the corrected program, E1 is at 300 in the nominal one.", (-1, None)),
+        (None, "E2 300", "E2 is at 300 in the corrected program, E2 at 0 or unsaid in the nominal one.", (None, -1)),
+        ("E1 300", "E1 300", None, None),
+    ],
+)
+def test_an_external_axis_that_carries_nothing_is_reported_once(first, second, words, places):
+    texts = [CARRIED.replace("E1 300", axis) if axis else HEAD + BODY for axis in (first, second)]
+    found = external_axes(texts, CELL)
+    expected = [(words, *(None if k is None else ("P.src", FIRST + k) for k in places))] if words else []
+    assert [(d.message, d.nominal, d.corrected) for d in found] == expected
+
+
+def test_arcs_of_either_program_are_drawn_by_chords():
+    """Half a circle, in pieces of 9.9° at most; in the second program also an arc of 103° to the point after it."""
+    arc, line = f"CIRC {{X 60,Y 50,Z 0}},{{X 80,Y 30,Z 0,{TURNED}}}", f"LIN {{X 80,Y 30,Z 0,{TURNED}}}"
+    other = f"CIRC {{X 87.4357,Y 15,Z 0}},{{X 80,Y 0,Z 0,{TURNED}}}\n"
+    for edits, expected in (([], [19, 1]), ([(arc, line)], [19, 1]), ([(POINT, other)], [19, angle_parts()])):
+        found = compared(edited(*edits))
+        assert found.curves.parts(np.radians(9.9)).tolist() == [1, 1, 1, *expected, 1, 1]
+
+
+def angle_parts():
+    """Pieces of the arc from (80, 30) through (87.4357, 15) to (80, 0): its angle is four times that of the sagitta."""
+    return int(np.ceil(np.degrees(4.0 * np.arctan(7.4357 / 15.0)) / 9.9))
