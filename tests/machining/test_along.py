@@ -107,6 +107,15 @@ def test_forces_by_operation(tmp_path):
     assert own.sigma[0, 0] == pytest.approx(11.0)
 
 
+def test_a_comment_that_reads_like_a_tool_or_a_block_begins_neither(tmp_path):
+    text = gcode("G0 X0 Y0 Z5", "(T3)", "G1 Z-3 F2400", "(N120)", "X30", "T3 M6", "G1 X40", "N120 X50")
+    program = read(tmp_path, text)
+    (tmp_path / "process.toml").write_text("[operations.T3]\nFz = 30\n[operations.N120]\nFy = 5\n")
+    own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+    ways = [text.splitlines()[line - 1] for line in program.motions.line[own.motion].tolist()]
+    assert dict(zip(ways, own.wrench[:, 1:3].tolist(), strict=True)) == {"G1 X40": [0, 30], "N120 X50": [5, 0]}
+
+
 def test_operations_and_subprograms(tmp_path):
     one = ("G0 X0 Y0 Z5", "(rough)", "G1 Z-3 F2400", "M98 P1", "X30", "M98 P1")
     below = "O1\nY9\nY0\nM99\n"
