@@ -29,6 +29,20 @@ def test_the_assumed_spring_of_the_kr_270_2_balances_about_5_kNm():
     assert 4e3 < np.abs(LAW.gradient(Q2)).max() < 9e3
 
 
-def test_impossible_geometry_is_refused():
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"L": 0.9},
+        {"L": 0.5, "ax": 0.3, "ay": 0.4},  # at one angle its length would be zero
+        {"L": 0.0},
+        {"L": -0.1},
+        {"stiffness": -1.0},
+        {"free_length": -0.1},
+        {"stiffness": np.nan},
+    ],
+)
+def test_impossible_geometry_is_refused(wrong):
+    given = {"stiffness": 1e5, "free_length": 0.4, "L": 0.2, "ax": 0.6, "ay": 0.1}
+    Compensator(**given)
     with pytest.raises(ModelError, match="impossible"):
-        Compensator(stiffness=1e5, free_length=0.4, L=0.9, ax=0.6, ay=0.1)
+        Compensator(**given | wrong)

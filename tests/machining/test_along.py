@@ -89,6 +89,17 @@ def test_a_material_without_axial_coefficients_has_a_wide_axial_force(tmp_path):
     assert "no-axial-force" not in {issue.kind for issue in found.issues}
 
 
+@pytest.mark.parametrize(("feed", "length"), [(2400, 0.05), (4800, 0.1), (600, 0.02)])
+def test_a_force_changes_at_the_start_of_a_motion_over_half_the_feed_per_tooth(tmp_path, feed, length):
+    """Of four teeth at 6000 1/min; and over 0.02 mm at least."""
+    text = gcode("G0 X30 Y0 Z5", "G1 Z-3 F300", f"X70 F{feed}")
+    program, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))
+    (motion,) = np.flatnonzero(program.motions.line == 6)
+    t = found.along.t[found.along.motion == motion]
+    assert t[0] == 0.0
+    assert 40.0 * t[1] == pytest.approx(length, rel=1e-6)
+
+
 def test_forces_by_operation(tmp_path):
     text = gcode(
         "(begin operation: Contour 2)", "G0 X0 Y0 Z5", "G1 Z-3 F2400", "X20", "(finish operation: Contour 2)", "X30",

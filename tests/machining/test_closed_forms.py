@@ -117,6 +117,14 @@ def test_volume_of_a_mesh_is_that_of_trimesh():
         assert mapped.volume() == pytest.approx(shape.volume * 1e-9, rel=2e-3)
 
 
+def test_the_mesh_of_a_box_has_its_corners():
+    low, high = np.array([0.01, -0.02, -0.003]), np.array([0.03, 0.01, 0.004])
+    vertices, faces = stock.mesh_of(stock.from_box(low, high, 1e-3))
+    assert set(vertices[:, 2].round(9)) == {low[2], high[2]}
+    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [low, high], atol=1e-9)
+    assert stock.as_trimesh(vertices, faces).volume == pytest.approx(20 * 30 * 7, rel=1e-6)
+
+
 def test_removed_volume_and_what_is_left_are_those_of_trimesh(tmp_path):
     """A slot with round ends, 3 mm deep; what is left is a closed mesh."""
     text = gcode("G0 X30 Y0 Z5", "G1 Z-3 F300", "X70")

@@ -76,6 +76,19 @@ def test_without_noise_the_coefficients_are_found(cuts):
         assert np.isnan(found.left_out)
 
 
+def test_narrow_intervals_need_no_warning():
+    assert identified(SLOTS, sigma=0.1).warnings == ()
+
+
+def test_a_power_counts_as_much_as_a_force_that_tells_as_much_of_the_tangential_coefficients():
+    """Mean force across the feed and power of a full slot: N·a·(c/4·Ktc + Kte/π) and ω·R·N·a·(c/π·Ktc + Kte/2)."""
+    found = identified(SLOTS, power=True)
+    omega, chip = 2 * np.pi * RPM / 60, np.array(FEEDS)
+    watt_per_newton = omega * RADIUS * 1e-3 * np.hypot(chip / np.pi, 0.5) / np.hypot(chip / 4, 1 / np.pi)
+    np.testing.assert_allclose(found.sigma[found.component < 3], 3.0)
+    np.testing.assert_allclose(found.sigma[found.component == 3], 3.0 * watt_per_newton, rtol=1e-6)
+
+
 def test_an_unseen_cut_is_predicted_within_three_percent():
     rng, errors = np.random.default_rng(5), []
     for mode, width, chip in (("down", 4.0, 0.07), ("up", 1.0, 0.1), ("slot", np.nan, 0.12)):
