@@ -103,16 +103,6 @@ class Comparison(Struct, frozen=True, eq=False):
     differences: tuple[Difference, ...]
 
     @property
-    def nominal_line(self) -> Ints:
-        """(P,) line of each pair in the nominal program."""
-        return np.asarray(self.nominal.motions.line[self.pair[:, 0]])
-
-    @property
-    def corrected_line(self) -> Ints:
-        """(P,) line of each pair in the corrected program."""
-        return np.asarray(self.corrected.motions.line[self.pair[:, 1]])
-
-    @property
     def rapid(self) -> Bools:
         """(P,) True for moves without cutting force."""
         return np.asarray(self.nominal.motions.rapid[self.pair[:, 0]])

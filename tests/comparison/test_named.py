@@ -14,8 +14,8 @@ from postproc import correction, jobs
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare, deviations
 from postproc.comparison.compare import _missing, _paired, _under_force
-from postproc.comparison.paths import PlacedProgram, nearest
-from postproc.program import Document
+from postproc.comparison.paths import Chain, PlacedProgram, nearest
+from postproc.program import PTP, Document
 from postproc.under_load import RobotInCell
 
 CELL = cells.load(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
@@ -497,3 +497,25 @@ def test_arcs_of_either_program_are_drawn_by_chords():
 def angle_parts():
     """Pieces of the arc from (80, 30) through (87.4357, 15) to (80, 0): its angle is four times that of the sagitta."""
     return int(np.ceil(np.degrees(4.0 * np.arctan(7.4357 / 15.0)) / 9.9))
+
+
+@pytest.mark.parametrize("angle", ["B 0.5,C 180", "B 0,C 180.5", "B 0,C 180"])
+def test_a_target_off_the_path_is_none_of_it_however_the_tool_is_turned(angle):
+    end = f"{{X 80,Y 30,Z 0,{TURNED}}}"
+    point = POINT.replace("B 0,C 180", angle)
+    body = edited((end, end.replace("B 0,C 180", angle)), (POINT, point.replace("X 80,Y 0", "X 85,Y 15") + point))
+    found = compared(body)
+    assert found.inserted.tolist() == []
+    assert [(d.count, d.corrected[1] - FIRST) for d in found.differences if d.kind == "only-corrected"] == [(1, 4)]
+
+
+def test_motions_without_a_way_share_it_by_their_number():
+    """Three PTP to one place, of which the last one alone has a partner: the others are at a third and two thirds."""
+    point = f"PTP {{X 100,Y 0,Z 40,{TURNED},S 2,T 2}}\n"
+    side = placed(HEAD + BODY.replace(point, 3 * point))
+    m = side.program.motions
+    rows = np.flatnonzero((m.kind == PTP) & np.isnan(m.joints[:, 0]))
+    chain = Chain.of(side, np.array([rows[0] - 1, rows[2], rows[2] + 1]))
+    np.testing.assert_array_equal(chain.row, [*rows, rows[2] + 1])
+    np.testing.assert_allclose(chain.end, [1 / 3, 2 / 3, 1.0, 2.0])
+    np.testing.assert_allclose(chain.begin, [0.0, 1 / 3, 2 / 3, 1.0])
