@@ -97,9 +97,11 @@ class _Folder(Struct, eq=False):
         for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
             file = _together(self._file(source))
             if source is self.main.source:
-                for number, first, last in file.places:
-                    line[first:last] = 1 + number + row[first - 1 : last - 1] - row[first - 1]
-                    inside[first:last] = True
+                number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
+                count = last - first
+                own = np.repeat(first + count - np.cumsum(count), count) + np.arange(count.sum())
+                line[own] = 1 + np.repeat(number - row[first - 1], count) + row[own - 1]
+                inside[own] = True
             if source is self.main.source or file.text != source.text:
                 documents.append(replace(source.document, text=file.text))
                 self._warn_users(source)
