@@ -158,7 +158,7 @@ def test_a_lost_peer_is_told_and_leaves_nothing_half_written(lost):
         assert stderr.count("the Dask scheduler at") == stderr.count("Error:") == 4, stderr
         worker.kill()
         worker.stdout.read()  # the pipe is closed when the last process that the worker has started is gone
-        assert written() <= {"p00", "p01", "p02", "p03"}
+        assert written() == set()  # what is in its place was put there by this process, and reported as written
 
 
 def test_workers_with_another_version_are_refused_and_both_versions_named(monkeypatch):

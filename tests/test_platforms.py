@@ -120,6 +120,32 @@ def test_all_but_identify_and_plan_runs_without_pinocchio(tmp_path, monkeypatch)
         assert done.exit_code in (0, 3), f"{command[0]}: {done.output}"  # 3: a tolerance is exceeded
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["identify", "elastostatics", "no.csv", "--experiment", "experiment.toml", "-o", "model"],
+        ["identify", "geometry", "no.csv", "--experiment", "experiment.toml", "-o", "model"],
+        ["identify", "validate", "robot", "no.csv", "--experiment", "experiment.toml"],
+        ["plan", "--experiment", "experiment.toml", "--cell", "cell.toml", "--program", "no.nc", "-o", "plan.csv"],
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_identify_and_plan_say_at_once_that_pinocchio_is_missing_and_how_to_get_it(arguments, tmp_path, monkeypatch):
+    """Before the readings are looked for: there are none."""
+    monkeypatch.chdir(tmp_path)
+    Path("experiment.toml").write_text(
+        'robot = "kuka_kr270"\nsigma_mm = 0.03\n[load_point]\nX = 0\nY = 0\nZ = 200\n[points.P1]\nX = 1\nY = 0\nZ = 0\n'
+    )
+    Path("cell.toml").write_bytes((ROOT / "samples" / "cell_kr270.toml").read_bytes())
+    arguments = [str(ROOT / "robot_models" / "kuka_kr270") if each == "robot" else each for each in arguments]
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 1
+    assert "KR 270" in done.stderr
+    assert "conda install -c conda-forge pinocchio" in done.stderr
+    assert "(WSL)" in done.stderr
+
+
 def windows_text(path: Path) -> bytes:
     """Return a text file as Windows editors write it: CRLF, and a byte order mark."""
     return b"\xef\xbb\xbf" + path.read_bytes().replace(b"\r\n", b"\n").replace(b"\n", b"\r\n")

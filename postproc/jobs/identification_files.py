@@ -20,9 +20,11 @@ from postproc.identification import (
 )
 from postproc.identification.compensator_geometry import CompensatorGeometry
 from postproc.identification.coverage import share
+from postproc.identification.readings import read_experiment
 from postproc.identification.validation import Validation, table, validate
 from postproc.jobs.output_plan import protect
 from postproc.jobs.settings import load_robot
+from postproc.kinematics import require_pinocchio
 from postproc.report.identification import page
 
 
@@ -67,6 +69,7 @@ def identify_elastostatics(
     """
     if not request.overwrite:
         model_folder.protect(request.output)
+    _check_installed(request.experiment)
     return identify_folder(request.measurements, request.experiment, request.output, request, progress, page)
 
 
@@ -81,7 +84,15 @@ def identify_geometry(
     """
     if not overwrite:
         model_folder.protect(output)
+    _check_installed(experiment)
     return geometry_folder(measurements, experiment, output, model, page)
+
+
+def _check_installed(experiment: Path) -> None:
+    """Refuse at once what needs a package that is not installed."""
+    robot = load_robot(read_experiment(experiment).robot, experiment.parent)
+    if robot.has_weight:
+        require_pinocchio(robot.title)
 
 
 class Work(Struct, frozen=True, kw_only=True):
@@ -105,11 +116,13 @@ def validate_model(
     :param work: job for which it is stated how much of it the readings cover.
     :raises PostprocError: the files are unusable.
     """
+    if (robot := load_robot(str(model), Path())).has_weight:
+        require_pinocchio(robot.title)
     result = validate(model, measurements, experiment)
     if work is not None:
         from postproc.jobs.plan_files import check_same_arm, cutting_states  # readers of programs come with it
 
-        robot, cell = load_robot(str(model), Path()), cells.load(work.cell)
+        cell = cells.load(work.cell)
         check_same_arm(robot, load_robot(cell.robot, cell.folder))
         jobs = [
             share(states.source, states.torque, states.weight, result.covered)

@@ -22,6 +22,7 @@ from postproc.jobs.conversion import read_program
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import find_jobs
 from postproc.jobs.settings import load_robot
+from postproc.kinematics import require_pinocchio
 from postproc.plan import Options, PlanResult, compensator, milling, plan_measurements
 from postproc.plan.compensator import CompensatorOptions, CompensatorPlan, plan_compensator
 from postproc.plan.milling import TestPoses
@@ -94,6 +95,8 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     cell = cells.load(request.cell)
     robot = load_robot(setup.robot, request.experiment.parent)
     check_same_arm(robot, load_robot(cell.robot, cell.folder))
+    if robot.has_weight:
+        require_pinocchio(robot.title)
     site = site_of(robot, setup, request.experiment.parent, cell.start_joints, request.margin * RAD_PER_DEG)
     tests = _test_poses(request, robot, cell)
     data = None if request.measured is None else read(request.measured, setup)

@@ -3,7 +3,7 @@
 from postproc.kinematics.closed_form import ClosedForm, closed_form, status_of
 from postproc.kinematics.components import components, matrices, twist_between
 from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
-from postproc.kinematics.hessian import gravity_stiffness, load_stiffness
+from postproc.kinematics.hessian import gravity_stiffness, load_stiffness, require_pinocchio
 from postproc.kinematics.inverse import JointPath, UnreachableError, follow, on_branch, turn_of
 from postproc.kinematics.margins import joint_margin, singular_values, smallest_singular_value
 
@@ -22,6 +22,7 @@ __all__ = [
     "matrices",
     "on_branch",
     "posture",
+    "require_pinocchio",
     "singular_values",
     "smallest_singular_value",
     "status_of",

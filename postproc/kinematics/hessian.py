@@ -49,14 +49,24 @@ def gravity_stiffness(chain: Chain, q: Array) -> Array:
     return out
 
 
-def _pinocchio() -> Any:
+def require_pinocchio(robot: str) -> None:
+    """Check that Pinocchio is installed, before work begins that needs it.
+
+    :param robot: title of the robot, for the message.
+    :raises PostprocError: it is not.
+    """
+    _pinocchio(f"{robot} has masses: how their torques change is computed by")
+
+
+def _pinocchio(what: str = "this needs") -> Any:
     """Return the module `pinocchio`."""
     try:
         return import_module("pinocchio")
     except ImportError as cause:
         raise PostprocError(
-            "this needs Pinocchio, which is not installed. On Linux and macOS: pip install pin. On Windows: "
-            "conda install -c conda-forge pinocchio, or use the Windows Subsystem for Linux."
+            f"{what} Pinocchio, which is not installed. On Linux and macOS: pip install pin. Windows has no wheel of "
+            "it: conda install -c conda-forge pinocchio, or use the Windows Subsystem for Linux (WSL). All other "
+            "commands work without it."
         ) from cause
 
 
