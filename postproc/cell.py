@@ -113,6 +113,8 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     :param redundancy: turn of the tool about its axis: `redundancy_deg` everywhere, the best one for each operation, or
         one that changes along the path.
     :param motions: path motions of new KRL: LIN and CIRC, or the spline motions SLIN and SCIRC of a KRC4.
+    :param radius_offsets: what the control's radius offsets (D) contain: the radius of the tool, or its wear only, so
+        that the program has the path of the tool's centre.
     """
 
     redundancy_deg: Angle = 0.0
@@ -121,6 +123,7 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     approximation_mm: NotNegative = 0.5
     corner_tolerance_mm: NotNegative = 0.05
     motions: Literal["LIN", "SLIN"] = "LIN"
+    radius_offsets: Literal["radius", "wear"] = "radius"
     spindle_on: list[str] = []
     spindle_ccw: list[str] = []
     spindle_off: list[str] = []

@@ -477,3 +477,10 @@ def test_files_as_catia_and_nx_write_them(name, kinds):
     program = reader.read(document, CELL, forward, "part")
     assert program.motions.kind.tolist() == kinds
     np.testing.assert_allclose(points(program)[0], [10, 20, {"catia_apt.nc": 30, "nx_clsf.nc": 50}[name]], atol=1e-9)
+
+
+def test_cutcom_by_wear_offsets_has_no_effect_and_is_reported():
+    cell = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
+    program = read(HEAD + "CUTCOM/LEFT,1\nGOTO/1,1,1\nCUTCOM/OFF\n", cell)
+    assert [issue.kind for issue in program.issues] == ["radius-compensation"]
+    assert len(program.motions) == 2

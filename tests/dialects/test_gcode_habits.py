@@ -123,3 +123,15 @@ def test_extensions_of_other_controls_are_named(tmp_path, name, what):
     assert done.exit_code == 1
     assert what in done.output
     assert "--dialect gcode" in done.output.replace("\n", " ")
+
+
+@pytest.mark.parametrize("words", ["G41 D1", "G42 D12", "G41", "G41 D0"])
+def test_radius_compensation_by_wear_offsets_has_no_effect_and_is_reported(words):
+    """Fusion and Mastercam, compensation "wear": the path is that of the tool's centre."""
+    plain = "G21 G90\nG0 X0 Y0 Z5\nG1 Z0 F100\n{}\nX10\nG3 X20 Y10 I0 J10\nG40\nG1 X0\nM2\n"
+    cell = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
+    program = read(plain.format(f"{words} G1 X5"), cell)
+    without = read(plain.format("G1 X5"), cell)
+    np.testing.assert_array_equal(program.motions.target, without.motions.target)
+    remark = "with D0" if words.endswith("D0") else "offsets that hold wear only"
+    assert [remark in issue.message for issue in program.issues if issue.kind == "radius-compensation"] == [True]

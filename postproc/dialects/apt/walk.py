@@ -662,10 +662,16 @@ class _Walk:
             self._event(row, "m_code", float(code[1:]))
 
     def _compensate(self, row: int, given: list[float | str]) -> None:
-        del row
-        if given[:1] != ["OFF"]:
-            advice = "Let the CAM system write the path of the tool's centre."
+        if given[:1] == ["OFF"]:
+            return
+        if self.cell.gcode.radius_offsets != "wear":
+            advice = "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control "
+            advice += 'hold wear only, write radius_offsets = "wear" in [gcode] of the cell.'
             raise _FaultError("the radius of the tool is in the control, not in the program", advice)
+        message = (
+            "CUTCOM has no effect: the offsets hold wear only ([gcode] radius_offsets), the path is of the centre."
+        )
+        self.course.remarks.append((row, "info", "radius-compensation", message))
 
     def _mode(self, row: int, given: list[float | str]) -> None:
         del row

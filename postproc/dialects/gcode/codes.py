@@ -62,7 +62,7 @@ ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 RADIUS = (41.0, 42.0, 41.1, 42.1)
 _COMPENSATION = (
     "Radius compensation is not supported: set the CAM system to output the tool centre line. If the offset holds wear "
-    "only, the path is the centre line already: write D0."
+    'only, the path is the centre line already: write D0, or radius_offsets = "wear" in [gcode] of the cell.'
 )
 _CYCLE = "This cycle needs an oriented or reversed spindle: set the CAM system to expand it to G0 and G1."
 _FIVE_AXIS = "Give the rotary axes in the cell, [rotary], for a program with tool-centre-point control."

@@ -10,7 +10,8 @@ Decisions where controls differ:
   the distance times the sine of half the turn, so no corner is rounded by more than P.
 - **G80** ends a motion mode, as in LinuxCNC: coordinates after it need a G0…G3 first. A retract along the tool, and
   moves at heights to which the program has moved in rapid, are rapids, as on Fanuc controls, whose posts rely on it.
-- **G41, G42** with D0 are without effect. Others are refused: the radius is not in the program.
+- **G41, G42** with D0 are without effect, and all where the cell states that the offsets hold wear only. Others are
+  refused: the radius is not in the program.
 - **F** is in the units of its own block, also if G20 or G21 is in the same block.
 - **A0, U0** (and B, C, V, W) keep an axis at zero that the robot does not have: they are ignored, and an issue says so.
 - **%**: the first one opens the program (text after it is ignored), the next one ends it. A program that begins with %
@@ -521,13 +522,15 @@ class _Reader:
                 self._remark("warning", "dwell", message, row)
 
     def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Read G41 and G42: without effect with D0, which is no radius."""
+        """Read G41 and G42: without effect with D0, which is no radius, and with offsets that hold wear only."""
+        wear = self.cell.gcode.radius_offsets == "wear"
         for code in g:
-            if code in codes.RADIUS and values.get("D") != 0.0:
+            if code in codes.RADIUS and values.get("D") != 0.0 and not wear:
                 raise BlockError(*codes.refusal("G", code))
             if code in codes.RADIUS:
-                del values["D"]
-                message = "Radius compensation with D0 has no effect: the path is read as that of the tool centre."
+                zero = values.pop("D", None) == 0.0
+                which = "with D0" if zero else "by offsets that hold wear only ([gcode] radius_offsets)"
+                message = f"Radius compensation {which} has no effect: the path is read as that of the tool centre."
                 self._remark("info", "radius-compensation", message, row)
 
     def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
